@@ -99,13 +99,14 @@ class Drive:
 @dataclasses.dataclass
 class Dense:
     """The optimum. ids (n,), p_ML (n, 2), X_MN (k + 1, 3) between k pieces, shared (8,), covariance: of (p_ML row by
-    row, X_MN[1:], shared)."""
+    row, X_MN[1:], shared), cost: half the squared errors of the frames, in sigmas, there."""
 
     ids: np.ndarray
     p_ML: np.ndarray
     X_MN: np.ndarray
     shared: np.ndarray
     covariance: np.ndarray
+    cost: float
 
     @property
     def newest(self):
@@ -223,4 +224,4 @@ def dense(pieces, prior=PRIOR, noise=NOISE):
     at = np.concatenate([*at, shared_at + np.arange(SHARED)])
     unit = np.zeros((size, len(at)))
     unit[at, np.arange(len(at))] = 1.0
-    return Dense(ids, p, X[[0, *nodes]], shared, factor.solve(unit)[at])
+    return Dense(ids, p, X[[0, *nodes]], shared, factor.solve(unit)[at], 0.5 * float(error @ error))

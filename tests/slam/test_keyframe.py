@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
 from tests.slam.rings import NOTHING, dense_solution, observed, reckoned
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
@@ -103,22 +103,25 @@ def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
     assert value == pytest.approx(0.5 * s @ information @ s + gradient @ s, rel=1e-9)
 
 
-def test_its_frames_cost_what_it_costs():
-    """The least of all frames with tags, D and parameters held, by another reduction about these, is the parabola."""
+def test_it_costs_what_its_frames_cost():
+    """At several parameters, all frames solved anew with these held."""
     robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (12, 2)), TRUTH, 4)
-    pieces = robot.piece(0.2, 0.5, 4.0)
-    here = reduced(NOISE, *pieces, PRIOR).keyframe
-    # From elsewhere: a prior that draws all parameters half a deviation aside.
-    aside = Shared(0.5 * SIGMA * [1, -1, 1, -1, 1, -1, 1, -1], PRIOR.covariance)
-    there = reduced(NOISE, *pieces, aside).keyframe
-    deviation = np.sqrt(np.diag(here.given(np.zeros(8))[2]))
-    for shared in (np.zeros(8), TRUTH, -TRUTH):
-        (p, X, P), (q, Y, Q) = here.given(shared), there.given(shared)
-        off = np.append((p - q).ravel(), X - Y) / deviation
-        assert np.abs(off).max() < 0.05
-        np.testing.assert_allclose(np.diag(Q), np.diag(P), rtol=0.05)
-    of_here, of_there = (SIGMA[:, None] * one.alone()[0] * SIGMA for one in (here, there))
-    np.testing.assert_allclose(of_there, of_here, atol=0.05 * np.abs(of_here).max())
+    pieces = robot.piece(0.2, 0.5, 8.0)
+    one = reduced(NOISE, *pieces, PRIOR).keyframe
+    information, gradient = one.alone()
+    rng, found = np.random.default_rng(1), dense([pieces]).shared
+    costs, own = [], []
+    for _ in range(5):
+        shared = found + 0.15 * SIGMA * rng.normal(size=SHARED)
+        held = dense([pieces], Shared(shared, np.diag(np.full(SHARED, 1e-14))))
+        p_AL, there, covariance = one.given(shared)
+        deviation = np.sqrt(np.diag(covariance))
+        off, expected = held.off(p_AL, there, shared)
+        assert np.abs(off[:-8] / deviation).max() < 0.03
+        np.testing.assert_allclose(np.sqrt(np.diag(expected))[:-8], deviation, rtol=0.01)
+        costs.append(held.cost)
+        own.append(0.5 * shared @ information @ shared + gradient @ shared)
+    np.testing.assert_allclose(np.diff(own), np.diff(costs), atol=0.02 * np.ptp(costs))
 
 
 def test_without_tags_is_their_marginal():
