@@ -191,9 +191,7 @@ def dense(pieces, prior=PRIOR, noise=NOISE):
         np.column_stack([np.concatenate([getattr(one, name) for _, one, _ in seen]) for name in names])
         for names in (("range", "bearing"), ("sigma_range", "sigma_bearing"))
     )
-    ids, first, tag = np.unique(
-        np.concatenate([one.ids for _, one, _ in seen]), return_index=True, return_inverse=True
-    )
+    ids, first, tag = np.unique(np.concatenate([one.ids for _, one, _ in seen]), return_index=True, return_inverse=True)
     angle = X[node[first], 2] + z[first, 1]
     p = X[node[first], :2] + z[first, :1] * np.column_stack([np.cos(angle), np.sin(angle)])
     shared = prior.mean.copy()

@@ -32,9 +32,7 @@ SHEET = by_data_sheet(OdometryConfig(), TagSensorConfig())
 
 def test_the_prior_is_what_the_data_sheets_say():
     odometry = OdometryConfig(distance_scale=0.1, gyro_bias=0.2, gyro_scale=0.3)
-    sensor = TagSensorConfig(
-        yaw_deviation=0.4, mount_deviation=0.5, clock_deviation=0.6, range_scale_deviation=0.7
-    )
+    sensor = TagSensorConfig(yaw_deviation=0.4, mount_deviation=0.5, clock_deviation=0.6, range_scale_deviation=0.7)
     prior = by_data_sheet(odometry, sensor)
     at = [DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE]
     np.testing.assert_allclose(prior.sigma[at], [0.1, 0.2, 0.3, 0.4, 0.5, 0.5, 0.6, 0.7])
