@@ -125,7 +125,13 @@ def dense_solution(graph):
     of_errors = np.arange(2 * n + 3 * k, len(x) - SHARED)
     prior, roots, entries = np.linalg.inv(graph.prior.covariance), [], []
     for j, one in enumerate(graph.keyframes):
-        value, direction = np.linalg.eigh(one.information)
+        whole = one.information
+        if has_errors:
+            by_errors, size = one.by_errors(), len(whole)
+            errors_alone = by_errors[size:, :-1] if len(one.ids) else np.zeros((0, 0))
+            across = by_errors[:size, :-1] if len(one.ids) else np.zeros((size, 0))
+            whole = np.block([[whole, across], [across.T, errors_alone]])
+        value, direction = np.linalg.eigh(whole)
         roots.append(np.sqrt(np.maximum(value, 0.0))[:, None] * direction.T)
         own = (2 * np.searchsorted(graph.ids, one.ids)[:, None] + [0, 1]).ravel()
         poses = 2 * n + 3 * j + np.arange(-3 if j else 0, 3)
@@ -133,17 +139,16 @@ def dense_solution(graph):
 
     def error(j, values):
         one, values, shared = graph.keyframes[j], values[:-SHARED], values[-SHARED:]
-        m, seen = 2 * len(one.ids), one.y_AL
+        m, e = 2 * len(one.ids), values[:0]
         if has_errors:
             values, e = values[: len(values) - m], values[len(values) - m :]
-            seen = seen - (one.on_error @ e.reshape(-1, 2, 1))[:, :, 0]
         A, D = (values[m : m + 3], values[m + 3 :]) if j else (np.zeros(3), values[m:])
         points = np.vstack([values[:m].reshape(-1, 2), D[:2]]) - A[:2]
         c, s = np.cos(A[2]), np.sin(A[2])
         in_A = (1.0 + shared[one.unit]) * (points @ np.array([[c, -s], [s, c]]))
         turn = D[2] - A[2] - one.y_AD[2]
         turn = turn - 2.0 * np.pi * np.round(turn.real / (2.0 * np.pi))
-        return roots[j] @ np.concatenate([(in_A - np.vstack([seen, one.y_AD[:2]])).ravel(), [turn], shared])
+        return roots[j] @ np.concatenate([(in_A - np.vstack([one.y_AL, one.y_AD[:2]])).ravel(), [turn], shared, e])
 
     for _ in range(30):
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))
@@ -152,6 +157,9 @@ def dense_solution(graph):
             H[np.ix_(at, at)] += J.T @ J
             g[at] += J.T @ error(j, x[at].astype(complex)).real
             g[of_shared] += graph.keyframes[j].vector
+            if has_errors and len(graph.keyframes[j].ids):
+                own = 2 * len(graph.keyframes[j].ids)
+                g[at[-SHARED - own : -SHARED]] += graph.keyframes[j].by_errors()[-own:, -1]
         H[np.ix_(of_shared, of_shared)] += prior
         g[of_shared] += prior @ (x[of_shared] - graph.prior.mean)
         if has_errors:

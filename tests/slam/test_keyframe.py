@@ -167,6 +167,32 @@ def test_two_keyframes_fused_say_what_both_say():
     assert deviation < 0.1
 
 
+def test_two_keyframes_fused_say_of_the_errors_of_tags_what_both_say():
+    """Seen from two sides: it is where they look from that tells an error from a place."""
+    rng, deviation = np.random.default_rng(6), np.array([0.03, 0.01])
+    p_ML, X_AB = rng.uniform(-4.0, 4.0, (12, 2)), np.array([2.0, 0.5, 0.4])
+    errors = deviation * rng.normal(size=(12, 2))
+    first = observed(rng, p_ML, np.zeros(3), X_AB, np.arange(9), 1.0, errors, TRUTH)
+    second = observed(rng, p_ML, X_AB, X_AD, np.arange(3, 12), 1.0, errors, TRUTH)
+    graph = replace(reckoned([first, second], PRIOR), tag_error=deviation)
+    X_MN, p, shared, covariance = dense_solution(graph)
+    both, _, _ = fusion(first, second, shared)
+    few = replace(reckoned([both], PRIOR), tag_error=deviation)
+    at = np.concatenate([np.arange(24), 27 + np.arange(3 + 24 + SHARED)])
+    expected = covariance[np.ix_(at, at)]
+    sigma = np.sqrt(np.diag(expected))
+    X_few, p_few, shared_few, covariance_few = dense_solution(few)
+    assert np.abs((covariance_few - expected) / np.outer(sigma, sigma)).max() < 0.05
+    assert np.abs((p_few - p).ravel() / sigma[:24]).max() < 0.1
+    assert np.abs((shared_few - shared) / sigma[-SHARED:]).max() < 0.1
+    assert np.abs((X_few[-1] - X_MN[-1]) / sigma[24:27]).max() < 0.1
+    # Without one of its tags: as if that had never been seen.
+    fewer = without_tags(both, both.ids[:1])
+    assert fewer.by_errors().shape == (4 * 11 + 11, 2 * 11 + 1)
+    one, other = without_tags(first, first.ids[:1]), second
+    np.testing.assert_allclose(fewer.by_errors(), fusion(one, other, shared)[0].by_errors(), rtol=1e-3, atol=1.0)
+
+
 def test_a_way_is_in_the_unit_of_odometry():
     one = way(np.array([2.0, 0.0, 0.5]), np.diag([0.1, 0.2, 0.3]) ** 2)
     shared = np.zeros(8)

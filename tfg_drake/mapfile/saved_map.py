@@ -119,6 +119,7 @@ REGISTRY: Registry = {
         "information": ("r", "r"),
         "vector": (SHARED,),
         "on_error": ("n", 2, 2),
+        "errors": ("a", "b"),
     },
     TfgGraph: {
         "tag_ids": ("n",),
