@@ -155,8 +155,8 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
             H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, W, v, begin, end, shared)
-            e, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
-            H_k, g_k, _ = with_errors(H_k, g_k, e, on, float(begin[2]), 1.0, one.by_errors(), none)
+            error, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
+            H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
         step = np.linalg.solve(H[np.ix_(free, free)], -g[free])
@@ -167,10 +167,10 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     covariance = np.linalg.inv(H[np.ix_(free, free)])
     k, across, of_B = size - 3, H[: size - 3, size - 3 : size], np.linalg.inv(H[size - 3 : size, size - 3 : size])
     W, gradient = H[:k, :k] - across @ of_B @ across.T, g[:k] - across @ of_B @ g[k:size]
-    W, e = 0.5 * (W + W.T), m + SHARED
-    on_error = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    W, e, i = 0.5 * (W + W.T), m + SHARED, np.arange(n)
+    moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
-    both = keyframe(ids, y, shared, RANGE_SCALE, W[:e, :e], gradient[:e], on_error)
+    both = keyframe(ids, y, shared, RANGE_SCALE, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))
     back = np.concatenate([both.y_AL.ravel() - y[:-3], both.y_AD - D, -shared])
     by_errors = np.column_stack([W[:, e:], np.append(np.zeros(e), gradient[e:] + W[e:, :e] @ back)])
     y_AD = np.append(both.y_AD[:2], wrap(float(both.y_AD[2])))
