@@ -125,8 +125,8 @@ def test_after_each_update_of_a_drive_all_is_as_a_solve_would_have_it():
             assert abs(estimate.entropy - whole.entropy) < 0.05
 
 
-def test_a_keyframe_of_the_parameters_alone_moves_the_map_by_what_it_tells():
-    """Turns beside a way without tags: the way's unit is another, and what the scale of distance is told moves it."""
+def test_ways_in_another_unit_are_taken_in_as_a_solve_would():
+    """A way without tags is in the unit of distance: what turns tell of its scale moves its end."""
     keyframes, _, _ = ring(11, views=6, laps=0.2, shared=0.5 * SIGMA)
     graph, estimate = built(keyframes, PRIOR)
     whole, exact = solve(replace(graph, p_ML=estimate.p_ML), 0.0, NOTHING)
