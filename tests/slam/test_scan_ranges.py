@@ -42,8 +42,9 @@ class World:
         self.points = WALLS[wall, :2] + along[:, None] * way + before * inwards
         self.errors = errors * self.rng.normal(size=tags)
 
-    def frame(self, stamp=0.0, noise=1.0, stray=0, angles=ANGLES):
-        """A frame of tags and the scan of its instant, from a random place; `stray` tags have something before them."""
+    def frame(self, stamp=0.0, noise=1.0, stray=0, angles=ANGLES, exact=1.0):
+        """A frame of tags and the scan of its instant, from a random place; `stray` tags have something before them.
+        exact: what share of the usual deviations the sensors have, and state."""
         rng = self.rng
         X_WB = np.append(rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi))
         yaw, x, y = self.scanner
@@ -55,11 +56,12 @@ class World:
         seen = np.flatnonzero((np.abs(b) < 1.0) & (r < 10.0))
         r, b = r[seen] + self.errors[seen], b[seen]
         r[:stray] *= rng.uniform(0.3, 0.8, len(r[:stray]))
-        sigma = 0.02 + 0.01 * r
+        sigma = exact * (0.02 + 0.01 * r)
         z = (1.0 + self.shared[RANGE_SCALE]) * r + noise * sigma * rng.normal(size=len(r))
-        b = b + noise * 0.01 * rng.normal(size=len(r))
-        scan = LaserScan(stamp, angles, ranges + noise * 0.015 * rng.normal(size=len(angles)), 12.0, 0.015)
-        return TagDetections(stamp, seen, z, b, sigma, np.full(len(r), 0.01)), scan
+        b = b + noise * exact * 0.01 * rng.normal(size=len(r))
+        ranges = ranges + noise * exact * 0.015 * rng.normal(size=len(angles))
+        scan = LaserScan(stamp, angles, ranges, 12.0, 0.015 * exact)
+        return TagDetections(stamp, seen, z, b, sigma, np.full(len(r), 0.01 * exact)), scan
 
     def told(self, frames, prior=PRIOR, **how):
         """What so many frames tell: all pairs, and the parameters by these and their prior."""
@@ -111,7 +113,8 @@ def test_the_camera_is_measured_against_the_scanner():
         assert (np.abs(found.mean - truth)[AT] < 3.0 * found.sigma[AT]).all()
 
 
-def test_its_covariance_is_honest():
+@pytest.mark.parametrize("exact", [1.0, 0.1])
+def test_its_covariance_is_honest(exact):
     """Over worlds whose parameters, scanner, tags and distance before the walls are drawn from what is believed."""
     squared, of_each = [], []
     for seed in range(200):
@@ -119,7 +122,7 @@ def test_its_covariance_is_honest():
         truth = SIGMA * rng.normal(size=SHARED)
         nuisance = NUISANCE * rng.normal(size=4)
         world = World(seed, truth, nuisance[:3], before=nuisance[3], errors=TAG_SIGMA, tags=30)
-        _, found = world.told(12)
+        _, found = world.told(12, exact=exact)
         error = (found.mean - truth)[AT]
         squared.append(error @ np.linalg.solve(found.covariance[np.ix_(AT, AT)], error) / 4.0)
         of_each.append(np.square(error / found.sigma[AT]))
@@ -191,9 +194,7 @@ def test_a_setting_that_must_be_wrong_is_told_from_a_scale_that_may_be(true, exa
     """exact: what share of the usual deviations a detector has; then no pair agrees with a tenth too much."""
     world, ranges = World(1, off(scale=true - 1.0)), none_compared()
     for _ in range(30):
-        detections, scan = world.frame(noise=exact, stray=stray)
-        stated = {name: exact * getattr(detections, name) for name in ("sigma_range", "sigma_bearing")}
-        ranges = compared(ranges, replace(detections, **stated), replace(scan, sigma=0.015 * exact), PRIOR)
+        ranges = compared(ranges, *world.frame(exact=exact, stray=stray), PRIOR)
     expected = true - 1.0 if abs(true - 1.0) > 0.03 else 0.0
     found = great_error(ranges, posterior(ranges))
     assert found == pytest.approx(expected, abs=0.03 * max(1.0, true))
