@@ -119,6 +119,7 @@ REGISTRY: Registry = {
         "information": ("r", "r"),
         "vector": (SHARED,),
         "on_error": ("n", 2, 2),
+        "errors": ("a", "b"),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -289,6 +290,9 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.keyframes.ids does not fit graph.ids"
     if any(len(one.information) != 2 * len(one.ids) + 3 + SHARED for one in graph.keyframes):
         return "graph.keyframes.information does not fit graph.keyframes.ids"
+    of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
+    if any(one.errors.shape not in shapes for one, shapes in zip(graph.keyframes, of_errors, strict=True)):
+        return "graph.keyframes.errors does not fit graph.keyframes.ids"
     if any(not 0 <= one.unit < SHARED for one in graph.keyframes):
         return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
