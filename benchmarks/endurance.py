@@ -50,9 +50,9 @@ def main() -> None:
         bins.append((bool(np.all(inside[:, 3] < inside[:, 2])), mean))
         print(f"{end / 60:>6.0f}{views:>8.0f}{landmarks:>11.0f}{local:>9.0f}{mean:>10.0f}{largest:>10.0f}", flush=True)
 
-    def timed(state: EstimatorState, stamp: float) -> EstimatorState:
+    def timed(state: EstimatorState, stamp: float, *, explored: bool) -> EstimatorState:
         begin = time.process_time()
-        state = estimator.end_turn(state, stamp)
+        state = estimator.end_turn(state, stamp, explored=explored)
         spent = 1e3 * (time.process_time() - begin)
         graph, estimate = state.graph, state.map
         assert estimate is not None

@@ -26,6 +26,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.slam import estimator
 from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.systems import slam_estimator
 
 STEPS = ("process_scan", "process_odometry", "process_detections", "begin_turn", "end_turn")
@@ -35,9 +36,9 @@ def recorded(steps: list[tuple[str, object]], name: str) -> Callable:
     """An estimator's step that notes what it was given."""
     step = getattr(estimator, name)
 
-    def noted(state, given):
+    def noted(state, given, **options):
         steps.append((name, given))
-        return step(state, given)
+        return step(state, given, **options)
 
     return noted
 
@@ -61,7 +62,7 @@ def run_seed(name: str, seed: int, period: float) -> tuple[int, list[float]]:
     maps = []
     with threadpool_limits(limits=1):
         for keyframes in (0.0, period):
-            state = initial_state(scenario.odometry, keyframes)
+            state = initial_state(scenario.odometry, keyframes, by_data_sheet(scenario.odometry, scenario.tags))
             for step, given in steps:
                 state = getattr(estimator, step)(state, given)
             estimate = estimator.map_estimate(state)

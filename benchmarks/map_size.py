@@ -20,13 +20,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import REGISTRY
-from tfg_drake.messages import FloatArray, MapEstimate, Observation, replace
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, fused, keyframe
+from tfg_drake.messages import FloatArray, MapEstimate, replace
+from tfg_drake.slam.keyframe import Keyframe, of_places, way
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, fused, no_observation
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import finished, needs_solve, updated
+from tfg_drake.slam.shared import by_data_sheet
 
 PITCH = 5.0  # m between views
 REACH = 10.0  # m a tag is seen
@@ -43,7 +46,7 @@ class Synthetic:
         self.X_WA, self.p_WL, self.rng = X_WA, p_WL, rng
         self.tree = cKDTree(p_WL)
 
-    def observation(self, k: int) -> Observation:
+    def view(self, k: int) -> Keyframe:
         """View k's: range and bearing of each tag for itself, and an error of heading that all share."""
         X = self.X_WA[k]
         rows = np.array(self.tree.query_ball_point(X[:2], REACH), dtype=np.int64)
@@ -60,21 +63,13 @@ class Synthetic:
             root[2 * i : 2 * i + 2, -1] = 0.002 * across[i]
         root[-3:, -4:-1] = np.diag([0.002, 0.002, 0.001])
         error = root @ self.rng.standard_normal(2 * n + 4)
-        return Observation(
-            ids=rows,
-            p_AL=p_AL + error[:-3].reshape(-1, 2),
-            X_AD=X_AD + error[-3:],
-            covariance=root @ root.T,
-            stamps=np.empty(0),
-            X_AB=np.empty((0, 3)),
-        )
+        return of_places(rows, p_AL + error[:-3].reshape(-1, 2), X_AD + error[-3:], root @ root.T)
 
-    def way(self, k: int) -> Observation:
+    def way(self, k: int) -> Keyframe:
         """The way from view k - 1 to view k as odometry has it."""
         X_WD = se2.compose(self.X_WA[k - 1], X_AD)
         X_DA = se2.between(X_WD, self.X_WA[k]) + np.sqrt(np.diag(ODOMETRY)) * self.rng.standard_normal(3)
-        nothing = np.empty(0, dtype=np.int64)
-        return Observation(nothing, np.empty((0, 2)), X_DA, ODOMETRY, np.empty(0), np.empty((0, 3)))
+        return way(X_DA, ODOMETRY)
 
 
 class Plain(Synthetic):
@@ -101,12 +96,12 @@ class Plain(Synthetic):
             if k > 0:
                 seen.append(self.way(k))
                 X_MN.append(X_MA)
-            seen.append(self.observation(k))
+            seen.append(self.view(k))
             X_MN.append(se2.compose(X_MA, X_AD))
         ids = np.unique(np.concatenate([one.ids for one in seen]))
         graph = replace(
-            empty_graph(),
-            keyframes=tuple(keyframe(one) for one in seen),
+            empty_graph(by_data_sheet(OdometryConfig(), TagSensorConfig())),
+            keyframes=tuple(seen),
             X_MN=np.array(X_MN),
             view_keyframe=np.arange(0, len(seen), 2),
             X_AV=np.zeros((self.before, 3)),
@@ -114,7 +109,7 @@ class Plain(Synthetic):
             p_ML=se2.transform(X_MW, self.p_WL[ids]),
             landmark_covariance=np.tile(0.01 * np.eye(2), (len(ids), 1, 1)),
         )
-        return solve(graph, 0.0, seen[-1])
+        return solve(graph, 0.0, no_observation())
 
 
 def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, views: int) -> tuple[KeyframeGraph, FloatArray]:
@@ -122,15 +117,15 @@ def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, views: int)
     spent, solved = np.zeros(views), graph
     for i in range(views):
         k = plain.before + i
-        way, view = plain.way(k), plain.observation(k)
+        driven, view = plain.way(k), plain.view(k)
         begin = time.process_time()
-        for observation in (way, view):
-            graph, estimate, _ = updated(graph, estimate, observation, is_view=observation is view)
+        for one in (driven, view):
+            graph, estimate, _ = updated(graph, estimate, one, is_view=one is view)
         if needs_solve(graph, solved, estimate):
-            graph, estimate = solve(fused(replace(graph, p_ML=estimate.p_ML)), float(k), view)
+            graph, estimate = solve(fused(replace(graph, p_ML=estimate.p_ML)), float(k), no_observation())
             solved = graph
         else:
-            graph, estimate = finished(graph, estimate, float(k), view)
+            graph, estimate = finished(graph, estimate, float(k), no_observation())
         spent[i] = time.process_time() - begin
     return graph, spent
 
@@ -164,7 +159,7 @@ def main() -> None:
             plain = Plain(landmarks, options.goals)
             graph, spent = grown(plain, *plain.map(), options.goals)
             begin = time.process_time()
-            solve(graph, 0.0, plain.observation(plain.before))
+            solve(graph, 0.0, no_observation())
             solving = time.process_time() - begin
             n = len(graph.ids)
             row = [n, len(graph.keyframes), 1e3 * spent.mean(), 1e3 * np.median(spent), 1e3 * spent.max()]

@@ -94,9 +94,9 @@ def one_mission(scenario: Scenario, full_turn: bool) -> tuple[list[list[float]],
     expected: list[float] = []
     end_turn, choose = estimator.end_turn, goal_choice.choose
 
-    def noted_turn(state: EstimatorState, stamp: float) -> EstimatorState:
+    def noted_turn(state: EstimatorState, stamp: float, *, explored: bool) -> EstimatorState:
         before, turn = state.map, state.turn
-        state = end_turn(state, stamp)
+        state = end_turn(state, stamp, explored=explored)
         after = state.map
         assert after is not None
         if before is not None and len(before.local) == len(before.ids) and turn is not None:

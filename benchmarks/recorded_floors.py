@@ -28,9 +28,9 @@ def record(world: str, seed: int, out: Path) -> None:
     turns: list[tuple[str, float]] = []
 
     def noted(name, function):
-        def call(state, stamp):
+        def call(state, stamp, **options):
             turns.append((name, stamp))
-            return function(state, stamp)
+            return function(state, stamp, **options)
 
         return call
 

@@ -182,6 +182,8 @@ _SIGNED = (
 )
 # Keys of angles, rad.
 _ANGLES = (".yaw", ".pitch", ".roll", ".turn", ".facing", ".yaw_deviation")
+# Keys of shares: 1 at most.
+_SHARES = ("_probability", ".range_scale_deviation")
 # A tag anywhere else is another tag: none of its keys has a default.
 _TAGS = ("world.tags[]", "reality.changes[].tags[]")
 # Lists of a fixed length, and how to write them.
@@ -514,7 +516,7 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
         raise ScenarioError(f"{source}: {place}: {told}")
     if general.startswith(_SIGNED):
         return
-    unbounded = 1.0 if general.endswith("_probability") else math.inf
+    unbounded = 1.0 if general.endswith(_SHARES) else math.inf
     least, greatest = _BOUNDS.get(general, (-math.inf, unbounded))
     if general not in _BOUNDS and value < 0:
         raise ScenarioError(f"{source}: {place}: must not be negative, is {value:g}")

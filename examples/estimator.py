@@ -72,14 +72,7 @@ class TruthEstimator(LeafSystem):
         p_ML = np.array([place for _, place in known.tags]).reshape(-1, 2)
         X_MA, n = known.turn[0, 1:], len(ids)
         covariance = EXACT**2 * np.eye(2 * n + 3)
-        observation = Observation(
-            ids=ids,
-            p_AL=transform(inverse(X_MA), p_ML),
-            X_AD=between(X_MA, X_MD),
-            covariance=covariance,
-            stamps=known.turn[:, 0],
-            X_AB=between(X_MA, known.turn[:, 1:]),
-        )
+        observation = Observation(ids, stamps=known.turn[:, 0], X_AB=between(X_MA, known.turn[:, 1:]))
         return MapEstimate(
             stage=known.estimate.stage + 1,
             stamp=known.turn[-1, 0],

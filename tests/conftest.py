@@ -85,41 +85,38 @@ def call(capsys, monkeypatch):
 @pytest.fixture(scope="session")
 def small_map():
     """Two views, four landmarks, an edge, a wall end, a loose surface, a frontier; X_WM = (5, 3, pi/2)."""
-    from tfg_drake.config import OdometryConfig
+    from tfg_drake.config import OdometryConfig, TagSensorConfig
     from tfg_drake.mapfile.saved_map import saved_map
-    from tfg_drake.messages import Observation, TfgMap
+    from tfg_drake.messages import TfgMap
     from tfg_drake.slam.estimator_state import initial_state
-    from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
+    from tfg_drake.slam.keyframe import of_places, way
+    from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, no_observation
     from tfg_drake.slam.map_solver import solve
     from tfg_drake.slam.map_update import updated
+    from tfg_drake.slam.shared import by_data_sheet
     from tfg_drake.tfg import feature_graph
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
 
     tags = np.array([[2.0, 1.0], [2.0, -1.0], [-1.0, 2.0], [4.0, 1.5]])
 
-    def observation(rows, X_MA, X_AD, seed=0):
+    def keyframe(rows, X_MA, X_AD, seed=0):
         """What an exact turn at X_MA sees of some tags, with a dense covariance."""
         n = len(rows)
         R = np.array([[np.cos(X_MA[2]), -np.sin(X_MA[2])], [np.sin(X_MA[2]), np.cos(X_MA[2])]])
         root = np.random.default_rng(seed).normal(size=(2 * n + 3, 2 * n + 3))
         covariance = 1e-3 * (np.eye(2 * n + 3) + 0.1 * root @ root.T)
         p_AL = (tags[rows] - X_MA[:2]) @ R
-        return Observation(
-            np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T), np.zeros(0), np.zeros((0, 3))
-        )
+        return of_places(np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T))
 
-    def way(X_DA):
-        """A way of which odometry alone tells."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return Observation(nothing, np.zeros((0, 2)), np.array(X_DA), 1e-3 * np.eye(3), np.zeros(0), np.zeros((0, 3)))
-
-    first = observation([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
-    second = observation([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2)
-    graph, estimate, _ = updated(empty_graph(), empty_map(), first)
-    graph, estimate, _ = updated(graph, estimate, way([1.0, -0.03, 0.08]), is_view=False)
-    graph, estimate, _ = updated(graph, estimate, second)
-    graph, estimate = solve(graph, 20.25, second)
+    prior = by_data_sheet(OdometryConfig(), TagSensorConfig())
+    driven = way(np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))
+    graph, estimate, _ = updated(
+        empty_graph(prior), empty_map(prior), keyframe([0, 1, 2], np.zeros(3), [0.0, 0.01, 0.02], 1)
+    )
+    graph, estimate, _ = updated(graph, estimate, driven, is_view=False)
+    graph, estimate, _ = updated(graph, estimate, keyframe([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2))
+    graph, estimate = solve(graph, 20.25, no_observation())
     surfaces = Surfaces(
         kind=np.array([0, 1, 2]),
         ids=np.array([[11, 10], [12, -1], [-1, -1]]),
@@ -156,7 +153,7 @@ def small_map():
         star_vertices=np.vstack([star, star + np.array([1.0, 0.0])]),
         star_centers=estimate.X_MA[:, :2],
     )
-    state = dataclasses.replace(initial_state(OdometryConfig()), graph=graph, map=estimate)
+    state = dataclasses.replace(initial_state(OdometryConfig(), prior=prior), graph=graph, map=estimate)
     return saved_map(np.array([5.0, 3.0, 0.5 * np.pi]), state, tfg_graph, resolved)
 
 

@@ -19,13 +19,12 @@ from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.storage.trajectory import write_tum
 
 SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
-
-
-# Names of the shared parameters in the summary.
+# Names of the shared parameters in the summary, in their order.
 CALIBRATED = (
     "odometry_distance_scale",
     "odometry_gyro_bias_rad_s",
@@ -191,7 +190,7 @@ def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]
     return {
         "landmarks": len(estimate.ids) if estimate is not None else 0,
         "poses": 2 * len(mission.departures),  # arrival and departure
-        "calibration": 1,  # the range scale
+        "calibration": SHARED,
     }
 
 

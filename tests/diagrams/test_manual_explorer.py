@@ -49,7 +49,8 @@ def test_the_robot_goes_where_it_is_driven_and_the_map_grows(driven):
     assert driven.summary["reason"].startswith("The drive is over")
     goals = np.array([stage["goal"] for stage in driven.stages])
     # 6 s at 0.3 m/s from (1, 2), straight ahead, give or take its getting up to speed.
-    assert np.abs(goals[:, 1] - 2.0)[goals[:, 0] < 2.5].max() < 0.2
+    straight = np.array([stage["time_s"] for stage in driven.stages]) < 14.0
+    assert np.abs(goals[straight, 1] - 2.0).max() < 0.2
     assert goals[:, 0].max() > 2.6
     assert abs(goals[-1, 1] - 2.0) > 0.2  # in a curve
     assert driven.summary["landmarks_mapped"] > 0.8 * driven.summary["landmarks_reachable"]

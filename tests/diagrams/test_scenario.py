@@ -245,6 +245,8 @@ def test_settings_are_applied_in_order_to_a_copy():
         ("explorer.stop_gain=", "expected KEY=VALUE, such as explorer.stop_gain=5"),
         ("explorer.stop_gain=fast", "explorer.stop_gain: expected a number, found text ('fast')"),
         ("tags.rate=0", "tags.rate: must be greater than 0, is 0"),
+        ("tags.mount_deviation=-0.005", "tags.mount_deviation: must not be negative, is -0.005"),
+        ("tags.range_scale_deviation=2", "tags.range_scale_deviation: must be at most 1, is 2"),
         ("seed=1.5", "seed: expected a whole number, found float (1.5)"),
         ("robot={radius: 1}", "robot is a section; set one of its keys, or write a scenario file"),
         ("tags.rate=[", "line 2, column 1: broken YAML: did not find expected node content"),

@@ -22,6 +22,15 @@ def symmetric(upper, size):
     return matrix + np.triu(matrix, 1).T
 
 
+def in_metres(graph, keyframe):
+    """Tags, end and covariance of a keyframe that depends on the parameters by nothing but its unit of length."""
+    n = len(keyframe.ids)
+    scale = 1.0 + graph.shared.mean[keyframe.unit]
+    metres = np.append(np.full(2 * n + 2, 1.0 / scale), 1.0)
+    covariance = np.linalg.inv(keyframe.information[: 2 * n + 3, : 2 * n + 3]) * np.outer(metres, metres)
+    return keyframe.y_AL / scale, keyframe.y_AD * metres[-3:], covariance
+
+
 def test_vertices_and_edges_are_the_graph(small_map):
     graph, found = small_map.graph, read(g2o_text(small_map))
     assert landmark_base(small_map) == 10
@@ -36,8 +45,9 @@ def test_vertices_and_edges_are_the_graph(small_map):
     for start, end, x, y, *information in found["EDGE_SE2_XY"]:
         keyframe = graph.keyframes[int(start)]
         row = int(np.flatnonzero(keyframe.ids == end - 10)[0])
-        np.testing.assert_array_equal([x, y], keyframe.p_AL[row])
-        block = keyframe.covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
+        p_AL, _, covariance = in_metres(graph, keyframe)
+        np.testing.assert_allclose([x, y], p_AL[row])
+        block = covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
         np.testing.assert_allclose(symmetric(information, 2), np.linalg.inv(block))
         # At the map's values it fits as it did there.
         p_AL = se2.transform(se2.inverse(vertices[int(start)]), vertices[int(end)][None])[0]
@@ -57,8 +67,9 @@ def test_gtsam_reads_it_back(small_map, tmp_path):
     # Its errors are those of the map's own keyframes: the covariance is turned into the axes g2o has it in.
     ours = 0.0
     for j, keyframe in enumerate(small_map.graph.keyframes):
-        error = se2.between(X_WN[j], X_WN[j + 1]) - keyframe.X_AD
-        ours += 0.5 * error @ np.linalg.solve(keyframe.covariance[-3:, -3:], error)
+        _, X_AD, covariance = in_metres(small_map.graph, keyframe)
+        error = se2.between(X_WN[j], X_WN[j + 1]) - X_AD
+        ours += 0.5 * error @ np.linalg.solve(covariance[-3:, -3:], error)
     assert factors.error(values) == pytest.approx(ours, rel=1e-3)
 
 

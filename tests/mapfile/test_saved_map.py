@@ -25,11 +25,15 @@ from tfg_drake.mapfile.saved_map import (
     load_map,
     restored_estimate,
     save_map,
+    saved_map,
+    state_of_map,
 )
 from tfg_drake.mapfile.summary import map_rows
+from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
+from tfg_drake.slam.shared import exactly_known
 
 DAMAGED = "FILE is damaged or not a map of tfg-drake"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
@@ -65,8 +69,8 @@ def test_round_trip_is_exact(path, small_map):
 
 
 def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
-    observation = dataclasses.replace(empty_map().observation, covariance=1e-4 * np.eye(3))
-    graph, _, _ = updated(empty_graph(), empty_map(), observation)
+    prior = exactly_known()
+    graph, _, _ = updated(empty_graph(prior), empty_map(prior), way(np.zeros(3), 1e-4 * np.eye(3)))
     bare = dataclasses.replace(
         small_map,
         stage=1,
@@ -99,6 +103,38 @@ def test_the_covariance_follows_from_the_keyframes(small_map):
         np.testing.assert_allclose(small_map.landmark_covariance[row], block, rtol=1e-3, atol=1e-9)
     assert (estimate.stage, estimate.stamp) == (2, 20.25)
     assert abs(estimate.entropy - small_map.entropy) < 1e-6
+
+
+def as_told(estimate, small_map):
+    """The map that is kept of an estimator which tells no more than this."""
+    return saved_map(small_map.X_WM, state_of_map(estimate), small_map.tfg_graph, small_map.tfg)
+
+
+def test_an_estimator_may_tell_its_map_only(tmp_path, small_map):
+    estimate = restored_estimate(small_map)
+    save_map(tmp_path / "map.npz", as_told(estimate, small_map))
+    loaded = load_map(tmp_path / "map.npz")
+    again = restored_estimate(loaded)
+    for name in ("ids", "p_ML", "X_MD", "local", "X_MA"):
+        np.testing.assert_allclose(getattr(again, name), getattr(estimate, name), atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(again.covariance, estimate.covariance, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(loaded.landmark_covariance, estimate.landmark_covariance)
+    assert (again.stage, again.stamp) == (2, 20.25)
+    assert again.entropy == pytest.approx(estimate.entropy, abs=1e-3)
+    # It has said nothing of the sensors.
+    np.testing.assert_array_equal(loaded.graph.shared.mean, np.zeros(8))
+
+
+def test_landmarks_that_are_not_known_jointly_count_as_independent(small_map):
+    whole = restored_estimate(small_map)
+    rows = np.array([0, 1, 6, 7, 8, 9, 10])
+    estimate = dataclasses.replace(whole, local=np.array([0, 3]), covariance=whole.covariance[np.ix_(rows, rows)])
+    again = restored_estimate(as_told(estimate, small_map))
+    np.testing.assert_allclose(again.covariance[np.ix_(rows, rows)], estimate.covariance, rtol=1e-3, atol=1e-9)
+    for row in (1, 2):
+        at = slice(2 * row, 2 * row + 2)
+        np.testing.assert_allclose(again.covariance[at, at], whole.landmark_covariance[row], rtol=1e-3)
+        np.testing.assert_allclose(np.delete(again.covariance[at], at, axis=1), 0.0, atol=1e-9)
 
 
 def test_a_tfg_one_stage_behind_is_a_map_too(tmp_path, small_map):
@@ -164,8 +200,8 @@ def test_an_array_of_zeros_is_not_unpacked(path):
 
 def test_a_shape_without_numbers_asks_for_no_memory(path):
     shape = np.array([[0, 10**9]] * 3)
-    rewrite(path, **{"graph.keyframes.p_AL__shape": shape, "graph.keyframes.p_AL": np.zeros(0)})
-    assert error_of(path) == ("FILE is not a whole map: graph.keyframes.p_AL@shape does not fit graph.keyframes.p_AL")
+    rewrite(path, **{"graph.keyframes.y_AL__shape": shape, "graph.keyframes.y_AL": np.zeros(0)})
+    assert error_of(path) == ("FILE is not a whole map: graph.keyframes.y_AL@shape does not fit graph.keyframes.y_AL")
 
 
 def test_missing_and_foreign_files(tmp_path):
@@ -217,8 +253,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(9)}, "FILE has map schema 9; this version reads schema 8: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 8: make the map anew"),
+        ({"schema": np.int64(10)}, "FILE has map schema 10; this version reads schema 9: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 9: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),

@@ -57,7 +57,7 @@ def two_rooms(door=0.8):
 
 def observation():
     none = np.zeros((0, 2))
-    return Observation(none[:, 0].astype(int), none, np.zeros(3), np.eye(3), none[:, 0], np.zeros((0, 3)))
+    return Observation(none[:, 0].astype(int), none[:, 0], np.zeros((0, 3)))
 
 
 def known(segments, views, X_shift=(0.0, 0.0, 0.0)):

@@ -11,7 +11,8 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, TagDetections, replace
 from tfg_drake.slam.batch_smoother import HUBER_SIGMAS, smooth
-from tfg_drake.slam.odometry_model import arc, odometry_model, predict_increment
+from tfg_drake.slam.odometry_model import arc, predict_increment, random_walks
+from tfg_drake.slam.shared import calibration_sigma
 
 
 def record(drive, noise, steps=640, seed=4):
@@ -126,7 +127,6 @@ def test_the_solution_is_that_of_a_dense_solver():
     """A short way with a frame at every odometry message, so that nothing is interpolated."""
     random = np.random.default_rng(2)
     config = OdometryConfig()
-    model = odometry_model(config)
     tags = random.uniform(-4.0, 4.0, (6, 2))
     X_MB, X_OB, odometry, frames, seen = np.zeros(3), np.zeros(3), [], [], []
     for i in range(25):
@@ -143,15 +143,15 @@ def test_the_solution_is_that_of_a_dense_solver():
 
     increments = [arc(a.X_OB, b.X_OB) for a, b in itertools.pairwise(odometry)]
     whiteners = [
-        np.linalg.inv(np.linalg.cholesky(predict_increment(one, 0.4, np.zeros(3), model.noise)[2]))
+        np.linalg.inv(np.linalg.cholesky(predict_increment(one, 0.4, np.zeros(3), random_walks(config))[2]))
         for one in increments
     ]
 
     def residual(x):
         poses, p_ML, calibration = np.vstack([np.zeros(3), x[:72].reshape(-1, 3)]), x[72:84].reshape(-1, 2), x[84:]
-        rows = [calibration / model.calibration_sigma]
+        rows = [calibration / calibration_sigma(config)]
         for i, (increment, whitener) in enumerate(zip(increments, whiteners, strict=True)):
-            motion = predict_increment(increment, 0.4, calibration, model.noise)[0]
+            motion = predict_increment(increment, 0.4, calibration, random_walks(config))[0]
             rows.append(whitener @ (se2.between(poses[i], poses[i + 1]) - motion))
         for pose, z in zip(poses, seen, strict=True):
             d = se2.transform(se2.inverse(pose), p_ML)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slam.rings import observed, ring
+from tests.slam.rings import NOTHING, observed, reckoned, ring
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam.doubt import (
@@ -21,8 +21,9 @@ from tfg_drake.slam.doubt import (
     weighed,
     with_doubts,
 )
-from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, taken_back
+from tfg_drake.slam.keyframe_graph import empty_graph, extended, taken_back
 from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.shared import exactly_known
 
 # Four tags; the robot stands at the origin, and moves a step and a turn from keyframe to keyframe.
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
@@ -35,7 +36,7 @@ class Account:
 
     def __init__(self):
         self.rng = np.random.default_rng(0)
-        self.graph, self.evidence = empty_graph(), no_evidence()
+        self.graph, self.evidence = empty_graph(exactly_known()), no_evidence()
 
     def see(self, frames, p_ML=P_ML, agrees=(True, True, True, True)):
         """One keyframe more, with each tag seen in so many frames; agrees: where the map has it."""
@@ -43,9 +44,9 @@ class Account:
         seen = Sighted(observed(self.rng, p_ML, X_MA, X_AD, np.arange(4)), frames)
         seen, agrees = only(seen, frames > 0), np.array(agrees)[frames > 0]
         believed = believable(self.evidence, seen, X_MA, self.graph)
-        self.graph = extended(self.graph, only(seen, agrees).observation, se2.compose(X_MA, X_AD), is_view=True)
+        self.graph = extended(self.graph, only(seen, agrees).keyframe, se2.compose(X_MA, X_AD), is_view=True)
         self.evidence = weighed(self.evidence, seen, agrees, self.graph)
-        return dict(zip(seen.observation.ids.tolist(), believed.tolist(), strict=True))
+        return dict(zip(seen.keyframe.ids.tolist(), believed.tolist(), strict=True))
 
     def frames(self, tag=TAG):
         """For each place of the tag, whether the map has it there: the frames that speak for it."""
@@ -80,7 +81,7 @@ def test_a_doubtful_tag_is_where_most_frames_saw_it():
     account = Account()
     account.see([9, 9, 1, 2], agrees=(True, True, False, True))
     account.see([9, 9, 2, 0], elsewhere(2.0), agrees=(True, True, False, True))
-    graph, estimate = solve(account.graph, 0.0, empty_map().observation)
+    graph, estimate = solve(account.graph, 0.0, NOTHING)
     estimate = with_doubts(estimate, account.evidence, graph)
     np.testing.assert_array_equal(estimate.doubtful, [TAG, 103])
     np.testing.assert_allclose(estimate.doubtful_places, [elsewhere(2.0)[2], P_ML[3]], atol=0.1)
@@ -143,17 +144,14 @@ def test_places_follow_the_views_they_were_seen_from():
 
 
 def test_the_audit_finds_what_one_keyframe_has_elsewhere():
-    observations, _, _ = ring(3, views=12, laps=0.3)
-    tag = next(int(tag) for tag in observations[4].ids if sum(tag in one.ids for one in observations) > 3)
+    keyframes, _, _ = ring(3, views=12, laps=0.3)
+    tag = next(int(tag) for tag in keyframes[4].ids if sum(tag in one.ids for one in keyframes) > 3)
     for by in (0.0, 0.02, 0.8):
-        graph = empty_graph()
-        for number, one in enumerate(observations):
-            p_AL = one.p_AL + by * ((one.ids == tag)[:, None] & (number == 4))
-            X_MD = se2.compose(graph.X_MN[-1], one.X_AD)
-            graph = extended(graph, replace(one, p_AL=p_AL), X_MD, is_view=len(one.ids) > 0)
-        graph, _ = solve(graph, 0.0, observations[-1])
+        y_AL = keyframes[4].y_AL + by * (keyframes[4].ids == tag)[:, None]
+        seen = [*keyframes[:4], replace(keyframes[4], y_AL=y_AL), *keyframes[5:]]
+        graph, _ = solve(reckoned(seen), 0.0, NOTHING)
         assert contradicted(graph) == ((tag, 4) if by == 0.8 else None)
-    assert contradicted(solve(taken_back(graph, tag, 4), 0.0, observations[-1])[0]) is None
+    assert contradicted(solve(taken_back(graph, tag, 4), 0.0, NOTHING)[0]) is None
 
 
 def test_a_disputed_tag_is_doubtful():

@@ -3,11 +3,10 @@ import copy
 import numpy as np
 import pytest
 
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
 from tfg_drake.slam import estimator, map_solver, map_update
-from tfg_drake.slam.camera_model import CameraModel
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
@@ -17,6 +16,7 @@ from tfg_drake.slam.estimator import (
     process_odometry,
 )
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.shared import CLOCK, SHARED, Shared, by_data_sheet
 
 TURN = 201
 
@@ -152,11 +152,13 @@ def test_turns_with_tags_teach_the_gyro_for_turns_without(drive):
     assert abs(se2.wrap_angle(estimate.X_MB[2] - robot.X_MB[2])) < 0.04
 
 
-def first_look(drive, ahead, camera):
-    """The estimator after a robot stood, turned round and stood again, seen by a camera whose clock is ahead, s."""
+def first_look(drive, ahead, expected):
+    """The estimator after a robot stood, turned round and stood again, seen by a camera whose clock is ahead, s; by
+    so much it is expected to be."""
     points = np.random.default_rng(7).uniform(-8.0, 8.0, (40, 2))
     robot = drive(points, 5, 1.0)
-    state = begin_turn(process_odometry(initial_state(robot.config, camera=camera), robot.odometry()), 0.0)
+    start = initial_state(robot.config, prior=camera_ahead(expected))
+    state = begin_turn(process_odometry(start, robot.odometry()), 0.0)
     for turn_rate, steps in ((0.0, 64), (1.0, TURN), (0.0, 64)):
         for _ in range(steps):
             for message in robot.step(0.0, turn_rate):
@@ -166,28 +168,29 @@ def first_look(drive, ahead, camera):
 
 
 def camera_ahead(offset):
-    return CameraModel(np.array([0.0, offset]), np.diag([1e-12, 0.05**2]))
+    sheet = by_data_sheet(OdometryConfig(), TagSensorConfig())
+    return Shared(offset * np.eye(SHARED)[CLOCK], sheet.covariance)
 
 
 @pytest.mark.parametrize("ahead", [0.3, -0.2, -0.5])
 def test_a_cameras_clock_that_is_far_off_is_found_in_the_first_turn(drive, caplog, ahead):
     """Even where it has all frames arrive too late to be taken in; and the state is that of one who knew it before."""
-    robot, state = first_look(drive, ahead, camera_ahead(0.0))
+    robot, state = first_look(drive, ahead, 0.0)
     (line,) = [record.getMessage() for record in caplog.records if record.name == "tfg_drake.slam.sensors"]
     assert f"the camera's clock is {abs(ahead):.2f} s {'ahead of' if ahead > 0.0 else 'behind'} the base's" in line
     assert state.look is None
-    assert state.camera.offset == pytest.approx(ahead, abs=0.02)
+    assert state.offset == pytest.approx(ahead, abs=0.02)
     estimate = map_estimate(state)
     assert len(estimate.ids) > 30
     assert np.hypot(*(estimate.p_ML - robot.p_ML(estimate.ids)).T).mean() < 0.05
     caplog.clear()
-    _, knew = first_look(drive, ahead, camera_ahead(ahead))
+    _, knew = first_look(drive, ahead, ahead)
     assert not caplog.records
     np.testing.assert_allclose(map_estimate(knew).p_ML, estimate.p_ML, atol=1e-9)
     assert knew.stamp == state.stamp
 
 
 def test_a_clock_that_is_a_little_off_is_learnt_as_ever(drive, caplog):
-    _, state = first_look(drive, 0.05, camera_ahead(0.0))
+    _, state = first_look(drive, 0.05, 0.0)
     assert not caplog.records
-    assert state.camera.offset == pytest.approx(0.05, abs=0.02)
+    assert state.offset == pytest.approx(0.05, abs=0.02)

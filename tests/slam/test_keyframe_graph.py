@@ -1,11 +1,13 @@
 import numpy as np
-import pytest
 
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive
 from tests.slam.rings import ODOMETRY, built, dense_solution, observed, reckoned, ring
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.slam.keyframe_graph import decoupled, empty_map, forget, fused, rescaled, without_tags
+from tfg_drake.slam.keyframe import without_tags
+from tfg_drake.slam.keyframe_graph import decoupled, empty_graph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.turn import reduced
 
 
 def drive(seed, noise=1.0, count=10):
@@ -30,20 +32,35 @@ def test_what_is_fused_is_exact_without_noise():
     for one, X_MA in zip(graph.keyframes, graph.X_MN, strict=False):
         assert np.all(np.diff(one.ids) > 0)
         rows = np.searchsorted(graph.ids, one.ids)
-        np.testing.assert_allclose(se2.transform(X_MA, one.p_AL), graph.p_ML[rows], atol=1e-9)
+        np.testing.assert_allclose(se2.transform(X_MA, one.given(np.zeros(8))[0]), graph.p_ML[rows], atol=1e-9)
 
 
 def test_a_fused_graph_says_of_the_map_what_the_whole_one_says():
     pieces, _ = drive(2)
     graph = reckoned(pieces)
     fewer = fused(graph)
-    (X_MN, p_ML, P, _), (X_few, p_few, P_few, _) = dense_solution(graph), dense_solution(fewer)
-    P, P_few = P[:-1, :-1], P_few[:-1, :-1]
+    (X_MN, p_ML, _, P), (X_few, p_few, _, P_few) = dense_solution(graph), dense_solution(fewer)
     n = 2 * len(graph.ids)
     deviation = np.sqrt(np.diag(P[:n, :n]))
     assert np.abs((p_ML - p_few).ravel() / deviation).max() < 0.02
     assert np.abs((P[:n, :n] - P_few[:n, :n]) / np.outer(deviation, deviation)).max() < 0.01
     np.testing.assert_allclose(X_MN[-1], X_few[-1], atol=1e-3)
+
+
+def test_a_fused_graph_says_of_the_parameters_what_the_whole_one_says():
+    """Of a drive with all parameters off, piece by piece."""
+    rng = np.random.default_rng(3)
+    robot = Drive(rng.uniform(-6.0, 6.0, (20, 2)), SIGMA * rng.normal(size=8), 3)
+    pieces = [robot.piece(0.3, 0.4 * (-1) ** (k // 4), 2.0) for k in range(12)]
+    graph = reckoned([reduced(NOISE, *one, PRIOR).keyframe for one in pieces], PRIOR)
+    fewer = fused(graph)
+    assert len(fewer.keyframes) < 0.7 * len(pieces)
+    (X_MN, p_ML, shared, P), (X_few, p_few, shared_few, P_few) = dense_solution(graph), dense_solution(fewer)
+    n = 2 * len(graph.ids)
+    sigma, few = (np.sqrt(np.diag(one)[np.append(np.arange(n), np.arange(-11, 0))]) for one in (P, P_few))
+    off = np.concatenate([(p_few - p_ML).ravel(), X_few[-1] - X_MN[-1], shared_few - shared])
+    assert np.abs(off / sigma).max() < 0.1
+    np.testing.assert_allclose(few, sigma, rtol=0.02)
 
 
 def test_what_shares_no_landmarks_stays_and_no_keyframe_grows_without_end():
@@ -57,16 +74,16 @@ def test_what_shares_no_landmarks_stays_and_no_keyframe_grows_without_end():
 
 
 def test_ways_that_only_odometry_speaks_for_are_decoupled():
-    observations, _, _ = ring(6, views=24)
+    keyframes, _, _ = ring(6, views=24)
     # Two turns at the end that have nothing in common with those before, the second nothing with the first but one tag.
-    first, second = (replace(observations[k], ids=observations[k].ids + 1000) for k in (4, 6))
+    first, second = (replace(keyframes[k], ids=keyframes[k].ids + 1000) for k in (4, 6))
     shared = np.intersect1d(first.ids, second.ids)
-    observations = [*observations[:4], first, observations[5], without_tags(second, shared[1:])]
-    graph, loose = reckoned(observations), 100.0 * np.eye(3)
+    keyframes = [*keyframes[:4], first, keyframes[5], without_tags(second, shared[1:])]
+    graph, loose = reckoned(keyframes), 100.0 * np.eye(3)
     freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     expected = [ODOMETRY, loose, loose]
     for j, covariance in zip((1, 3, 5), expected, strict=True):
-        np.testing.assert_allclose(freed.keyframes[j].covariance, covariance)
+        np.testing.assert_allclose(freed.keyframes[j].given(np.zeros(8))[2], covariance)
     together, _ = drive(7)
     graph = reckoned(together)
     assert decoupled(graph, loose, np.empty(0, dtype=np.int64)) is graph
@@ -78,32 +95,36 @@ def test_a_joint_that_only_odometry_speaks_for_becomes_a_loose_way():
     graph, loose = reckoned(strange), 100.0 * np.eye(3)
     freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     assert [len(one.ids) == 0 for one in freed.keyframes] == [False, False, False, True, False]
-    np.testing.assert_allclose(freed.keyframes[3].covariance, loose)
+    np.testing.assert_allclose(freed.keyframes[3].given(np.zeros(8))[2], loose)
     np.testing.assert_allclose(freed.X_MA, graph.X_MA)
 
 
-def test_a_scale_learnt_later_is_taken_out_of_earlier_keyframes():
-    graph = reckoned(drive(9)[0])
-    again = rescaled(graph, 0.01)
-    for before, after in zip(graph.keyframes, again.keyframes, strict=True):
-        np.testing.assert_allclose(after.p_AL, before.p_AL / 1.01)
-        np.testing.assert_allclose(after.X_AD, before.X_AD / [1.01, 1.01, 1.0])
-        assert after.range_scale == 0.01
-    assert rescaled(again, 0.01 + 5e-5) is again
-
-
 def test_a_forgotten_landmark_leaves_what_it_told():
-    observations, _, _ = ring(10, views=6, laps=0.3)
-    graph, _ = built(observations)
+    keyframes, _, _ = ring(10, views=6, laps=0.3)
+    graph, _ = built(keyframes)
     gone = graph.ids[:2]
     after = forget(graph, gone)
     assert not np.isin(gone, after.ids).any()
     for one, left in zip(graph.keyframes, after.keyframes, strict=True):
         keep = np.append(np.repeat(~np.isin(one.ids, gone), 2), np.ones(3, dtype=bool))
-        np.testing.assert_allclose(left.covariance, one.covariance[np.ix_(keep, keep)], rtol=1e-6, atol=1e-12)
+        before, after_it = one.given(np.zeros(8))[2], left.given(np.zeros(8))[2]
+        np.testing.assert_allclose(after_it, before[np.ix_(keep, keep)], rtol=1e-6, atol=1e-12)
 
 
-def test_the_empty_map_is_stage_zero():
+def test_one_sighting_is_taken_back():
+    graph = reckoned(drive(11, count=3)[0])
+    tag = int(np.intersect1d(graph.keyframes[0].ids, graph.keyframes[2].ids)[0])
+    after = taken_back(graph, tag, 2)
+    assert [tag in one.ids for one in after.keyframes] == [True, True, False]
+    np.testing.assert_array_equal(after.ids, graph.ids)
+
+
+def test_the_empty_map_is_stage_zero_and_knows_the_parameters_by_their_prior():
     assert empty_map().stage == 0
-    with pytest.raises(np.linalg.LinAlgError):
-        reckoned([empty_map().observation])
+    estimate = empty_map(PRIOR)
+    np.testing.assert_array_equal(estimate.shared, PRIOR.mean)
+    np.testing.assert_array_equal(estimate.joint_covariance[3:, 3:], PRIOR.covariance)
+    assert not estimate.joint_covariance[:3].any()
+    graph = empty_graph(PRIOR)
+    assert graph.shared is PRIOR
+    assert graph.X_MA.shape == (0, 3)

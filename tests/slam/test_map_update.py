@@ -1,16 +1,19 @@
 import numpy as np
 
-from tests.slam.rings import built, dense_solution, observed, reckoned, ring, way
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive
+from tests.slam.rings import NOTHING, built, dense_solution, observed, reckoned, ring, way
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import finished, needs_solve, updated
+from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.turn import reduced
 
 
 def test_exact_without_noise():
-    observations, p_ML, X_MN = ring(1, noise=0.0)
-    graph, estimate = built(observations)
+    keyframes, p_ML, X_MN = ring(1, noise=0.0)
+    graph, estimate = built(keyframes)
     np.testing.assert_allclose(estimate.p_ML, p_ML[estimate.ids - 100], atol=1e-9)
     np.testing.assert_allclose(se2.between(estimate.X_MD, X_MN[-1]), np.zeros(3), atol=1e-9)
     np.testing.assert_allclose(se2.between(X_MN, graph.X_MN), np.zeros((len(X_MN), 3)), atol=1e-9)
@@ -19,14 +22,13 @@ def test_exact_without_noise():
 
 def test_one_update_is_a_dense_solution_of_both():
     """From a solved graph, one keyframe more that hardly moves anything."""
-    observations, _, _ = ring(2, noise=0.02, views=40, laps=0.4)
-    graph, estimate = solve(reckoned(observations[:-1]), 0.0, observations[-2])
-    graph, estimate, _ = updated(graph, estimate, observations[-1])
-    graph, estimate = finished(graph, estimate, 1.0, observations[-1])
-    X_MN, p_ML, P, _ = dense_solution(graph)
-    P = P[:-1, :-1]
+    keyframes, _, _ = ring(2, noise=0.02, views=40, laps=0.4)
+    graph, estimate = solve(reckoned(keyframes[:-1]), 0.0, NOTHING)
+    graph, estimate, _ = updated(graph, estimate, keyframes[-1])
+    graph, estimate = finished(graph, estimate, 1.0, NOTHING)
+    X_MN, p_ML, _, P = dense_solution(graph)
     n = 2 * len(graph.ids)
-    at = np.append(np.arange(n), np.arange(len(P) - 3, len(P)))
+    at = np.append(np.arange(n), np.arange(len(P) - 11, len(P) - 8))
     expected = P[np.ix_(at, at)]
     deviation = np.sqrt(np.diag(expected))
     assert np.abs((estimate.p_ML - p_ML).ravel() / deviation[:-3]).max() < 1e-3
@@ -39,8 +41,8 @@ def test_one_update_is_a_dense_solution_of_both():
 def test_consistent(nees):
     landmarks, poses = [], []
     for seed in range(12):
-        observations, p_ML, X_MN = ring(seed, views=12, tags=60)
-        _, estimate = built(observations)
+        keyframes, p_ML, X_MN = ring(seed, views=12, tags=60)
+        _, estimate = built(keyframes)
         landmarks.append(nees((estimate.p_ML - p_ML[estimate.ids - 100]).ravel(), estimate.covariance[:-3, :-3]))
         poses.append(nees(se2.between(X_MN[-1], estimate.X_MD), estimate.covariance[-3:, -3:]))
     assert 0.85 < np.mean(landmarks) < 1.15
@@ -48,13 +50,13 @@ def test_consistent(nees):
 
 
 def test_moved_tags_are_left_out_and_named():
-    observations, p_ML, _ = ring(4)
-    graph, estimate = built(observations[:4])
-    view = observations[4]
+    keyframes, p_ML, _ = ring(4)
+    graph, estimate = built(keyframes[:4])
+    view = keyframes[4]
     known = np.flatnonzero(np.isin(view.ids, graph.ids))
-    p_AL = view.p_AL.copy()
-    p_AL[known[:2]] += 1.5
-    graph, estimate, rejected = updated(graph, estimate, replace(view, p_AL=p_AL))
+    y_AL = view.y_AL.copy()
+    y_AL[known[:2]] += 1.5
+    graph, estimate, rejected = updated(graph, estimate, replace(view, y_AL=y_AL))
     np.testing.assert_array_equal(rejected, view.ids[known[:2]])
     assert len(graph.keyframes[-1].ids) == len(view.ids) - 2
     assert np.abs(estimate.p_ML - p_ML[estimate.ids - 100]).max() < 0.3
@@ -71,28 +73,63 @@ def test_a_way_without_tags_hangs_on_odometry():
 
 def test_a_map_that_is_not_solved_anew_is_as_if_it_were():
     """Round a ring and on: what is put off between two solves moves no landmark by a twentieth of its deviation."""
-    observations, _, _ = ring(7, views=40, laps=1.2)
-    graph, estimate = empty_graph(), empty_map()
+    keyframes, _, _ = ring(7, views=40, laps=1.2)
+    graph, estimate = empty_graph(exactly_known()), empty_map()
     last, solves = graph, []
-    for number, observation in enumerate(observations):
-        graph, estimate, _ = updated(graph, estimate, observation, is_view=len(observation.ids) > 0)
+    for number, one in enumerate(keyframes):
+        graph, estimate, _ = updated(graph, estimate, one, is_view=len(one.ids) > 0)
         if needs_solve(graph, last, estimate):
-            graph, estimate = solve(graph, float(number), observation)
+            graph, estimate = solve(graph, float(number), NOTHING)
             last = graph
             solves.append(number)
             continue
-        graph, estimate = finished(graph, estimate, float(number), observation)
+        graph, estimate = finished(graph, estimate, float(number), NOTHING)
         if number % 8 == 7:
-            whole, exact = solve(graph, float(number), observation)
+            whole, exact = solve(graph, float(number), NOTHING)
             deviation = np.sqrt(np.diag(exact.covariance)[:-3]).reshape(-1, 2)
             assert np.abs((estimate.p_ML - whole.p_ML) / deviation).max() < 0.05
-    assert 0 < len(solves) < 0.5 * len(observations)
+    assert 0 < len(solves) < 0.5 * len(keyframes)
 
 
 def test_a_tag_seen_for_the_first_time_is_known_as_its_keyframe_knows_it():
     rng = np.random.default_rng(8)
     p_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0]])
     first = observed(rng, p_ML, np.zeros(3), np.array([0.1, 0.0, 0.2]), np.arange(3))
-    _, estimate, _ = updated(empty_graph(), empty_map(), first)
-    np.testing.assert_allclose(estimate.p_ML, first.p_AL)
-    np.testing.assert_allclose(estimate.covariance, first.covariance, atol=1e-15)
+    _, estimate, _ = updated(empty_graph(exactly_known()), empty_map(), first)
+    p_AL, X_AD, covariance = first.given(np.zeros(8))
+    np.testing.assert_allclose(estimate.p_ML, p_AL)
+    np.testing.assert_allclose(estimate.X_MD, X_AD)
+    # The parameters that are known to be zero are so to a millionth.
+    np.testing.assert_allclose(estimate.covariance, covariance, atol=1e-9)
+
+
+def test_after_each_update_of_a_drive_all_is_as_a_solve_would_have_it():
+    """Parameters and map, jointly: the parameters are as far off as their data sheets let them be."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=8), seed)
+        graph, estimate = empty_graph(PRIOR), empty_map(PRIOR)
+        for one in [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0), (0.0, -0.6, 8.0)]:
+            seen = reduced(NOISE, *robot.piece(*one), graph.shared).keyframe
+            graph, estimate, rejected = updated(graph, estimate, seen)
+            assert len(rejected) == 0
+            graph, estimate = finished(graph, estimate, 0.0, NOTHING)
+            whole, exact = solve(replace(graph, p_ML=estimate.p_ML), 0.0, NOTHING)
+            deviation = np.sqrt(np.diag(exact.joint_covariance))
+            off = np.concatenate(
+                [(estimate.p_ML - exact.p_ML).ravel(), estimate.X_MD - exact.X_MD, estimate.shared - exact.shared]
+            )
+            assert np.abs(off / deviation).max() < 0.05
+            share = (estimate.joint_covariance - exact.joint_covariance) / np.outer(deviation, deviation)
+            assert np.abs(share).max() < 0.03
+            assert abs(estimate.entropy - whole.entropy) < 0.05
+
+
+def test_ways_in_another_unit_are_taken_in_as_a_solve_would():
+    """A way without tags is in the unit of distance: what turns tell of its scale moves its end."""
+    keyframes, _, _ = ring(11, views=6, laps=0.2, shared=0.5 * SIGMA)
+    graph, estimate = built(keyframes, PRIOR)
+    whole, exact = solve(replace(graph, p_ML=estimate.p_ML), 0.0, NOTHING)
+    deviation = np.sqrt(np.diag(exact.joint_covariance))
+    assert np.abs((estimate.shared - whole.shared.mean) / deviation[-8:]).max() < 0.05
+    assert np.abs((estimate.p_ML - exact.p_ML).ravel() / deviation[:-11]).max() < 0.05

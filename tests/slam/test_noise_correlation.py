@@ -6,8 +6,9 @@ import pytest
 from tfg_drake.messages import replace
 from tfg_drake.simulation.tag_sensor import correlated
 from tfg_drake.slam.noise_correlation import LONG_RUN, NoiseCorrelation, compared, less_certain, no_correlation
-from tfg_drake.slam.odometry_model import odometry_model
-from tfg_drake.slam.turn import solve_turn
+from tfg_drake.slam.odometry_model import random_walks
+from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.turn import reduced
 
 FRAMES = 200
 
@@ -82,9 +83,10 @@ def test_a_turn_of_correlated_frames_is_as_sure_as_it_may_be(drive, nees):
             bearing, distance = own[:, 0] * seen.sigma_bearing, own[:, 1] * seen.sigma_range
             seen = replace(seen, bearing=seen.bearing + bearing, range=seen.range + distance)
             frames.append(replace(frame, detections=seen))
-        solution = solve_turn(odometry_model(robot.config), begin, tuple(frames), robot.instant())
-        observation = solution.observation
-        error = (observation.p_AL - robot.p_ML(observation.ids)).ravel()
-        values.append(nees(error, observation.covariance[:-3, :-3]))
+        known = exactly_known()
+        solution = reduced(random_walks(robot.config), begin, tuple(frames), robot.instant(), known)
+        p_AL, _, covariance = solution.keyframe.given(known.mean)
+        error = (p_AL - robot.p_ML(solution.keyframe.ids)).ravel()
+        values.append(nees(error, covariance[:-3, :-3]))
         assert less_certain(frames[0].detections, solution.correlation.frame_worth).sigma_range[0] > 3.0 * 0.02
     assert 0.6 < np.mean(values) < 1.5

@@ -12,40 +12,40 @@ from tfg_drake.slam.odometry_model import (
     first_reckoning,
     interpolate,
     interpolate_clock,
-    odometry_model,
     predict_increment,
+    random_walks,
     reckon,
 )
 
-MODEL = odometry_model(OdometryConfig())
+NOISE = random_walks(OdometryConfig())
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3), st.floats(-3, 3))
 def test_without_calibration_error_the_increment_is_the_measured_motion(x, y, theta, heading):
     X_0 = np.array([1.0, 2.0, heading])
     X_1 = se2.compose(X_0, np.array([x, y, theta]))
-    X, _, covariance = predict_increment(arc(X_0, X_1), 0.1, np.zeros(3), MODEL.noise)
+    X, _, covariance = predict_increment(arc(X_0, X_1), 0.1, np.zeros(3), NOISE)
     np.testing.assert_allclose(X, [x, y, theta], atol=1e-12)
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
 
 
 def test_jacobian_on_the_calibration():
     increment, calibration = np.array([0.2, 0.01, 0.3]), np.array([0.01, 0.02, -0.01])
-    _, jacobian, _ = predict_increment(increment, 0.1, calibration, MODEL.noise)
+    _, jacobian, _ = predict_increment(increment, 0.1, calibration, NOISE)
     for i, h in enumerate(1e-6 * np.eye(3)):
-        plus = predict_increment(increment, 0.1, calibration + h, MODEL.noise)[0]
-        minus = predict_increment(increment, 0.1, calibration - h, MODEL.noise)[0]
+        plus = predict_increment(increment, 0.1, calibration + h, NOISE)[0]
+        minus = predict_increment(increment, 0.1, calibration - h, NOISE)[0]
         np.testing.assert_allclose(jacobian[:, i], (plus - minus) / 2e-6, atol=1e-8)
 
 
 def test_random_walk_against_many_small_steps():
     dt, steps, speed, rate = 1.0 / 256.0, 64, 0.5, 0.05
-    noise = np.append(MODEL.noise[:2], 0.0)
+    noise = np.append(NOISE[:2], 0.0)
     rng = np.random.default_rng(1)
     X = np.zeros((4000, 3))
     for _ in range(steps):
-        turn = rate * dt + MODEL.noise[1] * np.sqrt(dt) * rng.normal(size=len(X))
-        forward = speed * dt + MODEL.noise[0] * np.sqrt(speed * dt) * rng.normal(size=len(X))
+        turn = rate * dt + NOISE[1] * np.sqrt(dt) * rng.normal(size=len(X))
+        forward = speed * dt + NOISE[0] * np.sqrt(speed * dt) * rng.normal(size=len(X))
         step = np.column_stack([forward * np.cos(0.5 * turn), forward * np.sin(0.5 * turn), turn])
         X = se2.compose(X, step)
     covariance = predict_increment(arc(np.zeros(3), X.mean(axis=0)), steps * dt, np.zeros(3), noise)[2]

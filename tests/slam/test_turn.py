@@ -1,16 +1,34 @@
+"""One turn or piece reduced to a keyframe."""
+
 import dataclasses
 
-import gtsam
 import numpy as np
 import pytest
-import scipy.linalg
-from gtsam.symbol_shorthand import B, C, L
 
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
+from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.slam.odometry_model import REST_SHARE, arc, odometry_model, predict_increment
-from tfg_drake.slam.turn import solve_turn
+from tfg_drake.slam.noise_correlation import NoiseCorrelation
+from tfg_drake.slam.odometry_model import REST_SHARE
+from tfg_drake.slam.shared import (
+    CLOCK,
+    DISTANCE_SCALE,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    LEVER_X,
+    LEVER_Y,
+    RANGE_SCALE,
+    SHARED,
+    by_data_sheet,
+    exactly_known,
+)
+from tfg_drake.slam.turn import reduced
 
 STEPS = 201
+KNOWN = exactly_known()
+# What the data sheets of `RingDrive` say; its camera is exact.
+EXACT = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
+SHEET = by_data_sheet(OdometryConfig(), EXACT)
 
 
 def simulate(drive, seed, noise, tags=35):
@@ -18,111 +36,139 @@ def simulate(drive, seed, noise, tags=35):
     robot = drive(points, seed, noise)
     begin = robot.instant()
     frames = robot.frames(0.0, 1.0, STEPS)
-    return robot, (odometry_model(robot.config), begin, frames, robot.instant())
+    return robot, (NOISE, begin, frames, robot.instant(), SHEET)
 
 
-def error(robot, observation):
+def posterior(one, prior=SHEET):
+    """p_AL (n, 2), X_AD (3,) and the parameters (8,) by a keyframe and what is known of the parameters, and the
+    covariance of all these."""
+    m = len(one.information) - SHARED
+    H, g = one.information.copy(), np.zeros(m + SHARED)
+    inverse = np.linalg.inv(prior.covariance)
+    H[m:, m:] += inverse
+    g[m:] = one.vector - inverse @ prior.mean
+    x = np.append(one.y_AL, one.y_AD)
+    step = np.linalg.solve(H, -g)
+    x, shared = x + step[:m], step[m:]
+    # From the keyframe's unit to metres.
+    scale = 1.0 + shared[one.unit]
+    J = np.eye(m + SHARED)
+    J[: m - 1, : m - 1] /= scale
+    J[: m - 1, m + one.unit] = -x[:-1] / scale**2
+    x[:-1] /= scale
+    return x[:-3].reshape(-1, 2), x[-3:], shared, J @ np.linalg.inv(H) @ J.T
+
+
+def error(robot, one):
     """Of tags and heading of D: D's position is exact in this simulator, whose wheels never slip on the spot."""
-    heading = se2.wrap_angle(observation.X_AD[2] - robot.X_MB[2])
-    return np.append((observation.p_AL - robot.p_ML(observation.ids)).ravel(), heading)
+    p_AL, X_AD, _, covariance = posterior(one)
+    heading = se2.wrap_angle(X_AD[2] - robot.X_MB[2])
+    rows = np.append(np.arange(p_AL.size), p_AL.size + 2)
+    return np.append((p_AL - robot.p_ML(one.ids)).ravel(), heading), covariance[np.ix_(rows, rows)]
 
 
 def test_exact_without_noise(drive):
     robot, arguments = simulate(drive, 1, 0.0)
-    solution = solve_turn(*arguments)
-    observation = solution.observation
+    solution = reduced(*arguments)
+    one = solution.keyframe
     assert solution.dropped == 0
-    assert len(observation.ids) > 25
-    np.testing.assert_allclose(observation.p_AL, robot.p_ML(observation.ids), atol=1e-6)
-    np.testing.assert_allclose(observation.X_AD, robot.X_MB, atol=1e-6)
-    assert observation.X_AB.shape == (len(observation.stamps), 3)
-    np.testing.assert_allclose(observation.X_AB[:, 2], se2.wrap_angle(observation.stamps), atol=1e-6)
-    assert np.all(np.diff(observation.stamps) > 0.0)
+    assert len(one.ids) > 25
+    p_AL, X_AD, shared, _ = posterior(one)
+    np.testing.assert_allclose(p_AL, robot.p_ML(one.ids), atol=1e-6)
+    np.testing.assert_allclose(X_AD, robot.X_MB, atol=1e-6)
+    np.testing.assert_allclose(shared, 0.0, atol=1e-7)
+    assert solution.X_AB.shape == (len(solution.stamps), 3)
+    np.testing.assert_allclose(solution.X_AB[:, 2], se2.wrap_angle(solution.stamps), atol=1e-6)
+    assert np.all(np.diff(solution.stamps) > 0.0)
+    assert solution.sightings.sum() == sum(len(frame.detections.ids) for frame in arguments[2])
 
 
-def odometry_factor(before, after, X_OB0, X_OB1, dt, noise):
-    """An odometry increment on two Pose2 and the calibration C(0), as a GTSAM factor in Python."""
-    increment = arc(X_OB0, X_OB1)
-    W = np.linalg.inv(np.linalg.cholesky(predict_increment(increment, dt, np.zeros(3), noise)[2]))
-
-    def error(_, values, jacobians):
-        X = values.atPose2(before).between(values.atPose2(after))
-        predicted, on_calibration, _ = predict_increment(increment, dt, values.atVector(C(0)), noise)
-        if jacobians is not None:
-            # GTSAM's poses move in their own frame.
-            jacobians[0] = W @ np.array([[-1.0, 0.0, X.y()], [0.0, -1.0, -X.x()], [0.0, 0.0, -1.0]])
-            jacobians[1] = W @ scipy.linalg.block_diag(X.rotation().matrix(), 1.0)
-            jacobians[2] = -W @ on_calibration
-        return W @ [X.x() - predicted[0], X.y() - predicted[1], se2.wrap_angle(X.theta() - predicted[2])]
-
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(3), [before, after, C(0)], error)
+def test_exact_without_noise_where_all_parameters_are_off():
+    """Known beforehand: each has the sign and the place that it has in the simulation."""
+    truth = SIGMA * np.random.default_rng(1).normal(size=SHARED)
+    robot = Drive(np.random.default_rng(1).uniform(-8.0, 8.0, (20, 2)), truth, 0, noise=0.0)
+    known = dataclasses.replace(KNOWN, mean=truth)
+    solution = reduced(NOISE, *robot.piece(0.4, 0.3, 10.0), known)
+    p_AL, X_AD, _ = solution.keyframe.given(truth)
+    # But for products of two of them: the lever arm is in the unit of ranges.
+    np.testing.assert_allclose(p_AL, robot.p_ML(solution.keyframe.ids), atol=5e-4)
+    np.testing.assert_allclose(X_AD, robot.X_MB, atol=5e-4)
 
 
-def by_gtsam(model, begin, frames, end):
-    """Poses (t, 3), calibration, tags (n, 2) and the covariance of (tags, last pose), all in A, by a general solver."""
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(gtsam.PriorFactorPose2(B(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)))
-    prior = gtsam.noiseModel.Gaussian.Covariance(model.calibration_covariance)
-    graph.add(gtsam.PriorFactorVector(C(0), model.calibration, prior))
-    values.insert(C(0), np.zeros(3))
-    values.insert(B(0), gtsam.Pose2())
-    last, at = begin, 0
-    for frame in (*frames, end):
-        if frame.stamp > last.stamp:
-            graph.add(odometry_factor(B(at), B(at + 1), last.X_OB, frame.X_OB, frame.clock - last.clock, model.noise))
-            values.insert(B(at + 1), gtsam.Pose2(*se2.between(begin.X_OB, frame.X_OB)))
-            last, at = frame, at + 1
-        seen = frame.detections
-        for tag, r, b, *sigmas in zip(
-            seen.ids, seen.range, seen.bearing, seen.sigma_bearing, seen.sigma_range, strict=True
-        ):
-            noise = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
-            graph.add(gtsam.BearingRangeFactor2D(B(at), L(int(tag)), gtsam.Rot2(b), r, noise))
-            if not values.exists(L(int(tag))):
-                where = values.atPose2(B(at)).transformFrom(r * np.array([np.cos(b), np.sin(b)]))
-                values.insert(L(int(tag)), where)
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-15)
-    parameters.setAbsoluteErrorTol(1e-15)
-    values = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    tags = [key for key in values.keys() if gtsam.symbolChr(key) == ord("l")]  # noqa: SIM118
-    poses = [values.atPose2(B(i)) for i in range(at + 1)]
-    covariance = gtsam.Marginals(graph, values).jointMarginalCovariance([*tags, B(at)]).fullMatrix()
-    to_A = np.eye(len(covariance))
-    to_A[-3:-1, -3:-1] = poses[-1].rotation().matrix()
-    X_AB = np.array([[pose.x(), pose.y(), pose.theta()] for pose in poses])
-    p_AL = np.array([values.atPoint2(key) for key in tags])
-    return X_AB, values.atVector(C(0)), p_AL, to_A @ covariance @ to_A.T
+PIECES = {"turn": (0.0, 0.6, 10.5), "back": (0.0, -0.6, 8.0), "curve": (0.4, 0.3, 5.0), "straight": (0.4, 0.0, 3.0)}
 
 
-@pytest.mark.parametrize(("speed", "turn_rate", "steps"), [(0.0, 1.0, STEPS), (0.4, 0.2, 64), (0.0, 0.0, 10)])
-def test_the_optimum_and_its_covariance_are_those_of_a_general_solver(drive, speed, turn_rate, steps):
-    robot = drive(np.random.default_rng(2).uniform(-8.0, 8.0, (35, 2)), 2, 1.0)
-    arguments = odometry_model(robot.config), robot.instant(), robot.frames(speed, turn_rate, steps), robot.instant()
-    solution = solve_turn(*arguments)
+@pytest.mark.parametrize("piece", PIECES.values(), ids=PIECES)
+def test_it_is_the_least_squares_of_all_its_frames(piece):
+    """Tags, D and all parameters, and their covariance; without the outliers there are none."""
+    rng = np.random.default_rng(5)
+    robot = Drive(rng.uniform(-8.0, 8.0, (25, 2)), SIGMA * rng.normal(size=SHARED), 5)
+    seen = robot.piece(*piece)
+    solution, expected = reduced(NOISE, *seen, PRIOR), dense([seen])
     assert solution.dropped == 0
-    X_AB, calibration, p_AL, covariance = by_gtsam(*arguments)
-    np.testing.assert_allclose(solution.observation.X_AB, X_AB, atol=1e-7)
-    np.testing.assert_allclose(solution.calibration, calibration, atol=1e-7)
-    np.testing.assert_allclose(solution.observation.p_AL, p_AL, atol=1e-7)
-    sigma = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(
-        solution.observation.covariance / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=1e-6
-    )
+    np.testing.assert_array_equal(solution.keyframe.ids, expected.ids)
+    p_AL, X_AD, shared, found = posterior(solution.keyframe, PRIOR)
+    off, covariance = expected.off(p_AL, X_AD, shared)
+    deviation = np.sqrt(np.diag(covariance))
+    assert np.abs(off / deviation).max() < 0.02
+    assert np.abs((found - covariance) / np.outer(deviation, deviation)).max() < 0.02
+
+
+def test_what_a_turn_tells_and_what_a_piece_without_tags_does_not():
+    robot = Drive(np.random.default_rng(2).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 2)
+    turn = reduced(NOISE, *robot.piece(0.0, 0.6, 10.5), PRIOR).keyframe
+    told = np.diag(turn.alone()[0]) * SIGMA**2
+    assert (told[[GYRO_SCALE, LEVER_X, LEVER_Y]] > 1.0).all()
+    # What no length is compared with has no scale.
+    assert turn.unit == RANGE_SCALE
+    assert told[RANGE_SCALE] < 1e-3
+    robot.tags = np.zeros((0, 2))
+    blind = reduced(NOISE, *robot.piece(0.4, 0.1, 5.0), PRIOR).keyframe
+    assert blind.unit == DISTANCE_SCALE
+    information, gradient = blind.alone()
+    assert np.abs(SIGMA[:, None] * information * SIGMA).max() < 1e-6
+    assert np.abs(SIGMA * gradient).max() < 1e-6
+    # Only bias and scale of the gyro bend it.
+    _, by_shared = blind.conditional()
+    np.testing.assert_allclose(np.delete(by_shared, [GYRO_BIAS, GYRO_SCALE], axis=1), 0.0, atol=1e-9)
+    assert (np.abs(by_shared[2, [GYRO_BIAS, GYRO_SCALE]]) > 0.4).all()
+    assert np.linalg.matrix_rank(blind.information, tol=1e-3) == 3
+
+
+def test_the_cameras_clock_is_counted_from_the_offset_that_stamps_were_taken_with():
+    """Frames whose stamps an estimator has set back already by what it believed."""
+    truth = np.zeros(SHARED)
+    truth[CLOCK] = 0.02
+    robot = Drive(np.random.default_rng(3).uniform(-8.0, 8.0, (25, 2)), truth, 3, noise=0.0)
+    # What the clock does to bearings has the sign of the turn.
+    (begin, there, _), (_, back, end) = robot.piece(0.0, 0.6, 8.0), robot.piece(0.0, -0.6, 8.0)
+    frames = tuple(dataclasses.replace(frame, offset=0.03) for frame in (*there, *back))
+    clock = dataclasses.replace(PRIOR, mean=0.04 * np.eye(SHARED)[CLOCK])
+    _, _, shared, _ = posterior(reduced(NOISE, begin, frames, end, clock).keyframe, clock)
+    assert shared[CLOCK] == pytest.approx(0.05, abs=2e-3)
+
+
+def test_where_noise_is_correlated_frames_count_for_less():
+    robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 4)
+    seen = robot.piece(0.0, 0.6, 10.5)
+    correlated = NoiseCorrelation(0.8e9, 1e9, 10**9, 10**11)
+    assert correlated.frame_worth < 0.2
+    independent, solution = reduced(NOISE, *seen, KNOWN), reduced(NOISE, *seen, KNOWN, correlated)
+    sure, less = (np.sqrt(np.diag(one.keyframe.given(np.zeros(8))[2]))[:-3] for one in (independent, solution))
+    assert 1.5 < np.median(less / sure) < correlated.frame_worth**-0.5
+    assert solution.correlation == correlated
 
 
 def test_consistent(drive, nees):
     values = []
     for seed in range(15):
         robot, arguments = simulate(drive, seed, 1.0)
-        observation = solve_turn(*arguments).observation
-        rows = np.append(np.arange(2 * len(observation.ids)), -1)
-        values.append(nees(error(robot, observation), observation.covariance[np.ix_(rows, rows)]))
+        values.append(nees(*error(robot, reduced(*arguments).keyframe)))
     assert 0.85 < np.mean(values) < 1.15
 
 
 def test_outliers_are_dropped_and_counted(drive):
-    robot, (model, begin, frames, end) = simulate(drive, 3, 1.0)
+    robot, (noise, begin, frames, end, sheet) = simulate(drive, 3, 1.0)
     bad = [10, 30, 50]
     spoilt = list(frames)
     for i in bad:
@@ -130,28 +176,28 @@ def test_outliers_are_dropped_and_counted(drive):
         distance = detections.range.copy()
         distance[0] += 4.0
         spoilt[i] = dataclasses.replace(frames[i], detections=dataclasses.replace(detections, range=distance))
-    clean = solve_turn(model, begin, frames, end)
-    solution = solve_turn(model, begin, tuple(spoilt), end)
+    clean = reduced(noise, begin, frames, end, sheet)
+    solution = reduced(noise, begin, tuple(spoilt), end, sheet)
     assert clean.dropped == 0
     assert solution.dropped == len(bad)
-    np.testing.assert_allclose(solution.observation.X_AD, clean.observation.X_AD, atol=5e-3)
-    assert np.abs(error(robot, solution.observation)).max() < 0.3
+    np.testing.assert_allclose(posterior(solution.keyframe)[1], posterior(clean.keyframe)[1], atol=5e-3)
+    assert np.abs(error(robot, solution.keyframe)[0]).max() < 0.3
 
 
 @pytest.mark.parametrize("steps", [0, STEPS])
 def test_without_tags_odometry_remains(drive, steps):
     robot = drive(np.empty((0, 2)), 4, 0.0)
     begin, frames = robot.instant(), robot.frames(0.0, 1.0, steps)
-    observation = solve_turn(odometry_model(robot.config), begin, frames, robot.instant()).observation
-    assert len(observation.ids) == 0
-    np.testing.assert_allclose(observation.X_AD, robot.X_MB, atol=1e-9)
-    assert observation.covariance.shape == (3, 3)
+    one = reduced(NOISE, begin, frames, robot.instant(), SHEET).keyframe
+    _, X_AD, _, covariance = posterior(one)
+    assert len(one.ids) == 0
+    np.testing.assert_allclose(X_AD, robot.X_MB, atol=1e-9)
     # A gyro scale error of 1 percent over a whole turn.
-    assert steps == 0 or np.sqrt(observation.covariance[2, 2]) == pytest.approx(0.0648, abs=2e-3)
+    assert steps == 0 or np.sqrt(covariance[2, 2]) == pytest.approx(0.0648, abs=2e-3)
 
 
 def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
-    robot, (model, begin, frames, end) = simulate(drive, 5, 1.0)
+    robot, (noise, begin, frames, end, sheet) = simulate(drive, 5, 1.0)
     # From the middle on the robot slides half a metre to where it looked first, and the wheels know nothing of it.
     slide = 0.5 * np.clip(np.linspace(-2.0, 3.0, len(frames)), 0.0, 1.0)
     slid = []
@@ -161,15 +207,15 @@ def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
         d = d - x * np.array([np.cos(theta), -np.sin(theta)])
         seen = dataclasses.replace(seen, range=np.hypot(*d.T), bearing=np.arctan2(d[:, 1], d[:, 0]))
         slid.append(dataclasses.replace(frame, detections=seen))
-    solution = solve_turn(model, begin, tuple(slid), end)
+    solution = reduced(noise, begin, tuple(slid), end, sheet)
     assert solution.dropped <= 2
-    np.testing.assert_allclose(solution.observation.X_AD[:2] - robot.X_MB[:2], [0.5, 0.0], atol=0.05)
-    assert np.abs(error(robot, solution.observation)).max() < 0.3
+    np.testing.assert_allclose(posterior(solution.keyframe)[1][:2] - robot.X_MB[:2], [0.5, 0.0], atol=0.05)
+    assert np.abs(error(robot, solution.keyframe)[0]).max() < 0.3
 
 
 def test_a_push_at_rest_is_told_by_the_tags(drive):
     robot = drive(np.random.default_rng(6).uniform(-8.0, 8.0, (60, 2)), 6, 1.0)
-    model, begin, frames = odometry_model(robot.config), robot.instant(), robot.frames(0.0, 0.0, 80)
+    begin, frames = robot.instant(), robot.frames(0.0, 0.0, 80)
     end = robot.instant()
     pushed = []
     for frame, x in zip(frames, 1.0 * np.clip(np.linspace(-2.0, 3.0, len(frames)), 0.0, 1.0), strict=True):
@@ -180,8 +226,8 @@ def test_a_push_at_rest_is_told_by_the_tags(drive):
         clock = begin.clock + 1e-3 * (frame.stamp - begin.stamp)
         pushed.append(dataclasses.replace(frame, clock=clock, X_OB=begin.X_OB, detections=seen))
     end = dataclasses.replace(end, clock=begin.clock + 1e-3 * (end.stamp - begin.stamp), X_OB=begin.X_OB)
-    solution = solve_turn(model, begin, tuple(pushed), end)
-    np.testing.assert_allclose(solution.observation.X_AD[:2], [1.0, 0.0], atol=0.05)
+    solution = reduced(NOISE, begin, tuple(pushed), end, SHEET)
+    np.testing.assert_allclose(posterior(solution.keyframe)[1][:2], [1.0, 0.0], atol=0.05)
 
 
 def sigma_of_heading(drive, standing, turns):
@@ -197,11 +243,11 @@ def sigma_of_heading(drive, standing, turns):
     moving = robot.frames(0.0, 1.0, STEPS * turns)
     moved = [*moving, robot.instant()]
     moved = [dataclasses.replace(f, clock=f.clock - rest, X_OB=f.X_OB - [0.0, 0.0, drift]) for f in moved]
-    solution = solve_turn(odometry_model(robot.config), begin, (*still, *moved[:-1]), moved[-1])
+    solution = reduced(NOISE, begin, (*still, *moved[:-1]), moved[-1], SHEET)
     assert solution.dropped <= 2
-    n = len(solution.observation.ids)
-    across = (solution.observation.p_AL[:, ::-1] * [-1.0, 1.0]).ravel()
-    return 1 / np.sqrt(across @ np.linalg.solve(solution.observation.covariance[: 2 * n, : 2 * n], across))
+    p_AL, _, _, covariance = posterior(solution.keyframe)
+    across = (p_AL[:, ::-1] * [-1.0, 1.0]).ravel()
+    return 1 / np.sqrt(across @ np.linalg.solve(covariance[: p_AL.size, : p_AL.size], across))
 
 
 def test_standing_tells_the_heading_that_turning_does_not(drive):

@@ -28,7 +28,7 @@ SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
 
 def maps(stage):
     """A room of 8 x 8 m with a tag in the middle of three walls, the fourth unknown."""
-    observation = Observation(IDS, NONE, np.zeros(3), np.eye(3), NONE[:, 0], np.zeros((0, 3)))
+    observation = Observation(IDS, NONE[:, 0], np.zeros((0, 3)))
     if stage == 0:
         estimate = keyframe_graph.empty_map()
         tfg = TfgMap(0, np.zeros((0, 4)), IDS, IDS.reshape(0, 2), NONE, NONE, NONE[:, 0], NONE, np.zeros(1, dtype=int),

@@ -24,7 +24,7 @@ def estimate(stage: int, stop: float = TURN_TIME) -> MapEstimate:
     stamps = np.arange(0.0, stop, 0.1)
     X_AB = np.stack([0.0 * stamps, 0.0 * stamps, stamps], axis=1)
     ids, p = (np.arange(4), TAGS) if stage else (NONE, TAGS[:0])
-    observation = Observation(ids, p, np.zeros(3), np.eye(2 * len(ids) + 3), stamps, X_AB)
+    observation = Observation(ids, stamps, X_AB)
     own = np.tile(np.eye(2), (len(ids), 1, 1))
     joint = np.eye(2 * len(ids) + 3)
     return MapEstimate(stage, stop, ids, p, np.zeros(3), ids, joint, own, np.zeros((stage, 3)), observation, 0.0)

@@ -70,12 +70,9 @@ class Simulation:
         self.mapped |= set(seen.tolist())
         self.X_MA.append(X_WA)
         ids = np.array(sorted(self.mapped), dtype=np.int64)
-        n = len(seen)
         error = np.zeros_like(self.p_WT) if self.error is None else self.error
         sigma = np.full(len(self.p_WT), 1e-3) if self.sigma is None else self.sigma
-        observation = Observation(
-            seen, transform(inverse(X_WA), self.p_WT[seen]), np.zeros(3), np.eye(2 * n + 3), stamps, X_AB
-        )
+        observation = Observation(seen, stamps, X_AB)
         self.estimate = MapEstimate(
             len(self.X_MA),
             self.stamp,

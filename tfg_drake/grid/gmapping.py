@@ -56,13 +56,13 @@ POSE_FLOOR = np.array([1e-3, 1e-3, 5e-4])
 class GmappingState:
     """All that the filter knows, n particles; immutable, so that a copy of a state goes on as the state does.
 
-    config: never changed. noise, sigma: (3,) of the odometry, see `random_walks` and `calibration_sigma`.
-    seed, updates: of the random generator and of the scans put in; each draws from its own stream. odometry: newest
-    message, None before the first. reckonings: the newest, in order. stamp: s, of the newest scan put in, -inf before the first. clock: s, X_OU: (3,) odometry then. motion_noise: (3, 3)
-    random covariance of X_UB, of (x, y) in U and theta, motion_calibration: (3, 3) its Jacobian on the constants of the
-    odometry's calibration. X_MU: (n, 3). log_weight: (n,), normalised. score: (n,) sum of all log weights of a
-    particle's history. parents: (n,) each particle's row before the newest scan. waiting: the newest scan, if odometry
-    has not come as far. maps: n grids.
+    config: never changed. noise, sigma: (3,) of the odometry, see `random_walks` and `calibration_sigma`. seed,
+    updates: of the random generator and of the scans put in; each draws from its own stream. odometry: newest message,
+    None before the first. reckonings: the newest, in order. stamp: s, of the newest scan put in, -inf before the first.
+    clock: s, X_OU: (3,) odometry then. motion_noise: (3, 3) random covariance of X_UB, of (x, y) in U and theta,
+    motion_calibration: (3, 3) its Jacobian on the constants of the odometry's calibration. X_MU: (n, 3). log_weight:
+    (n,), normalised. score: (n,) sum of all log weights of a particle's history. parents: (n,) each particle's row
+    before the newest scan. waiting: the newest scan, if odometry has not come as far. maps: n grids.
     """
 
     config: GridConfig

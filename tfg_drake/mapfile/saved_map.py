@@ -18,10 +18,10 @@ from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
-from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe import Keyframe, of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.shared import LEAST_SIGMA, RANGE_SCALE, SHARED, Shared, exactly_known
+from tfg_drake.slam.shared import LEAST_SIGMA, SHARED, Shared, exactly_known
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.surfaces import Surfaces
@@ -119,6 +119,7 @@ REGISTRY: Registry = {
         "information": ("r", "r"),
         "vector": (SHARED,),
         "on_error": ("n", 2, 2),
+        "errors": ("a", "b"),
     },
     TfgGraph: {
         "tag_ids": ("n",),
@@ -202,18 +203,7 @@ def state_of_map(estimate: MapEstimate) -> EstimatorState:
         covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
     joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
     covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
-    information = np.zeros((len(covariance) + SHARED, len(covariance) + SHARED))
-    information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    one = Keyframe(
-        estimate.ids,
-        estimate.p_ML,
-        estimate.X_MD,
-        RANGE_SCALE,
-        information,
-        np.zeros(SHARED),
-        np.zeros((n, 2, 2)),
-    )
-    prior = exactly_known()
+    one, prior = of_places(estimate.ids, estimate.p_ML, estimate.X_MD, covariance), exactly_known()
     graph = extended(empty_graph(prior), one, estimate.X_MD, is_view=True)
     graph = replace(
         graph,
@@ -300,6 +290,9 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.keyframes.ids does not fit graph.ids"
     if any(len(one.information) != 2 * len(one.ids) + 3 + SHARED for one in graph.keyframes):
         return "graph.keyframes.information does not fit graph.keyframes.ids"
+    of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
+    if any(one.errors.shape not in shapes for one, shapes in zip(graph.keyframes, of_errors, strict=True)):
+        return "graph.keyframes.errors does not fit graph.keyframes.ids"
     if any(not 0 <= one.unit < SHARED for one in graph.keyframes):
         return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:

@@ -7,6 +7,7 @@ keyframe was taken: as soon as others move the tags by a little, it pulls at the
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -29,7 +30,8 @@ class Keyframe:
     With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
     + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
     parameter that is the scale of its lengths. information: W, (2n + 11, 2n + 11). vector: v, (8,).
-    on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad.
+    on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. errors: see
+    `by_errors`, empty where it follows from on_error.
     """
 
     ids: IntArray
@@ -39,6 +41,18 @@ class Keyframe:
     information: FloatArray
     vector: FloatArray
     on_error: FloatArray
+    errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+
+    def by_errors(self) -> FloatArray:
+        """What the cost has beside on the tags' errors, (4n + 11, 2n + 1): its Hessian by (e, the errors) on these, and
+        in the last column its gradient where all are zero."""
+        if len(self.errors) or not len(self.ids):
+            return self.errors
+        n, i = len(self.ids), np.arange(len(self.ids))
+        on = np.zeros((2 * n, 2 * n))
+        on.reshape(n, 2, n, 2)[i, :, i, :] = self.on_error
+        across = self.information[:, : 2 * n] @ on
+        return np.column_stack([np.vstack([across, on.T @ across[: 2 * n]]), np.zeros(4 * n + 3 + SHARED)])
 
     def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (8,)."""
@@ -96,15 +110,33 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
         y_AL=one.y_AL[keep],
         information=0.5 * (information + information.T),
         on_error=one.on_error[keep],
+        errors=_errors_without(one, rows, keep) if len(one.errors) else one.errors,
     )
+
+
+def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArray:
+    """by_errors() with some tags marginalised out, whose own errors count as zero. rows (2n + 11,), keep (n,): which
+    remain."""
+    m, columns = len(rows), np.append(np.repeat(keep, 2), True)
+    W, across = one.information, one.errors[:m, columns]
+    gone = np.linalg.solve(W[np.ix_(~rows, ~rows)], across[~rows])
+    of_errors = one.errors[m:][columns[:-1]][:, columns] - across[~rows, :-1].T @ gone
+    return np.vstack([across[rows] - W[np.ix_(rows, ~rows)] @ gone, of_errors])
 
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
     """A way known from elsewhere than odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
-    information = np.zeros((3 + SHARED, 3 + SHARED))
-    information[:3, :3] = np.linalg.inv(covariance)
-    nothing = np.empty(0, dtype=np.int64)
-    return Keyframe(nothing, np.empty((0, 2)), X_AD, DISTANCE_SCALE, information, np.zeros(SHARED), np.empty((0, 2, 2)))
+    return of_places(np.empty(0, dtype=np.int64), np.empty((0, 2)), X_AD, covariance)
+
+
+def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
+    """A keyframe that tells nothing of the parameters: p_AL (n, 2) of some tags (n,), ascending, and X_AD (3,), m and
+    rad, where the parameters are zero, with their covariance (2n + 3, 2n + 3)."""
+    n = len(ids)
+    information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
+    information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
+    unit = RANGE_SCALE if n else DISTANCE_SCALE
+    return Keyframe(ids, p_AL, X_AD, unit, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
@@ -121,51 +153,43 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
     y_AL[rows[1]] = se2.transform(B, y_2)
     y_AL[rows[0]] = y_1
-    # Tags, D, the parameters, B; A is fixed.
-    size = 2 * n + 3 + SHARED + 3
-    at = [_places(rows[0], n, size - 3, -1), _places(rows[1], n, 2 * n, size - 3)]
+    # Tags, D, the parameters, the tags' errors, B; A is fixed.
+    m, size = 2 * n + 3, 4 * n + 3 + SHARED + 3
+    at = [_places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)]
+    free = np.append(np.arange(m), np.arange(size - 3, size))
     for _ in range(MOST_STEPS):
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
-            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, one.information, one.vector, begin, end, shared)
+            W, v, none = one.information, one.vector, np.zeros(2 * len(row))
+            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, W, v, begin, end, shared)
+            error, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
+            H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
-        free = np.append(np.arange(2 * n + 3), np.arange(size - 3, size))
         step = np.linalg.solve(H[np.ix_(free, free)], -g[free])
         y_AL += step[: 2 * n].reshape(-1, 2)
-        D, B = D + step[2 * n : 2 * n + 3], B + step[2 * n + 3 :]
+        D, B = D + step[2 * n : m], B + step[m:]
         if np.max(np.abs(step)) < SMALL_STEP:
             break
-    m = size - 3
-    across, of_B = H[:m, m:size], np.linalg.inv(H[m:size, m:size])
-    W, gradient = H[:m, :m] - across @ of_B @ across.T, g[:m] - across @ of_B @ g[m:size]
     covariance = np.linalg.inv(H[np.ix_(free, free)])
-    y, on_error = np.append(y_AL.ravel(), D), _errors_of_both(first, second, rows, n, float(B[2]))
-    both = keyframe(ids, y, shared, RANGE_SCALE, 0.5 * (W + W.T), gradient, on_error)
-    both = replace(both, y_AD=np.append(both.y_AD[:2], wrap(float(both.y_AD[2]))))
+    k, across, of_B = size - 3, H[: size - 3, size - 3 : size], np.linalg.inv(H[size - 3 : size, size - 3 : size])
+    W, gradient = H[:k, :k] - across @ of_B @ across.T, g[:k] - across @ of_B @ g[k:size]
+    W, e, i = 0.5 * (W + W.T), m + SHARED, np.arange(n)
+    moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
+    y = np.append(y_AL.ravel(), D)
+    both = keyframe(ids, y, shared, RANGE_SCALE, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))
+    back = np.concatenate([both.y_AL.ravel() - y[:-3], both.y_AD - D, -shared])
+    by_errors = np.column_stack([W[:, e:], np.append(np.zeros(e), gradient[e:] + W[e:, :e] @ back)])
+    y_AD = np.append(both.y_AD[:2], wrap(float(both.y_AD[2])))
     share = 1.0 / (1.0 + shared[RANGE_SCALE])
-    return both, B * np.array([share, share, 1.0]), share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
-
-
-def _errors_of_both(
-    first: Keyframe, second: Keyframe, rows: tuple[IntArray, IntArray], n: int, heading: float
-) -> FloatArray:
-    """(n, 2, 2) on_error of a fusion whose second keyframe begins with this heading, rad: the mean by weight."""
-    weight, weighted = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
-    for one, row, R in zip((first, second), rows, (np.eye(2), se2.rotation(heading)), strict=True):
-        i = 2 * np.arange(len(row))[:, None] + [0, 1]
-        own = R @ one.information[i[:, :, None], i[:, None, :]] @ R.T
-        weight[row] += own
-        weighted[row] += own @ R @ one.on_error
-    return np.asarray(np.linalg.solve(weight, weighted), dtype=float)
+    deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
+    return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
-    """Where tags, D, A and the parameters of a keyframe are in a fusion of n tags; -1: at its end, to be left out."""
-    tags = (2 * rows[:, None] + [0, 1]).ravel()
-    beyond = 2 * n + 3 + SHARED + 3
-    A = beyond if A < 0 else A
-    return np.concatenate([tags, D + np.arange(3), A + np.arange(3), 2 * n + 3 + np.arange(SHARED)])
+    """Where tags, D, A, the parameters and the tags' errors of a keyframe are in a fusion of n tags."""
+    tags, shared = (2 * rows[:, None] + [0, 1]).ravel(), 2 * n + 3 + np.arange(SHARED)
+    return np.concatenate([tags, D + np.arange(3), A + np.arange(3), shared, 2 * n + 3 + SHARED + tags])
 
 
 @njit(cache=True)
@@ -256,6 +280,43 @@ def linearised(
         g[m + 3 + i, 0] += vector[i]
         cost += 2.0 * vector[i] * shared[i]
     return H, g[:, 0].copy(), cost
+
+
+@njit(cache=True)
+def with_errors(
+    H: FloatArray,
+    g: FloatArray,
+    error: FloatArray,
+    on: FloatArray,
+    heading: float,
+    scale: float,
+    by_errors: FloatArray,
+    errors: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Hessian and gradient of `linearised` with the tags' errors (2n,) behind, and what these add to twice the cost.
+
+    error, on: of `residual` there. heading: of A, rad. scale: of M's lengths in the keyframe's unit. by_errors: see
+    Keyframe.
+    """
+    k, size, q = len(errors), len(g), len(error)
+    m = q - SHARED
+    c, s = scale * math.cos(heading), scale * math.sin(heading)
+    coupling = np.ascontiguousarray(by_errors[:q, :k])
+    wide, longer = np.zeros((size + k, size + k)), np.empty(size + k)
+    across = np.empty((size, k))
+    for j in range(k):
+        for i in range(0, m - 1, 2):
+            _turned(across, i, j, coupling[i, j], coupling[i + 1, j], c, s)
+        across[m - 1, j] = coupling[m - 1, j]
+    across[m:] = on.T @ coupling
+    of_errors = np.ascontiguousarray(by_errors[q:, :k])
+    force = coupling.T @ error + by_errors[q:, k]
+    weighted = of_errors @ errors
+    wide[:size, :size], wide[:size, size:], wide[size:, :size] = H, across, across.T
+    wide[size:, size:] = of_errors
+    longer[:size] = g + across @ errors
+    longer[size:] = force + weighted
+    return wide, longer, float(errors @ (2.0 * force + weighted))
 
 
 @njit(cache=True)

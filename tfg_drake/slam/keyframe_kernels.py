@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import linearised, residual
+from tfg_drake.slam.keyframe import linearised, residual, with_errors
 from tfg_drake.slam.shared import SHARED
 
 # Unknowns of the newest pose and the parameters.
@@ -21,7 +21,7 @@ class Keyframes(NamedTuple):
 
     offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL and on_error. rows: of its
     landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 8). starts: (k + 1,) the
-    same of information, flattened.
+    same of information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
     """
 
     offsets: IntArray
@@ -33,6 +33,8 @@ class Keyframes(NamedTuple):
     vector: FloatArray
     starts: IntArray
     information: FloatArray
+    starts_of_errors: IntArray
+    by_errors: FloatArray
 
 
 class Values(NamedTuple):
@@ -56,23 +58,21 @@ class Unknowns(NamedTuple):
 
 @njit(cache=True)
 def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Of keyframe k: the rows (n,) of its landmarks, how errors of theirs seem to move them in M, (n, 2, 2), where they
-    seem to be, (n, 2), and its information (2n + 11, 2n + 11)."""
+    """Of keyframe k: the rows (n,) of its landmarks, where they are, (n, 2), its y_AL, (n, 2), and its information
+    (2n + 11, 2n + 11)."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-    rows, scale = keyframes.rows[some], 1.0 + values.shared[keyframes.unit[k]]
-    c, s = math.cos(values.X_MN[k, 2]) / scale, math.sin(values.X_MN[k, 2]) / scale
-    by_error, p_ML = np.empty((len(rows), 2, 2)), np.empty((len(rows), 2))
-    for i in range(len(rows)):
-        on = keyframes.on_error[keyframes.offsets[k] + i]
-        for a in range(2):
-            by_error[i, 0, a], by_error[i, 1, a] = c * on[0, a] - s * on[1, a], s * on[0, a] + c * on[1, a]
-        for a in range(2):
-            p_ML[i, a] = values.p_ML[rows[i], a]
-            for b in range(2):
-                p_ML[i, a] += by_error[i, a, b] * values.errors[rows[i], b]
+    rows = keyframes.rows[some]
     m = 2 * len(rows) + 3 + SHARED
     W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
-    return rows, by_error, p_ML, W
+    return rows, values.p_ML[rows], keyframes.y_AL[some], W
+
+
+@njit(cache=True)
+def _errors(k: int, rows: IntArray, keyframes: Keyframes, values: Values) -> tuple[FloatArray, FloatArray]:
+    """by_errors (4n + 11, 2n + 1) of keyframe k, and the errors (2n,) of its landmarks."""
+    n = len(rows)
+    flat = keyframes.by_errors[keyframes.starts_of_errors[k] : keyframes.starts_of_errors[k + 1]]
+    return flat.reshape(4 * n + 3 + SHARED, 2 * n + 1), values.errors[rows].copy().reshape(2 * n)
 
 
 @njit(cache=True)
@@ -91,11 +91,11 @@ def assemble(
     total = 0.0
     for k in which:
         begin = keyframes.offsets[k]
-        rows, by_error, p_ML, W = _seen(k, keyframes, values)
+        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
         n = len(rows)
         H, g, cost = linearised(
             p_ML,
-            keyframes.y_AL[begin : begin + n],
+            y_AL,
             keyframes.y_AD[k],
             keyframes.unit[k],
             W,
@@ -110,7 +110,12 @@ def assemble(
             places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
         at = _of_keyframe(k, rows, unknowns)
         if n > 0 and unknowns.error_at[rows[0]] >= 0:
-            H, g, at = _with_errors(H, g, at, by_error, rows, unknowns)
+            A, unit = values.X_MN[k], keyframes.unit[k]
+            error, on = residual(p_ML, y_AL, keyframes.y_AD[k], unit, A, values.X_MN[k + 1], values.shared)
+            by_errors, errors = _errors(k, rows, keyframes, values)
+            H, g, more = with_errors(H, g, error, on, A[2], 1.0 + values.shared[unit], by_errors, errors)
+            at = np.append(at, _of_errors(rows, unknowns))
+            total += more
         for i in range(len(at)):
             if at[i] >= 0:
                 gradient[at[i]] += g[i]
@@ -122,17 +127,12 @@ def assemble(
 
 
 @njit(cache=True)
-def _with_errors(
-    H: FloatArray, g: FloatArray, at: IntArray, by_error: FloatArray, rows: IntArray, unknowns: Unknowns
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Hessian, gradient and unknowns of a keyframe with its tags' errors behind: they act as if the tags were moved."""
-    n, m = len(rows), len(at)
-    wide, longer, places = np.zeros((m, m + 2 * n)), np.empty(m + 2 * n), np.empty(m + 2 * n, dtype=np.int64)
-    wide[:, :m], longer[:m], places[:m] = np.eye(m), g, at
-    for i in range(n):
-        wide[2 * i : 2 * i + 2, m + 2 * i : m + 2 * i + 2] = by_error[i]
-        places[m + 2 * i], places[m + 2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
-    return wide.T @ (H @ wide), wide.T @ g, places
+def _of_errors(rows: IntArray, unknowns: Unknowns) -> IntArray:
+    """The unknowns (2n,) of the errors of landmarks in rows (n,)."""
+    at = np.empty(2 * len(rows), dtype=np.int64)
+    for i in range(len(rows)):
+        at[2 * i], at[2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
+    return at
 
 
 @njit(cache=True)
@@ -140,11 +140,10 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
     """Add the gradient of the cost of k keyframes, and return twice that cost."""
     total = 0.0
     for k in range(len(keyframes.y_AD)):
-        begin = keyframes.offsets[k]
-        rows, by_error, p_ML, W = _seen(k, keyframes, values)
+        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
         error, on = residual(
             p_ML,
-            keyframes.y_AL[begin : begin + len(rows)],
+            y_AL,
             keyframes.y_AD[k],
             keyframes.unit[k],
             values.X_MN[k],
@@ -154,6 +153,16 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
         m = len(error) - SHARED
         weighted = W @ error
         total += error @ weighted + 2.0 * (keyframes.vector[k] @ values.shared)
+        if len(rows) > 0 and unknowns.error_at[rows[0]] >= 0:
+            by_errors, errors = _errors(k, rows, keyframes, values)
+            coupling = np.ascontiguousarray(by_errors[: len(error), :-1])
+            force = coupling.T @ error + by_errors[len(error) :, -1]
+            own = np.ascontiguousarray(by_errors[len(error) :, :-1]) @ errors
+            total += errors @ (2.0 * force + own)
+            weighted += coupling @ errors
+            own += force
+            for i, place in enumerate(_of_errors(rows, unknowns)):
+                gradient[place] += own[i]
         beyond, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
         scale = 1.0 + values.shared[keyframes.unit[k]]
         c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
@@ -162,10 +171,6 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
             if at[i] >= 0:
                 gradient[at[i]] += x
                 gradient[at[i] + 1] += y
-            if i < 2 * len(rows) and unknowns.error_at[rows[i // 2]] >= 0:
-                for a in range(2):
-                    own = by_error[i // 2, 0, a] * x + by_error[i // 2, 1, a] * y
-                    gradient[unknowns.error_at[rows[i // 2]] + a] += own
         if at[m - 1] >= 0:
             gradient[at[m - 1]] += weighted[m - 1]
         for i in range(NEWEST):

@@ -317,7 +317,7 @@ def _with_local(
     joined = np.empty((size + 2 * m, size + 2 * m))
     joined[:size, :size], joined[size:, :size], joined[:size, size:] = P, with_old, with_old.T
     joined[size:, size:] = with_old @ by_state.T + (by_state @ W + by_c) @ C @ by_c.T
-    along, aside = z[:, 2, None] * direction, (r * z[:, 3:]) * across
+    along, aside = z[:, 2, None] / (1.0 + shared[RANGE_SCALE]) * direction, (r * z[:, 3:]) * across
     own = along[:, :, None] * along[:, None, :] + aside[:, :, None] * aside[:, None, :]
     joined[size:, size:].reshape(m, 2, m, 2)[i, :, i, :] += own
     return replace(

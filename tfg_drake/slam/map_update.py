@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 import scipy.linalg
+from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
@@ -100,13 +101,18 @@ def _in_ranges_unit(estimate: MapEstimate) -> tuple[FloatArray, FloatArray]:
     return x, P
 
 
+@njit(cache=True)
 def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> FloatArray:
     """The covariance of x with all entries of x that have a lever (u,) by the scale, in the row of_scale, in another
     unit: x' = scale * x, which the scale moves by the lever."""
     by = np.where(lever != 0.0, scale, 1.0)
-    P = by[:, None] * P * by
-    across = np.outer(lever, P[of_scale])
-    return np.asarray(P + across + across.T + P[of_scale, of_scale] * np.outer(lever, lever))
+    half = by * P[of_scale] + 0.5 * P[of_scale, of_scale] * lever
+    other = np.empty_like(P)
+    for i in range(len(P)):
+        for j in range(i + 1):
+            other[i, j] = by[i] * P[i, j] * by[j] + lever[i] * half[j] + half[i] * lever[j]
+            other[j, i] = other[i, j]
+    return other
 
 
 def _scale(unit: int, shared: FloatArray) -> tuple[float, FloatArray]:

@@ -127,6 +127,7 @@ class Solution(NamedTuple):
 def factors_of(graph: KeyframeGraph) -> Factors:
     """The factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
+    of_errors = [one.by_errors().ravel() for one in graph.keyframes] if graph.tag_error.any() else [np.empty(0)]
     ids = np.concatenate([one.ids for one in graph.keyframes])
     keyframes = Keyframes(
         offsets=np.append(0, np.cumsum(counts)),
@@ -138,11 +139,13 @@ def factors_of(graph: KeyframeGraph) -> Factors:
         vector=np.array([one.vector for one in graph.keyframes]),
         starts=np.append(0, np.cumsum((2 * counts + 3 + SHARED) ** 2)),
         information=np.concatenate([one.information.ravel() for one in graph.keyframes]),
+        starts_of_errors=np.append(0, np.cumsum([len(one) for one in of_errors])),
+        by_errors=np.concatenate(of_errors),
     )
     with np.errstate(divide="ignore"):
-        of_errors = np.where(graph.tag_error > 0.0, graph.tag_error**-2.0, np.inf)
+        errors = np.where(graph.tag_error > 0.0, graph.tag_error**-2.0, np.inf)
     information = np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float)
-    return Factors(keyframes, graph.prior.mean, information, of_errors)
+    return Factors(keyframes, graph.prior.mean, information, errors)
 
 
 def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> Solution:

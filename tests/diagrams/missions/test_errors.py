@@ -21,7 +21,7 @@ WORLD = World(
 )
 
 
-def figures(doubtful, yaw_sigma=0.0):
+def figures(doubtful):
     estimate = replace(
         empty_map(),
         ids=np.array([4, 7, 8, 9]),
@@ -31,7 +31,7 @@ def figures(doubtful, yaw_sigma=0.0):
         landmark_covariance=np.tile(0.01**2 * np.eye(2), (4, 1, 1)),
         doubtful=np.array(doubtful, dtype=np.int64),
     )
-    return landmark_figures(WORLD, np.ones(3, dtype=bool), estimate, True, np.zeros(3), yaw_sigma)
+    return landmark_figures(WORLD, np.ones(3, dtype=bool), estimate, True, np.zeros(3))
 
 
 def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
@@ -47,35 +47,27 @@ def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
     np.testing.assert_allclose(named["landmark_nees"], 0.25)
 
 
-def test_an_uncertain_yaw_turns_the_map():
-    sure, turned = (figures([7, 8], yaw_sigma) for yaw_sigma in (0.0, 0.01))
-    assert turned["landmark_nees"] < sure["landmark_nees"]
-    # A metre away that is as much as the deviation of tag 4, whose error lies along the turn.
-    np.testing.assert_allclose(turned["landmark_anees"], 0.125, rtol=1e-3)
-
-
 def test_before_the_first_view_there_is_nothing():
-    assert landmark_figures(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3), 0.0)["landmarks_mapped"] == 0
+    assert landmark_figures(WORLD, np.ones(3, dtype=bool), None, True, np.zeros(3))["landmarks_mapped"] == 0
 
 
 def test_the_online_poses_are_judged_by_what_was_said_then():
-    """Against the definition, pose by pose: a place in the true M is one seen from where the robot started to where its
-    camera looked."""
-    rng, n, yaw, X_WS = np.random.default_rng(3), 40, 0.3, np.array([2.0, -1.0, 2.5])
+    """Against the definition, pose by pose: a place in the true M is one seen from where the robot started."""
+    rng, n, X_WS = np.random.default_rng(3), 40, np.array([2.0, -1.0, 2.5])
     X_WB, error = rng.uniform(-3.0, 3.0, (n, 3)), rng.normal(size=(n, 3)) * [0.03, 0.05, 0.02]
     roots = rng.normal(size=(n, 3, 3)) * 0.05
     covariance = roots @ roots.transpose(0, 2, 1)
     X_MB, expected = np.empty((n, 3)), []
     for i in range(n):
-        p_MB = rotation(X_WS[2] + yaw).T @ (X_WB[i, :2] - X_WS[:2])
-        X_MB[i] = np.append(p_MB, X_WB[i, 2] - X_WS[2] - yaw) + error[i]
+        p_MB = rotation(X_WS[2]).T @ (X_WB[i, :2] - X_WS[:2])
+        X_MB[i] = np.append(p_MB, X_WB[i, 2] - X_WS[2]) + error[i]
         expected.append(error[i] @ np.linalg.inv(covariance[i]) @ error[i] / 3.0)
     X_MB[::2, 2] += 2.0 * np.pi
-    assert online_pose_anees(X_MB, covariance, X_WB, X_WS, yaw) == pytest.approx(np.mean(expected))
-    # At the start all but the heading is known exactly: there is nothing to judge.
-    X_MB[0], covariance[0] = np.zeros(3), np.diag([0.0, 0.0, 0.01])
-    assert online_pose_anees(X_MB, covariance, X_WB, X_WS, yaw) == pytest.approx(np.mean(expected[1:]))
-    assert math.isnan(online_pose_anees(X_MB[:1], covariance[:1], X_WB[:1], X_WS, yaw))
+    assert online_pose_anees(X_MB, covariance, X_WB, X_WS) == pytest.approx(np.mean(expected))
+    # At the start the pose is known exactly: there is nothing to judge.
+    X_MB[0], covariance[0] = np.zeros(3), np.zeros((3, 3))
+    assert online_pose_anees(X_MB, covariance, X_WB, X_WS) == pytest.approx(np.mean(expected[1:]))
+    assert math.isnan(online_pose_anees(X_MB[:1], covariance[:1], X_WB[:1], X_WS))
 
 
 def test_poses_are_logged_with_their_covariance_once_a_second():

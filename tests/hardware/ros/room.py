@@ -29,9 +29,6 @@ def estimate():
         X_MA=np.zeros((1, 3)),
         observation=Observation(
             ids=np.zeros(0, dtype=int),
-            p_AL=np.zeros((0, 2)),
-            X_AD=np.zeros(3),
-            covariance=np.eye(3),
             stamps=np.zeros(0),
             X_AB=np.zeros((0, 3)),
         ),

@@ -1,0 +1,229 @@
+"""A keyframe as a function of tags, poses and parameters."""
+
+import numpy as np
+import pytest
+
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
+from tests.slam.rings import NOTHING, dense_solution, observed, reckoned
+from tfg_drake.geometry import se2
+from tfg_drake.messages import replace
+from tfg_drake.slam.keyframe import fusion, keyframe, linearised, residual, rows_of, way, without_tags
+from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.turn import reduced
+
+P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
+X_MA, X_AD = np.array([0.3, -0.2, 0.4]), np.array([0.1, 0.0, 0.2])
+TRUTH = SIGMA * np.array([1.0, -0.5, 0.7, -1.2, 0.3, 0.8, -0.4, 1.5])
+
+
+def seen(seed=0, tags=4, shared=TRUTH):
+    """A keyframe at X_MA that depends on all parameters."""
+    return observed(np.random.default_rng(seed), P_ML, X_MA, X_AD, np.arange(tags), shared=shared)
+
+
+def cost(one, p_ML, A, D, shared):
+    """Twice the cost, written out."""
+    scale = 1.0 + shared[one.unit]
+    places = se2.transform(se2.inverse(A), np.vstack([p_ML, D[:2]]))
+    y = np.append(scale * places.ravel(), se2.wrap_angle(D[2] - A[2]))
+    error = np.append(y - np.append(one.y_AL.ravel(), one.y_AD), shared)
+    return error @ one.information @ error + 2.0 * one.vector @ shared
+
+
+def test_the_linearisation_is_that_of_its_cost():
+    """Gradient and, where the error vanishes, Hessian by differences; in the order of tags, D, A and parameters."""
+    one = seen()
+    one = replace(one, vector=np.arange(8.0))
+    x = np.concatenate([P_ML.ravel(), se2.compose(X_MA, X_AD), X_MA, TRUTH])
+    x += 0.01 * np.random.default_rng(1).normal(size=len(x))
+
+    def parts(x):
+        return x[:8].reshape(-1, 2), x[11:14], x[8:11], x[14:]
+
+    def at(x):
+        p_ML, A, D, shared = parts(x)
+        return linearised(p_ML, one.y_AL, one.y_AD, one.unit, one.information, one.vector, A, D, shared)
+
+    def errors(x):
+        p_ML, A, D, shared = parts(x)
+        return residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)[0]
+
+    H, g, twice = at(x)
+    assert twice == pytest.approx(cost(one, *parts(x)), rel=1e-12)
+    steps = 1e-6 * np.eye(len(x))
+    slope = [(cost(one, *parts(x + h)) - cost(one, *parts(x - h))) / 4e-6 for h in steps]
+    np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-2)
+    J = np.column_stack([(errors(x + h) - errors(x - h)) / 2e-6 for h in steps])
+    p_ML, A, D, shared = parts(x)
+    on = residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)[1]
+    np.testing.assert_allclose(on, J[:, 11:], atol=1e-8)
+    np.testing.assert_allclose(H, J.T @ one.information @ J, rtol=1e-6, atol=1e-7 * np.abs(H).max())
+
+
+def test_what_it_says_given_the_parameters_is_where_its_cost_is_least():
+    one = seen()
+    p_AL, there, covariance = one.given(TRUTH)
+    least = cost(one, p_AL, np.zeros(3), there, TRUTH)
+    rng = np.random.default_rng(2)
+    root = np.linalg.cholesky(covariance)
+    for _ in range(5):
+        normal = rng.normal(size=11)
+        moved = np.append(p_AL.ravel(), there) + root @ normal
+        more = cost(one, moved[:-3].reshape(-1, 2), np.zeros(3), moved[-3:], TRUTH) - least
+        assert more == pytest.approx(normal @ normal, rel=1e-6)
+    np.testing.assert_allclose(p_AL, se2.transform(se2.inverse(X_MA), P_ML), atol=0.1)
+
+
+def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
+    """`keyframe` of a gradient and a Hessian at some point is the same parabola."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(19, 19))
+    W, g, y, shared = root @ root.T, rng.normal(size=19), rng.normal(size=11), TRUTH
+    one = keyframe(np.arange(4), y, shared, RANGE_SCALE, W, g, np.zeros((4, 2, 2)))
+
+    def by_keyframe(x):
+        error = x - np.concatenate([one.y_AL.ravel(), one.y_AD, np.zeros(SHARED)])
+        return 0.5 * error @ one.information @ error + one.vector @ x[11:]
+
+    def by_parabola(x):
+        step = x - np.append(y, shared)
+        return 0.5 * step @ W @ step + g @ step
+
+    base = np.append(y, shared)
+    for _ in range(5):
+        x = base + rng.normal(size=19)
+        assert by_keyframe(x) - by_keyframe(base) == pytest.approx(by_parabola(x), rel=1e-9)
+    # With the best y for each, it is a parabola in the parameters.
+    information, gradient = one.alone()
+    s = rng.normal(size=SHARED)
+    best = np.linalg.solve(W[:11, :11], -W[:11, 11:] @ s)
+    x = np.concatenate([one.y_AL.ravel(), one.y_AD, np.zeros(SHARED)])
+    value = by_keyframe(x + np.append(best, s)) - by_keyframe(x)
+    assert value == pytest.approx(0.5 * s @ information @ s + gradient @ s, rel=1e-9)
+
+
+def test_it_costs_what_its_frames_cost():
+    """At several parameters, all frames solved anew with these held."""
+    robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (12, 2)), TRUTH, 4)
+    pieces = robot.piece(0.2, 0.5, 8.0)
+    one = reduced(NOISE, *pieces, PRIOR).keyframe
+    information, gradient = one.alone()
+    rng, found = np.random.default_rng(1), dense([pieces]).shared
+    costs, own = [], []
+    for _ in range(5):
+        shared = found + 0.15 * SIGMA * rng.normal(size=SHARED)
+        held = dense([pieces], Shared(shared, np.diag(np.full(SHARED, 1e-14))))
+        p_AL, there, covariance = one.given(shared)
+        deviation = np.sqrt(np.diag(covariance))
+        off, expected = held.off(p_AL, there, shared)
+        assert np.abs(off[:-8] / deviation).max() < 0.03
+        np.testing.assert_allclose(np.sqrt(np.diag(expected))[:-8], deviation, rtol=0.01)
+        costs.append(held.cost)
+        own.append(0.5 * shared @ information @ shared + gradient @ shared)
+    np.testing.assert_allclose(np.diff(own), np.diff(costs), atol=0.02 * np.ptp(costs))
+
+
+def test_without_tags_is_their_marginal():
+    one = replace(seen(), vector=np.arange(8.0))
+    fewer = without_tags(one, np.array([101, 103, 999]))
+    np.testing.assert_array_equal(fewer.ids, [100, 102])
+    keep = np.append([0, 1, 4, 5], np.arange(8, 19))
+    # By brute force: what prior makes proper, inverted, and the prior taken away again.
+    prior = np.diag(np.append(np.zeros(11), np.full(8, 1e3)))
+    marginal = np.linalg.inv(np.linalg.inv(one.information + prior)[np.ix_(keep, keep)])
+    marginal -= prior[np.ix_(keep, keep)]
+    np.testing.assert_allclose(fewer.information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())
+    np.testing.assert_array_equal(fewer.y_AL, one.y_AL[[0, 2]])
+    np.testing.assert_array_equal(fewer.on_error, one.on_error[[0, 2]])
+    np.testing.assert_array_equal(fewer.vector, one.vector)
+    assert without_tags(one, np.array([7])) is one
+    none = without_tags(one, one.ids)
+    assert none.unit == RANGE_SCALE
+    rows = np.ix_(*[np.arange(8, 11)] * 2)
+    np.testing.assert_allclose(none.given(TRUTH)[2], one.given(TRUTH)[2][rows], rtol=1e-6, atol=1e-12)
+
+
+def test_two_keyframes_fused_say_what_both_say():
+    """Of tags, the end and the parameters, jointly, as a dense solution of both; in the pose between they are
+    linearised."""
+    rng = np.random.default_rng(5)
+    p_ML = rng.uniform(-4.0, 4.0, (12, 2))
+    X_AB = np.array([0.9, 0.05, 0.4])
+    first = observed(rng, p_ML, np.zeros(3), X_AB, np.arange(9), shared=TRUTH)
+    second = observed(rng, p_ML, X_AB, X_AD, np.arange(3, 12), shared=TRUTH)
+    first, second = replace(first, vector=np.arange(8.0)), replace(second, vector=np.full(8, -2.0))
+    graph = reckoned([first, second], PRIOR)
+    X_MN, p, shared, covariance = dense_solution(graph)
+    both, between, deviation = fusion(first, second, shared)
+    X_few, p_few, shared_few, covariance_few = dense_solution(reckoned([both], PRIOR))
+    at = np.concatenate([np.arange(24), 27 + np.arange(11)])
+    expected = covariance[np.ix_(at, at)]
+    sigma = np.sqrt(np.diag(expected))
+    off = np.concatenate([(p_few - p).ravel(), X_few[-1] - X_MN[-1], shared_few - shared]) / sigma
+    assert np.abs(off).max() < 0.02
+    assert np.abs((covariance_few - expected) / np.outer(sigma, sigma)).max() < 0.02
+    np.testing.assert_allclose(between, X_MN[1], atol=0.02)
+    assert deviation < 0.1
+
+
+def test_two_keyframes_fused_say_of_the_errors_of_tags_what_both_say():
+    """Seen from two sides: it is where they look from that tells an error from a place."""
+    rng, deviation = np.random.default_rng(6), np.array([0.03, 0.01])
+    p_ML, X_AB = rng.uniform(-4.0, 4.0, (12, 2)), np.array([2.0, 0.5, 0.4])
+    errors = deviation * rng.normal(size=(12, 2))
+    first = observed(rng, p_ML, np.zeros(3), X_AB, np.arange(9), 1.0, errors, TRUTH)
+    second = observed(rng, p_ML, X_AB, X_AD, np.arange(3, 12), 1.0, errors, TRUTH)
+    graph = replace(reckoned([first, second], PRIOR), tag_error=deviation)
+    X_MN, p, shared, covariance = dense_solution(graph)
+    both, _, _ = fusion(first, second, shared)
+    few = replace(reckoned([both], PRIOR), tag_error=deviation)
+    at = np.concatenate([np.arange(24), 27 + np.arange(3 + 24 + SHARED)])
+    expected = covariance[np.ix_(at, at)]
+    sigma = np.sqrt(np.diag(expected))
+    X_few, p_few, shared_few, covariance_few = dense_solution(few)
+    assert np.abs((covariance_few - expected) / np.outer(sigma, sigma)).max() < 0.05
+    assert np.abs((p_few - p).ravel() / sigma[:24]).max() < 0.1
+    assert np.abs((shared_few - shared) / sigma[-SHARED:]).max() < 0.1
+    assert np.abs((X_few[-1] - X_MN[-1]) / sigma[24:27]).max() < 0.1
+    # Without one of its tags: as if that had never been seen.
+    fewer = without_tags(both, both.ids[:1])
+    assert fewer.by_errors().shape == (4 * 11 + 11, 2 * 11 + 1)
+    one, other = without_tags(first, first.ids[:1]), second
+    np.testing.assert_allclose(fewer.by_errors(), fusion(one, other, shared)[0].by_errors(), rtol=1e-3, atol=1.0)
+
+
+def test_a_way_is_in_the_unit_of_odometry():
+    one = way(np.array([2.0, 0.0, 0.5]), np.diag([0.1, 0.2, 0.3]) ** 2)
+    shared = np.zeros(8)
+    shared[[DISTANCE_SCALE, RANGE_SCALE]] = 0.25, 0.5
+    p_AL, X_AD, covariance = one.given(shared)
+    assert p_AL.shape == (0, 2)
+    np.testing.assert_allclose(X_AD, [1.6, 0.0, 0.5])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.08, 0.16, 0.3])
+    assert not one.alone()[0].any()
+
+
+def test_many_keyframes_tell_nothing_of_the_scale_of_ranges_that_there_is_not():
+    """Nothing but the odometry measures a length: a scale would be found where keyframes that see each other's tags
+    pull at it with one sign."""
+    scales = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        truth = SIGMA * rng.normal(size=SHARED)
+        truth[[DISTANCE_SCALE, RANGE_SCALE, GYRO_SCALE]] = 0.0, 0.0, 0.01
+        robot = Drive(rng.uniform(-8.0, 8.0, (20, 2)), truth, seed)
+        pieces = [robot.piece(*one) for _ in range(10) for one in ((0.0, 0.6, 5.0), (0.4, 0.2, 3.0), (0.4, -0.3, 2.0))]
+        graph = reckoned([reduced(NOISE, *one, PRIOR).keyframe for one in pieces], PRIOR)
+        graph, _ = solve(graph, 0.0, NOTHING)
+        scales.append(graph.shared.mean[RANGE_SCALE] / graph.shared.sigma[RANGE_SCALE])
+    assert np.abs(scales).max() < 3.0
+    assert abs(np.mean(scales)) < 1.5
+
+
+def test_rows_of_known_ids():
+    row, known = rows_of(np.array([3, 7, 4]), np.array([3, 4, 6]))
+    assert known.tolist() == [True, False, True]
+    assert row[known].tolist() == [0, 1]
+    row, known = rows_of(np.array([3]), np.empty(0, dtype=np.int64))
+    assert not known.any()
