@@ -102,6 +102,17 @@ def test_each_parameter_is_found_with_its_sign(name, value, at, sign):
     assert (np.abs(found.mean[others]) < 3.0 * found.sigma[others]).all()
 
 
+def test_what_is_told_is_not_counted_from_what_was_believed():
+    """A scan is read where the camera is believed to look, and tells where it looks."""
+    wide = np.maximum(SIGMA, 1e-6)
+    wide[CAMERA_YAW] = 0.1
+    for believed in (0.0, 0.08):
+        prior = Shared(off(yaw=believed), np.diag(wide**2))
+        _, found = World(3, off(yaw=0.08)).told(100, prior)
+        assert found.mean[CAMERA_YAW] == pytest.approx(0.08, abs=3.0 * found.sigma[CAMERA_YAW])
+        assert found.sigma[CAMERA_YAW] < 0.012
+
+
 def test_the_camera_is_measured_against_the_scanner():
     """Where both are mounted alike, nothing is between them; where only the scanner is off, the camera seems so."""
     exact = np.maximum(SIGMA, 1e-6)
