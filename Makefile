@@ -67,7 +67,7 @@ install = $(require_python)@echo "installing into $(VENV), a minute or two the f
   $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q -c constraints.txt -e
 
 # A program that finds its kernels compiled starts within seconds.
-compile = @$(BIN)/python -m tfg_drake.diagrams.warm_up
+compile = @$(BIN)/python -m tfg_drake.diagrams.compile_kernels
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(install) .

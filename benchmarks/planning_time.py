@@ -30,7 +30,7 @@ from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 PARTS: dict[str, Callable[..., int]] = {
     "tfg": lambda _, estimate, *others: estimate.stage,
     "roadmap": lambda _, working, *others: working.stage,
-    "goal": lambda estimate, *others: estimate.stage,
+    "goal": lambda now, *others: now.estimate.stage,
     "path": lambda _, task: task.mission.stage,
 }
 

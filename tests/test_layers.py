@@ -78,7 +78,7 @@ def test_the_core_imports_in_its_order(name):
 
 @pytest.mark.parametrize("folder", ["", "missions", "commands"])
 def test_diagrams_import_in_their_order(folder):
-    order = ["", "missions", "commands", "cli", "exploration"]
+    order = ["", "missions", "commands", "cli", "compile_kernels", "exploration"]
     later = order[order.index(folder) + 1 :]
     inside = [path for path in sources("diagrams") if path.parent == Path("diagrams", folder)]
     inside = [path for path in inside if folder or path.stem not in order]

@@ -26,7 +26,7 @@ def read_only_arguments(kernel: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def _read_only(argument: Any) -> Any:
-    if not isinstance(argument, np.ndarray):
+    if not isinstance(argument, np.ndarray) or (argument.flags.c_contiguous and not argument.flags.writeable):
         return argument
     view = np.ascontiguousarray(argument).view()
     view.flags.writeable = False

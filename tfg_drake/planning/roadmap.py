@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy.sparse import coo_array, csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from tfg_drake.config import (
     NODE_MARGIN,
@@ -24,7 +24,9 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
+from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
+from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
@@ -622,11 +624,17 @@ def _needed(
     return needed & ~keeps
 
 
+@read_only_arguments
+@njit(cache=True)
 def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under some (e,) of the edges (e, 2)."""
-    a, b = edges[which].T
-    graph = coo_array((np.ones(len(a), dtype=np.bool_), (a, b)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    """The connected component (count,) of each node under some (e,) of the edges (e, 2), by the number of its first
+    node."""
+    first = np.arange(count)
+    for e in range(len(edges)):
+        if which[e]:
+            connect(first, edges[e, 0], edges[e, 1])
+    component_labels(first)
+    return first
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:

@@ -42,12 +42,21 @@ def arc_length(polyline: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
 
 
+@read_only_arguments
+@njit(cache=True)
 def sub_polyline(polyline: FloatArray, start: float, stop: float) -> FloatArray:
     """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
-    s = arc_length(polyline)
-    inner = polyline[np.searchsorted(s, start + 1e-9, side="right") : np.searchsorted(s, stop - 1e-9)]
-    first, last = np.stack([np.interp([start, stop], s, along) for along in polyline.T], axis=1)
-    return np.vstack([first, inner, last])
+    s = np.zeros(len(polyline))
+    for i in range(1, len(polyline)):
+        s[i] = s[i - 1] + np.hypot(polyline[i, 0] - polyline[i - 1, 0], polyline[i, 1] - polyline[i - 1, 1])
+    first = np.searchsorted(s, start + 1e-9, side="right")
+    last = max(first, np.searchsorted(s, stop - 1e-9))
+    part = np.empty((last - first + 2, 2))
+    part[1:-1] = polyline[first:last]
+    ends = np.array([start, stop])
+    for axis in range(2):
+        part[0, axis], part[-1, axis] = np.interp(ends, s, polyline[:, axis].copy())
+    return part
 
 
 @njit(cache=True)
