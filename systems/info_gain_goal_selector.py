@@ -88,7 +88,6 @@ class InfoGainGoalSelector(LeafSystem):
         now = self._state(context)
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
-        # No view at all makes what they share better known by what it is chosen for.
         estimate = eval_message(self._map, context, MapEstimate).given_shared()
         tfg = eval_message(self._tfg, context, TfgMap)
         near = eval_message(self._local_roadmap, context, Roadmap)

@@ -7,6 +7,7 @@ import pytest
 
 from tfg_drake import messages
 from tfg_drake.messages import LaserScan, Odometry, Path, Roadmap
+from tfg_drake.slam.keyframe_graph import empty_map
 
 MESSAGES = [
     kind for _, kind in inspect.getmembers(messages, dataclasses.is_dataclass) if kind.__module__ == messages.__name__
@@ -111,3 +112,22 @@ def test_a_roadmaps_nodes_keep_their_names():
         part, ids=part.ids[:0], points=np.zeros((0, 2)), reachable=yes[:0], travel_length=no[:0]
     )
     assert nothing.reaches(np.array([0])).tolist() == [False]
+
+
+def test_a_map_given_what_its_views_share_is_as_uncertain_as_their_own_errors_make_it():
+    rng = np.random.default_rng(5)
+    roots, by_shared, sigma = rng.normal(size=(7, 7)), rng.normal(size=(7, 8)), rng.normal(size=(8, 8))
+    own, shared = roots @ roots.T, sigma @ sigma.T
+    told = dataclasses.replace(
+        empty_map(),
+        local=np.array([0, 2]),
+        landmark_covariance=np.zeros((3, 2, 2)),
+        covariance=own + by_shared @ shared @ by_shared.T,
+        shared=np.zeros(8),
+        with_shared=np.vstack([by_shared @ shared, shared]),
+    )
+    given = told.given_shared()
+    np.testing.assert_allclose(given.covariance, own, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(given.landmark_covariance[2], own[2:4, 2:4], rtol=1e-6, atol=1e-6)
+    # That is the map of an estimator that tells of no such parameters.
+    assert given.given_shared() is given

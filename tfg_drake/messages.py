@@ -217,7 +217,9 @@ class MapEstimate:
         return joint
 
     def given_shared(self) -> MapEstimate:
-        """The map as uncertain as it is given the shared parameters: what views can make more accurate."""
+        """The map as uncertain as it is if the shared parameters were known, for planning: a look has the same errors
+        of scale and mount as the map, so a formula that takes its noise to be independent would have it take them off
+        again and again."""
         if not len(self.shared):
             return self
         m, of_local = len(self.covariance), np.arange(len(self.local))
@@ -225,7 +227,8 @@ class MapEstimate:
         covariance = self.covariance - across @ np.linalg.solve(self.with_shared[m:], across.T)
         each = self.landmark_covariance.copy()
         each[self.local] = covariance[:-3, :-3].reshape(len(of_local), 2, len(of_local), 2)[of_local, :, of_local, :]
-        return replace(self, covariance=covariance, landmark_covariance=each)
+        nothing = np.zeros(0), np.zeros((m, 0))
+        return replace(self, covariance=covariance, landmark_covariance=each, shared=nothing[0], with_shared=nothing[1])
 
     @property
     def local_p_ML(self) -> FloatArray:

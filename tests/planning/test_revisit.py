@@ -5,12 +5,12 @@ import pytest
 
 from tests.planning.test_information_gain import problem, whitened
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import Roadmap, TfgMap, replace
+from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.planning.information_gain import turn_noise
-from tfg_drake.planning.revisit import error_removed, given_shared, known_together, worth_revisiting
+from tfg_drake.planning.revisit import error_removed, known_together, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
 
 
@@ -112,19 +112,3 @@ def test_a_tag_before_its_wall_by_the_error_of_a_long_way_is_no_promise():
     seen = [np.arange(11), np.array([10]), rng.permutation(10)[:3], np.zeros(0, dtype=int)]
     tags = Visibility(np.cumsum([0, *map(len, seen)]), np.concatenate(seen))
     assert known_together(tags, covariance).tolist() == [True] * 10 + [False] + [True] * 4
-
-
-def test_errors_that_every_look_shares_with_the_map_are_left_out():
-    rng = np.random.default_rng(5)
-    roots, by_shared, sigma = rng.normal(size=(7, 7)), rng.normal(size=(7, 8)), rng.normal(size=(8, 8))
-    own, shared = roots @ roots.T, sigma @ sigma.T
-    told = replace(
-        empty_map(),
-        covariance=own + by_shared @ shared @ by_shared.T,
-        shared=np.zeros(8),
-        with_shared=np.vstack([by_shared @ shared, shared]),
-    )
-    np.testing.assert_allclose(given_shared(told), own, rtol=1e-6, atol=1e-6)
-    # An estimator that tells of no such parameters.
-    silent = replace(told, shared=np.zeros(0), with_shared=np.zeros((0, 0)))
-    np.testing.assert_array_equal(given_shared(silent), told.covariance)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_tags, local_visibility
@@ -46,7 +46,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     tags = tags.kept(known_together(tags, estimate.covariance))
     sightings = sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth)
     noise = turn_noise(sensor, sightings, estimate.tag_error)
-    covariance, p_ML = given_shared(estimate), estimate.local_p_ML
+    covariance, p_ML = estimate.covariance, estimate.local_p_ML
     by_landmarks, error = covariance[:, :-3], np.trace(covariance[:-3, :-3])
     if len(p_ML) > SAMPLE:
         of = (2 * np.arange(0, len(p_ML), 1 + len(p_ML) // SAMPLE)[:, None] + [0, 1]).ravel()
@@ -64,19 +64,6 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     worth[best] = share_of_error(best, tags.of(best)) / share_of_time[best]
     value[asked] = worth
     return value
-
-
-def given_shared(estimate: MapEstimate) -> FloatArray:
-    """(2m + 3, 2m + 3) covariance of the local landmarks and of the newest pose if the shared parameters were known.
-
-    A look has the same errors of scale and mount as the map, so the formula, which takes its noise to be independent,
-    would have it take them off again and again. Whatever they add to the error is taken to fall as the rest does.
-    """
-    joint = len(estimate.covariance)
-    if not len(estimate.shared):
-        return estimate.covariance
-    across = estimate.with_shared[:joint]
-    return np.asarray(estimate.covariance - across @ np.linalg.solve(estimate.with_shared[joint:], across.T))
 
 
 def known_together(tags: Visibility, covariance: FloatArray) -> BoolArray:
