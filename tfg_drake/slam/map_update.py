@@ -208,7 +208,10 @@ def finished(
 
 def entropy_of(covariance: FloatArray) -> float:
     """1/2 log|2 pi e Sigma|, nats, of a covariance (u, u)."""
-    return 0.5 * (len(covariance) * math.log(2.0 * math.pi * math.e) + float(np.linalg.slogdet(covariance)[1]))
+    if not len(covariance):
+        return 0.0
+    root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
+    return float(0.5 * len(covariance) * math.log(2.0 * math.pi * math.e) + np.sum(np.log(np.diag(root))))
 
 
 def _entries(size: int, local_row: IntArray) -> IntArray:
