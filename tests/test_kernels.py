@@ -46,7 +46,8 @@ def change(path, old="njit\n", new="njit  # changed\n"):
 def called(package, first="", **environment):
     """What g(1) is in a process of its own, and how often it was compiled there."""
     program = f"{first}\nfrom tfg_drake.part.caller import g; print(g(1), sum(g.stats.cache_misses.values()))"
-    environment = {**os.environ, "PYTHONPATH": str(package.parent), **environment}
+    # Python itself would keep the bytecode of a file that is as old and as long as before.
+    environment = {**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment}
     for name in ("NUMBA_CACHE_LOCATOR_CLASSES", *({"NUMBA_CACHE_DIR"} - environment.keys())):
         environment.pop(name, None)
     command = [sys.executable, "-c", program]

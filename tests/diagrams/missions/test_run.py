@@ -58,6 +58,8 @@ def test_the_summary_has_every_field_in_order(finished):
 def test_a_run_leaves_no_garbage_and_the_collector_as_it_was(tmp_path, monkeypatch):
     """A figure goes round in circles and holds megabytes, which nobody may come to collect for many missions."""
     monkeypatch.setattr(run, "MissionRunner", _fail)
+    # What other tests have left.
+    gc.collect()
     before = gc.isenabled(), gc.get_threshold()
     with pytest.raises(Failure):
         run.run_mission(room(), max_time=1.0, out_dir=tmp_path)
