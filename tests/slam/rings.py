@@ -97,7 +97,7 @@ def with_ways(keyframes):
 
 def built(keyframes, prior=None):
     """Graph and map of some keyframes, updated with one after the other and never solved."""
-    graph, estimate = empty_graph(prior or exactly_known()), empty_map(prior)
+    graph, estimate = empty_graph(prior or exactly_known()), empty_map(prior or exactly_known())
     for number, one in enumerate(keyframes):
         graph, estimate, rejected = updated(graph, estimate, one, is_view=len(one.ids) > 0)
         assert len(rejected) == 0

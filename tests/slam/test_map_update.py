@@ -74,7 +74,7 @@ def test_a_way_without_tags_hangs_on_odometry():
 def test_a_map_that_is_not_solved_anew_is_as_if_it_were():
     """Round a ring and on: what is put off between two solves moves no landmark by a twentieth of its deviation."""
     keyframes, _, _ = ring(7, views=40, laps=1.2)
-    graph, estimate = empty_graph(exactly_known()), empty_map()
+    graph, estimate = empty_graph(exactly_known()), empty_map(exactly_known())
     last, solves = graph, []
     for number, one in enumerate(keyframes):
         graph, estimate, _ = updated(graph, estimate, one, is_view=len(one.ids) > 0)
@@ -95,7 +95,7 @@ def test_a_tag_seen_for_the_first_time_is_known_as_its_keyframe_knows_it():
     rng = np.random.default_rng(8)
     p_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0]])
     first = observed(rng, p_ML, np.zeros(3), np.array([0.1, 0.0, 0.2]), np.arange(3))
-    _, estimate, _ = updated(empty_graph(exactly_known()), empty_map(), first)
+    _, estimate, _ = updated(empty_graph(exactly_known()), empty_map(exactly_known()), first)
     p_AL, X_AD, covariance = first.given(np.zeros(8))
     np.testing.assert_allclose(estimate.p_ML, p_AL)
     np.testing.assert_allclose(estimate.X_MD, X_AD)

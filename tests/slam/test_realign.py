@@ -31,7 +31,7 @@ def kidnapped():
     """Graph and map after two views, a lift by 11 m, and two more views; the view that sees both parts; the tags."""
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(-4, 21, 60), rng.uniform(-4, 4, 60)])
-    graph, estimate = empty_graph(exactly_known()), empty_map()
+    graph, estimate = empty_graph(exactly_known()), empty_map(exactly_known())
     for k, X in enumerate(PLACES[:4]):
         seen = observation(rng, points, X)
         if k > 0:

@@ -54,6 +54,8 @@ class DissectedSystem:
 class DissectionSolver:
     """See `solver.Solver`."""
 
+    keeps_for = 0.05
+
     def __init__(self, graph: KeyframeGraph, *, landmarks: bool = True) -> None:
         """landmarks: whether they are unknowns."""
         self._graph = graph

@@ -16,7 +16,7 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.keyframe import Keyframe, fusion, rows_of, way, without_tags
-from tfg_drake.slam.shared import SHARED, Shared, exactly_known
+from tfg_drake.slam.shared import Shared
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
 WITNESSES = 2
@@ -81,10 +81,10 @@ def empty_graph(prior: Shared) -> KeyframeGraph:
 
 
 def empty_map(prior: Shared | None = None) -> MapEstimate:
-    """The map of stage 0: no landmark, the robot at the origin, known exactly, the parameters by their prior; without
-    one these are zero."""
-    prior = prior or exactly_known()
+    """The map of stage 0: no landmark, the robot at the origin, known exactly, the shared parameters by their prior;
+    without one the map tells of none."""
     none = np.empty(0, dtype=np.int64)
+    shared, covariance = (prior.mean, prior.covariance) if prior is not None else (np.zeros(0), np.zeros((0, 0)))
     return MapEstimate(
         stage=0,
         stamp=0.0,
@@ -97,8 +97,8 @@ def empty_map(prior: Shared | None = None) -> MapEstimate:
         X_MA=np.empty((0, 3)),
         observation=no_observation(),
         entropy=0.0,
-        shared=prior.mean,
-        with_shared=np.vstack([np.zeros((3, SHARED)), prior.covariance]),
+        shared=shared,
+        with_shared=np.vstack([np.zeros((3, len(shared))), covariance]),
     )
 
 

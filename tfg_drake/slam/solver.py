@@ -24,8 +24,6 @@ MOST_STEPS = 20
 SMALL_STEP = 2e-5
 # A step that fails to lower the error is halved, so many times at most.
 MOST_HALVINGS = 10
-# So far values may move, m or rad, until the system is eliminated anew.
-KEPT_FOR = 0.05
 # Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
 # time. The first holds what hangs on nothing by 100 m, or rad.
 LEAST_DAMPING = 1e-4
@@ -82,7 +80,7 @@ class System(Protocol):
         """Twice the cost."""
 
     @property
-    def places(self) -> FloatArray:
+    def places(self) -> FloatArray | None:
         """(., 2, 3) Hessian and gradient of each keyframe on each of its tags."""
 
     @property
@@ -101,6 +99,8 @@ class Solver(Protocol):
 
     factors: Factors
     unknowns: Unknowns
+    # So far values may move, m or rad, until the system is eliminated anew.
+    keeps_for: float
 
     def linearised(self, values: Values, damping: float) -> System:
         """The system at some values, with `damping` added to the information on each unknown.
@@ -167,9 +167,10 @@ def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> 
     covariance = system.covariance(at)
     of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
     covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
+    tag_error = graph.tag_error
     if solver.factors.has_errors:
         tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
-    else:
+    elif system.places is not None:
         tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
     X_MN, p_ML = values.X_MN.copy(), values.p_ML
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
@@ -197,7 +198,7 @@ def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
     """Values at the maximum a posteriori, and the system linearised where the last step began."""
     moved_since = math.inf
     for number in range(MOST_STEPS):
-        anew = moved_since >= KEPT_FOR or number == MOST_STEPS - 1
+        anew = moved_since >= solver.keeps_for or number == MOST_STEPS - 1
         if anew:
             system, moved_since = _linearised(solver, values), 0.0
             gradient, error = system.gradient, system.error

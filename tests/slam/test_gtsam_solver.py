@@ -1,0 +1,42 @@
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import L, S, X
+
+from tests.slam.rings import reckoned, ring
+from tfg_drake.messages import replace
+from tfg_drake.slam.dissection_solver import DissectionSolver
+from tfg_drake.slam.gtsam_solver import GtsamSolver, nonlinear_graph, values_of
+from tfg_drake.slam.solver import solved
+
+
+@pytest.fixture(scope="module")
+def graph():
+    keyframes, _, _ = ring(2, laps=1.05)
+    return reckoned(keyframes)
+
+
+@pytest.mark.parametrize("local", [slice(None), slice(10, 70, 3)], ids=["all", "some"])
+def test_both_solvers_come_to_the_same(graph, local):
+    rows, last = np.arange(len(graph.ids))[local], len(graph.keyframes)
+    expected, found = (solved(graph, kind(graph), rows, last) for kind in (DissectionSolver, GtsamSolver))
+    np.testing.assert_allclose(found.graph.p_ML, expected.graph.p_ML, atol=1e-6)
+    np.testing.assert_allclose(found.graph.X_MN, expected.graph.X_MN, atol=1e-6)
+    deviation = np.sqrt(np.diag(expected.covariance))
+    apart = (found.covariance - expected.covariance) / np.outer(deviation, deviation)
+    assert np.abs(apart).max() < 1e-5
+    assert abs(found.graph.entropy - expected.graph.entropy) < 1e-4
+
+
+def test_the_map_is_the_optimum_of_the_graph_that_a_user_gets(graph):
+    best = solved(graph, DissectionSolver(graph), np.arange(len(graph.ids)), 1).graph
+    factors, values = nonlinear_graph(best), values_of(best)
+    at_best = factors.error(values)
+    for key, size in ((L(3), 2), (X(5), 3), (S(0), 8)):
+        moved = gtsam.Values(values)
+        moved.update(key, values.atVector(key) + 1e-3 * np.ones(size))
+        assert factors.error(moved) > at_best
+    again = gtsam.LevenbergMarquardtOptimizer(
+        nonlinear_graph(graph), values_of(replace(graph, X_MN=best.X_MN))
+    ).optimize()
+    np.testing.assert_allclose(again.atVector(L(3)), best.p_ML[3], atol=1e-4)

@@ -1,0 +1,175 @@
+"""The keyframe graph by GTSAM alone: it linearises, eliminates and marginalises; see `solver.Solver`.
+
+No stock factor holds a keyframe, so each is a `gtsam.CustomFactor`: its error is a square root of the keyframe's
+information times its residual. All unknowns are vectors, so that covariances are those of the messages.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import gtsam
+import numpy as np
+import scipy.linalg
+from gtsam.symbol_shorthand import L, S, X
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.keyframe import Keyframe, residual
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.keyframe_kernels import Unknowns, Values
+from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.solver import Factors, factors_of
+
+# Directions of which a keyframe says less than this share of what its diagonal would allow are none.
+LEAST_SHARE = 1e-13
+
+
+def nonlinear_graph(graph: KeyframeGraph) -> gtsam.NonlinearFactorGraph:
+    """The map as GTSAM has it: landmarks L(row) (2), nodes X(j) (3) from 1 on, X(0) being the origin, and the shared
+    parameters S(0) (8). Constant errors of tags are not in it."""
+    factors = gtsam.NonlinearFactorGraph()
+    prior = gtsam.noiseModel.Gaussian.Covariance(graph.prior.covariance)
+    factors.add(gtsam.PriorFactorVector(S(0), graph.prior.mean, prior))
+    for j, one in enumerate(graph.keyframes):
+        rows = np.searchsorted(graph.ids, one.ids)
+        keys = [*(L(row) for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
+        factors.add(_factor(one, keys, from_origin=j == 0))
+    return factors
+
+
+def values_of(graph: KeyframeGraph, values: Values | None = None) -> gtsam.Values:
+    """The values of a graph, its own by default, as GTSAM has them."""
+    where = gtsam.Values()
+    now = values or Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
+    for row, p_ML in enumerate(now.p_ML):
+        where.insert(L(row), p_ML)
+    for j, X_MN in enumerate(now.X_MN[1:], 1):
+        where.insert(X(j), X_MN)
+    where.insert(S(0), now.shared)
+    return where
+
+
+def _factor(one: Keyframe, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
+    """W = R^T R with its empty directions left out, and R^T d = (0, v): half |R e + d|^2 is the cost but for a
+    constant."""
+    diagonal = np.sqrt(np.maximum(np.diag(one.information), np.finfo(float).tiny))
+    value, direction = np.linalg.eigh(one.information / np.outer(diagonal, diagonal))
+    some = value > LEAST_SHARE * value[-1]
+    root = np.sqrt(value[some])
+    R = root[:, None] * direction[:, some].T * diagonal
+    forced = np.append(np.zeros(len(diagonal) - SHARED), one.vector)
+    d = direction[:, some].T @ (forced / diagonal) / root
+    n = len(one.ids)
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
+        p_ML = np.array([values.atVector(key) for key in keys[:n]]).reshape(n, 2)
+        D, shared = values.atVector(keys[n]), values.atVector(keys[-1])
+        A = np.zeros(3) if from_origin else values.atVector(keys[n + 1])
+        e, on = residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)
+        if jacobians is not None:
+            R_AM = (1.0 + shared[one.unit]) * se2.rotation(float(A[2])).T
+            for i in range(n):
+                jacobians[i] = R[:, 2 * i : 2 * i + 2] @ R_AM
+            jacobians[n] = R[:, 2 * n : 2 * n + 3] @ scipy.linalg.block_diag(R_AM, 1.0)
+            if not from_origin:
+                jacobians[n + 1] = R @ on[:, :3]
+            jacobians[len(keys) - 1] = R @ on[:, 3:]
+        return np.asarray(R @ e + d)
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(d)), keys, error)
+
+
+@dataclasses.dataclass(frozen=True)
+class GtsamSystem:
+    """See `solver.System`. at: where the unknowns of each key are."""
+
+    system: gtsam.GaussianFactorGraph
+    at: dict[int, slice]
+    gradient: FloatArray
+    error: float
+    # Constant errors of tags are looked for by the default solver only.
+    places: FloatArray | None = None
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the information on all unknowns."""
+        conditionals = self.system.eliminateSequential()
+        diagonals = (np.diag(conditionals.at(i).R()) for i in range(conditionals.size()))
+        return 2.0 * float(sum(np.sum(np.log(np.abs(diagonal))) for diagonal in diagonals))
+
+    def step(self, gradient: FloatArray) -> FloatArray:
+        """(u,) the step of Gauss and Newton; the gradient is the system's own."""
+        del gradient
+        found, step = self.system.optimize(), np.empty(len(self.gradient))
+        for key, at in self.at.items():
+            step[at] = found.at(key)
+        return step
+
+    def covariance(self, at: IntArray) -> FloatArray:
+        """(c, c) joint, of some unknowns (c,): what is left when all others are eliminated, inverted."""
+        asked = [key for key, where in self.at.items() if np.any((at >= where.start) & (at < where.stop))]
+        information = _left(self.system, asked)
+        place = np.concatenate([np.arange(self.at[key].start, self.at[key].stop) for key in asked])
+        rows = np.argsort(place)[np.searchsorted(np.sort(place), at)]
+        return np.asarray(np.linalg.inv(information)[np.ix_(rows, rows)])
+
+
+def _left(system: gtsam.GaussianFactorGraph, keys: list[int]) -> FloatArray:
+    """The information on some unknowns, in the order of their keys, when all others are eliminated."""
+    last = gtsam.Ordering()
+    for key in keys:
+        last.push_back(key)
+    everything = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(system, keys, False)
+    before = gtsam.Ordering()
+    for place in range(everything.size() - len(keys)):
+        before.push_back(everything.at(place))
+    left = system.eliminatePartialSequential(before)[1] if before.size() else system
+    return np.asarray(left.hessian(last)[0])
+
+
+class GtsamSolver:
+    """See `solver.Solver`: as quick as it takes to test the default, some three to five times slower than that."""
+
+    keeps_for = 0.0
+
+    def __init__(self, graph: KeyframeGraph) -> None:
+        self.factors: Factors = factors_of(graph)
+        n, k = len(graph.ids), len(graph.keyframes)
+        nodes = 2 * n + 3 * np.arange(k)
+        self.unknowns = Unknowns(2 * np.arange(n), np.append(-1, nodes), 2 * n + 3 * k, np.full(n, -1))
+        self._keyframes, self._graph = graph, nonlinear_graph(graph)
+        self._at = {L(i): slice(2 * i, 2 * i + 2) for i in range(n)}
+        self._at |= {X(j + 1): slice(at, at + 3) for j, at in enumerate(nodes.tolist())}
+        self._at[S(0)] = slice(2 * n + 3 * k, 2 * n + 3 * k + SHARED)
+
+    def linearised(self, values: Values, damping: float) -> GtsamSystem:
+        """See `solver.Solver`."""
+        where = values_of(self._keyframes, values)
+        system = self._graph.linearize(where)
+        for key, at in self._at.items() if damping else ():
+            width = at.stop - at.start
+            system.push_back(gtsam.HessianFactor(key, damping * np.eye(width), np.zeros(width), 0.0))
+        gradient, found = np.empty(self._at[S(0)].stop), system.gradientAtZero()
+        for key, at in self._at.items():
+            gradient[at] = found.at(key)
+        return GtsamSystem(system, self._at, gradient, 2.0 * self._graph.error(where))
+
+    def gradient(self, values: Values) -> tuple[FloatArray, float]:
+        """See `solver.Solver`."""
+        system = self.linearised(values, 0.0)
+        return system.gradient, system.error
+
+    def log_determinant_given_landmarks(self, values: Values) -> float:
+        """See `solver.Solver`."""
+        system = self.linearised(values, 0.0)
+        rest = [key for key in self._at if key == S(0) or gtsam.symbolChr(key) == ord("x")]
+        whole = system.system.hessian(self._ordering())[0]
+        places = np.concatenate([np.arange(self._at[key].start, self._at[key].stop) for key in rest])
+        return float(np.linalg.slogdet(whole[np.ix_(places, places)])[1])
+
+    def _ordering(self) -> gtsam.Ordering:
+        ordering = gtsam.Ordering()
+        for key in self._at:
+            ordering.push_back(key)
+        return ordering
