@@ -220,7 +220,7 @@ def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> Bool
     label = components(state.edges.nodes, edges, len(reachable))
     joined = np.zeros(len(reachable), dtype=np.bool_)
     joined[label[reachable]] = True
-    return joined[label]
+    return np.asarray(joined[label])
 
 
 def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: PlannerConfig) -> IntArray:
