@@ -109,7 +109,8 @@ def test_whoever_wants_the_network_has_it(machines):
     with ExitStack() as stack:
         there = driven(machines, stack, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
         wait_for(lambda: ask(there)["commands"] > 50)
-        assert ask(there)["published"] == ["/odom", "/scan", "/cmd_vel"]
+        # It finds one after the other.
+        wait_for(lambda: ask(there)["published"] == ["/odom", "/scan", "/cmd_vel"])
 
 
 def test_the_network_is_an_option_of_the_emulator(machines):
