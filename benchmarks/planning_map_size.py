@@ -1,4 +1,4 @@
-"""What one stage of planning costs on maps of up to 10 000 landmarks.
+"""The CPU time of one stage of planning on maps of up to 10 000 landmarks.
 
     python benchmarks/planning_map_size.py
     python benchmarks/planning_map_size.py --landmarks 1000 3000 --stages 3

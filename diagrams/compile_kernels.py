@@ -37,7 +37,8 @@ def _import_kernels(folders: tuple[str, ...]) -> None:
 
 
 def _compile(share: int, looked: Path) -> None:
-    """What such a process does. Raises what its mission raises."""
+    """Compile a share of the kernels and make a file, `looked`, when the first look is over; raises what its mission
+    raises."""
     numba: Any = importlib.import_module("numba")
     # First those that are compiled, with all that they call.
     _import_kernels(SHARES[share])

@@ -52,7 +52,7 @@ class WarmUp:
 
     @property
     def word(self) -> str:
-        """What is done, in words; "" where nothing is any more."""
+        """Progress in words; "" where nothing is compiled any more."""
         if self.ended:
             return ""
         left = self.left

@@ -95,7 +95,7 @@ def wait_for_enter() -> None:
 
 
 def compile_kernels() -> WarmUp | None:
-    """Those who compile what is missing, None where nothing is; the caller closes it.
+    """The processes that compile the missing kernels, None where none is missing; the caller closes it.
 
     To be called before kernels are imported. Raises BadInput where there is no folder to keep them in.
     """

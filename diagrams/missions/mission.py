@@ -228,7 +228,7 @@ class Mission:
 
     @property
     def shared(self) -> Shared:
-        """What the estimator knows of the parameters that all keyframes share; of a method without one all are zero."""
+        """The shared parameters as the estimator knows them; of a method without an estimator all are zero."""
         state = self._estimator_state()
         return exactly_known() if state is None else state.graph.shared
 

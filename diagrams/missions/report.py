@@ -148,7 +148,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
 
 
 def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
-    """What the estimator has learnt of odometry, camera and tags."""
+    """The shared parameters with their deviations, and the deviation of the tags' constant errors."""
     errors, shared = np.zeros(2) if estimate is None else estimate.tag_error, mission.shared
     known = zip(shared.mean.tolist(), shared.sigma.tolist(), strict=True)
     return {

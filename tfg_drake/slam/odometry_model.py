@@ -1,4 +1,4 @@
-"""What an odometry increment says about the motion, and how far it can be wrong.
+"""Motion by odometry: the model of an increment, its Jacobian on the calibration and its covariance.
 
 The measured distance is (1 + s) times the true one plus a random walk, the measured turn (1 + g) times the true one
 plus a bias b times the time plus a random walk. The calibration c = (s, b, g) is among the shared parameters.
