@@ -40,3 +40,8 @@ def test_the_map_is_the_optimum_of_the_graph_that_a_user_gets(graph):
         nonlinear_graph(graph), values_of(replace(graph, X_MN=best.X_MN))
     ).optimize()
     np.testing.assert_allclose(again.atVector(L(3)), best.p_ML[3], atol=1e-4)
+
+
+def test_errors_of_tags_are_refused(graph):
+    with pytest.raises(ValueError, match="take DissectionSolver"):
+        GtsamSolver(replace(graph, tag_error=np.array([0.01, 0.003])))

@@ -134,6 +134,9 @@ class GtsamSolver:
     keeps_for = 0.0
 
     def __init__(self, graph: KeyframeGraph) -> None:
+        """Raises ValueError where tags have constant errors, which are not in `nonlinear_graph`."""
+        if graph.tag_error.any():
+            raise ValueError("GTSAM alone solves no graph whose tags have constant errors: take DissectionSolver.")
         self.factors: Factors = factors_of(graph)
         n, k = len(graph.ids), len(graph.keyframes)
         nodes = 2 * n + 3 * np.arange(k)
