@@ -35,6 +35,9 @@ CALIBRATED = (
     "camera_clock_offset_s",
     "range_scale",
 )
+# And of what is learnt of the noise: random walks, m per root m and rad per root s; the tags' deviations over those of
+# the data sheet, and the correlation of one's noise from frame to frame.
+NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation")
 
 
 def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
@@ -148,11 +151,12 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
 
 
 def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
-    """The shared parameters with their deviations, and the deviation of the tags' constant errors."""
+    """The shared parameters and the noise with their deviations, and the deviation of the tags' constant errors."""
     errors, shared = np.zeros(2) if estimate is None else estimate.tag_error, mission.shared
-    known = zip(shared.mean.tolist(), shared.sigma.tolist(), strict=True)
+    noise, deviation = mission.noise.values
+    found = zip((*CALIBRATED, *NOISE), np.append(shared.mean, noise), np.append(shared.sigma, deviation), strict=True)
     return {
-        **{name: {"value": value, "deviation": sigma} for name, (value, sigma) in zip(CALIBRATED, known, strict=True)},
+        **{name: {"value": float(value), "deviation": float(sigma)} for name, value, sigma in found},
         "tag_range_error_m": float(errors[0]),
         "tag_bearing_error_rad": float(errors[1]),
     }

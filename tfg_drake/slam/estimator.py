@@ -45,14 +45,13 @@ from tfg_drake.slam.doubt import (
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
 from tfg_drake.slam.first_look import Message, held_against_odometry, told
-from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.missing_tags import TagWatch, missing, renewed, watched
-from tfg_drake.slam.noise_correlation import less_certain
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     arc,
@@ -63,7 +62,7 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.realign import realigned
 from tfg_drake.slam.scan_ranges import compared, great_error, told_by_scan
-from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED
+from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
 
@@ -79,7 +78,8 @@ CONTRADICTIONS = 3
 LONGEST_DOUBT = 60.0
 # A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
 REDUCED_WITHIN = 0.5
-NOTHING_TOLD = np.zeros((SHARED, SHARED + 1))
+# And where the level of some noise has, by this.
+LEVEL_WITHIN = 0.2
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
 MOST_TAKEN_BACK = 10
 # The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
@@ -197,7 +197,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
             increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
-    X_MB, covariance = localized_pose(state.localizer, state.noise, increment, dt)
+    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, increment, dt)
     estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     return PoseEstimate(
@@ -224,7 +224,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
     estimate = state.map
     if estimate is None:
         return state
-    graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML)), state.evidence
+    graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML, prior=_prior(state))), state.evidence
     for _ in range(MOST_SOLVES):
         before = graph.tag_error
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
@@ -271,12 +271,13 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
 
 def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
     """The state before any message with the camera's clock so much, s, farther ahead than its data sheet says."""
-    prior = state.graph.prior
+    prior = state.sheet
     prior = replace(prior, mean=prior.mean + ahead * np.eye(SHARED)[CLOCK])
     graph = replace(state.graph, prior=prior, shared=prior)
     return replace(
         state,
         offset=state.offset + ahead,
+        sheet=prior,
         graph=graph,
         solved=graph,
         localizer=start_localizer(empty_map(prior)),
@@ -317,7 +318,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     increment, dt = arc(state.X_OB, X_OB), clock - state.clock
     twist = _twist(state.odometry[before], state.odometry[after])
     ranges = state.ranges
-    scan = _scan_beside(state, frame, twist, SAME_PLACE)
+    scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
@@ -328,10 +329,10 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         piece = replace(piece, frames=(*piece.frames, taken))
     localizer, known, ignored = step_localizer(
         state.localizer,
-        state.noise,
+        state.noise.now.walks,
         increment,
         dt,
-        less_certain(frame, state.correlation.frame_worth),
+        one_of_many,
         twist,
         state.offset,
     )
@@ -406,12 +407,13 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
     if piece is None or state.map is None or state.stamp <= piece.begin.stamp:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.kidnapped:
-        X_MB, _ = localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)
+        X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
         way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        source = Source(piece, instant(state), state.graph.shared, NOTHING_TOLD)
-        state, seen = replace(state, correlation=solution.correlation), Sighted(solution.keyframe, solution.sightings)
+        source = Source(piece, instant(state), state.graph.shared, state.noise.level)
+        seen = Sighted(solution.keyframe, solution.sightings)
+        state = replace(state, noise=state.noise.with_sample(solution.sample))
         if not state.path_keyframe_period:
             seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
         way = (*state.way, (seen, source))
@@ -420,38 +422,31 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     """A turn or piece solved by itself."""
-    return reduced(state.noise, turn.begin, turn.frames, instant(state), state.graph.shared, state.correlation)
+    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared)
 
 
-def _ranges_told(state: EstimatorState) -> tuple[EstimatorState, FloatArray]:
-    """The state, and information and gradient (8, 9) on the parameters that the scan has told since the last view."""
-    if not state.ranges.pairs:
-        return state, NOTHING_TOLD
-    told = np.column_stack(told_by_scan(state.ranges))
-    return replace(state, told=told), told - state.told
-
-
-def _with_told(one: Keyframe, told: FloatArray) -> Keyframe:
-    """The keyframe with what else is told (8, 9) of the parameters."""
-    information = one.information.copy()
-    information[-SHARED:, -SHARED:] += told[:, :-1]
-    return replace(one, information=information, vector=one.vector + told[:, -1])
+def _prior(state: EstimatorState) -> Shared:
+    """What is known of the parameters without any keyframe: by the data sheets and by the scan."""
+    return state.sheet.told(*told_by_scan(state.ranges, state.noise.now.worth)) if state.ranges.pairs else state.sheet
 
 
 def _reduced_anew(
     state: EstimatorState, graph: KeyframeGraph, sources: tuple[Source | None, ...]
 ) -> tuple[KeyframeGraph, tuple[Source | None, ...]]:
-    """The graph with those of its newest keyframes reduced anew that were reduced where the parameters were believed to
-    be others; their sources."""
-    keyframes, kept, shared = list(graph.keyframes), list(sources), graph.shared
+    """The graph with those of its newest keyframes reduced anew that were reduced where the parameters or the noise were
+    believed to be others; their sources."""
+    keyframes, kept, shared, noise = list(graph.keyframes), list(sources), graph.shared, state.noise
     for k, source in enumerate(sources):
         at = k - len(sources)
-        if source is None or np.all(np.abs(shared.mean - source.at.mean) <= REDUCED_WITHIN * source.at.sigma):
+        if source is None or (
+            np.all(np.abs(shared.mean - source.at.mean) <= REDUCED_WITHIN * source.at.sigma)
+            and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
+        ):
             continue
-        anew = reduced(state.noise, source.seen.begin, source.seen.frames, source.end, shared, state.correlation)
+        anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared)
         one = without_tags(anew.keyframe, np.setdiff1d(anew.keyframe.ids, keyframes[at].ids))
         if np.array_equal(one.ids, keyframes[at].ids):
-            keyframes[at], kept[k] = _with_told(one, source.told), replace(source, at=shared)
+            keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level)
     if tuple(kept) == sources:
         return graph, sources
     return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
@@ -475,10 +470,10 @@ def _with_scale_told(state: EstimatorState) -> EstimatorState:
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
-    state, told = _ranges_told(_with_scale_told(replace(state, correlation=solution.correlation)))
-    keyframe = _with_told(solution.keyframe, told)
+    source = Source(turn, instant(state), state.graph.shared, state.noise.level)
+    state = _with_scale_told(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
+    keyframe = solution.keyframe
     way, view = state.way, Sighted(keyframe, solution.sightings)
-    source = Source(turn, instant(state), state.graph.shared, told)
     observation = Observation(keyframe.ids, solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
@@ -508,7 +503,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         or needs_solve(graph, solved, estimate)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
-        graph = fused(replace(anew_graph, p_ML=estimate.p_ML))
+        graph = fused(replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(state)))
         graph, estimate = solve(graph, state.stamp, observation, spread=spread)
         solved = graph
     else:
@@ -527,7 +522,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         lost=False,
         graph=graph,
         solved=solved,
-        map=with_doubts(replace(estimate, frame_worth=state.correlation.frame_worth), evidence, graph),
+        map=with_doubts(replace(estimate, frame_worth=min(state.noise.now.frame_worth, 1.0)), evidence, graph),
         localizer=start_localizer(estimate),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids),

@@ -21,10 +21,10 @@ from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.missing_tags import TagWatch, no_watch
-from tfg_drake.slam.noise_correlation import NoiseCorrelation, no_correlation
+from tfg_drake.slam.noise import LearntNoise, as_told
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
-from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, SHARED, Shared, by_data_sheet
+from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
@@ -51,12 +51,12 @@ class OpenObservation:
 @message
 class Source:
     """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
-    it was reduced. told: (8, 9) information and gradient on them that it has from the scan."""
+    it was reduced, level: (4,) of the noise likewise."""
 
     seen: OpenObservation
     end: TurnFrame
     at: Shared
-    told: FloatArray
+    level: FloatArray
 
 
 @message
@@ -71,11 +71,9 @@ class FirstLook:
 class EstimatorState:
     """All the estimator knows.
 
-    noise: (3,) random walks of odometry, see `random_walks`. correlation: what is known of the noise of tags.
-    path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
+    noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way that are mapped as one piece; 0 where only its motion is. newest: the last odometry
     message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for it. scans: the
-    newest scans. ranges: how the tags' ranges compare with theirs, told: (8, 9) information on the parameters, and
-    gradient where they are zero, by these, that the keyframes have. offset: s, the camera's clock is taken to be so
+    newest scans. ranges: how the tags' ranges compare with theirs. offset: s, the camera's clock is taken to be so
     much ahead. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions:
     frames that contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was
     seen since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
@@ -87,15 +85,14 @@ class EstimatorState:
     look: the first look, None once it is over. sources: of the newest keyframes, None of one that has none.
     """
 
-    noise: FloatArray
-    correlation: NoiseCorrelation
+    noise: LearntNoise
+    sheet: Shared
     path_keyframe_period: float
     newest: Odometry | None
     odometry: tuple[DeadReckoning, ...]
     pending: tuple[TagDetections, ...]
     scans: tuple[LaserScan, ...]
     ranges: ScanRanges
-    told: FloatArray
     offset: float
     stamp: float
     clock: float
@@ -133,15 +130,14 @@ def initial_state(
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior)
     state = EstimatorState(
-        noise=random_walks(config),
-        correlation=no_correlation(),
+        noise=as_told(random_walks(config)),
+        sheet=prior,
         path_keyframe_period=path_keyframe_period,
         newest=None,
         odometry=(),
         pending=(),
         scans=(),
         ranges=none_compared(),
-        told=np.zeros((SHARED, SHARED + 1)),
         offset=float(prior.mean[CLOCK]),
         stamp=-np.inf,
         clock=-np.inf,
@@ -173,7 +169,7 @@ def instant(state: EstimatorState) -> TurnFrame:
 
 def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
-    X_MB, covariance = localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)
+    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
     return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 

@@ -44,7 +44,7 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     mapped &= ~rows_of(seen.ids, estimate.ids[estimate.local])[1]
     if state.map is None or not mapped.any():
         return 0
-    X_MB, _ = localized_pose(localizer, state.noise, np.zeros(3), 0.0)
+    X_MB, _ = localized_pose(localizer, state.noise.now.walks, np.zeros(3), 0.0)
     seen = seen_from_body(seen, state.graph.shared)
     angle = X_MB[2] + seen.bearing[mapped]
     p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -78,7 +78,7 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
         localizer = _restarted(state, estimate, found.X_MB, tags)
         return _kidnapped(replace(state, localizer=localizer, lost=True), begun)
-    X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise, np.zeros(3), 0.0)[0]
+    X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
     distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
@@ -116,7 +116,7 @@ def _restarted(
         range=seen_from_body.range * (1.0 + shared[RANGE_SCALE]),
         bearing=seen_from_body.bearing - shared[CAMERA_YAW],
     )
-    return restart_localizer(estimate, state.noise, X_MB, tags)
+    return restart_localizer(estimate, state.noise.now.walks, X_MB, tags)
 
 
 def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
@@ -133,15 +133,15 @@ def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
 def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
     """All tags seen since an observation began, each once, as seen from where the robot is now. Their deviations
     include the error of odometry since they were seen."""
-    noise, sigma, ids, p_BL, variance = state.noise, state.graph.shared.sigma, [], [], []
+    walks, sigma, ids, p_BL, variance = state.noise.now.walks, state.graph.shared.sigma, [], [], []
     for frame in since.frames:
         seen = seen_from_body(frame.detections, state.graph.shared)
         if not len(seen.ids):
             continue
         way = se2.between(state.X_OB, frame.X_OB)
         distance, dt = float(np.hypot(way[0], way[1])), state.clock - frame.clock
-        turned = float(np.sum(np.square([noise[1] * dt**0.5, *(sigma[1:3] * (dt, way[2]))])))
-        driven = noise[0] ** 2 * distance + (sigma[0] * distance) ** 2
+        turned = float(np.sum(np.square([walks[1] * dt**0.5, *(sigma[1:3] * (dt, way[2]))])))
+        driven = walks[0] ** 2 * distance + (sigma[0] * distance) ** 2
         lever = seen.range + distance
         ids.append(seen.ids)
         direction = np.column_stack([np.cos(seen.bearing), np.sin(seen.bearing)])

@@ -154,13 +154,14 @@ def _expected(
     often = math.hypot(seen_from[0], seen_from[1])
     if abs(bearing) > widest - INSIDE or not seen_from[0] * x + seen_from[1] * y > NEAR_BY * often * distance:
         return False
-    met, slant = surface(bearing + yaw, angles, ranges)
+    met, slant = surface(bearing + yaw, angles, ranges, math.inf)
     straight = X_MC[2] + bearing + math.atan(slant)
     side = -seen_from[0] * math.cos(straight) - seen_from[1] * math.sin(straight)
     is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
     if not (is_there and side > SAME_SIDE * often):
         return False
     half = math.atan(HALF_WIDTH / distance)
-    left, right = surface(bearing + half + yaw, angles, ranges)[0], surface(bearing - half + yaw, angles, ranges)[0]
+    left = surface(bearing + half + yaw, angles, ranges, math.inf)[0]
+    right = surface(bearing - half + yaw, angles, ranges, math.inf)[0]
     most = SAME_SURFACE + HALF_WIDTH * abs(slant)
     return abs(left - distance) < most and abs(right - distance) < most

@@ -41,6 +41,8 @@ STEEPEST = 1.75
 # through this many of them on either side.
 SAME_SURFACE = 0.1
 RAYS = 4
+# They bend where the outer half of them is this many standard deviations nearer or farther than the inner half.
+STRAIGHT = 3.0
 
 
 @message
@@ -101,11 +103,13 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
     return replace(before, ids=ids, sums=sums, pairs=before.pairs + int(np.count_nonzero(agree)))
 
 
-def told_by_scan(ranges: ScanRanges) -> tuple[FloatArray, FloatArray]:
-    """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero."""
-    of_tag, weight = ranges.sums[:, :6, 6], ranges.sums[:, 6, 6]
+def told_by_scan(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
+    """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero. worth: the
+    share of what it tells by the data sheet that one frame of many tells."""
+    sums = worth * ranges.sums
+    of_tag, weight = sums[:, :6, 6], sums[:, 6, 6]
     # Each tag's own error eliminated.
-    M = ranges.sums[:, :6, :6].sum(axis=0) - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
+    M = sums[:, :6, :6].sum(axis=0) - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
     J, gradient = M[:5, :5], -M[:5, 5]
     # From what is compared to (parameters, scanner, distance).
     by = np.zeros((5, 8))
@@ -122,19 +126,20 @@ def told_by_scan(ranges: ScanRanges) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[float, float]:
+def surface(bearing: float, angles: FloatArray, ranges: FloatArray, sigma: float) -> tuple[float, float]:
     """Distance (m) to the surface at a bearing (rad), and the tangent of how much farther to the left it is looked at
     straight, the incidence; nan without a surface.
 
-    One over the range is a sinusoid of the angle along a line, straight over a few rays, whose angles are evenly spaced
-    or nearly so: those of a depth image are the closer together the farther from its middle.
+    One over the range is a sinusoid of the angle along a line, straight but for its mean over a few rays, whose angles
+    are evenly spaced or nearly so: those of a depth image are the closer together the farther from its middle. sigma:
+    the scan's, m; rays that bend more than it explains have none.
     """
     first = np.searchsorted(angles, bearing) - RAYS
     if not (first >= 0 and first + 2 * RAYS <= len(ranges)):
         return math.nan, math.nan
     step = (angles[first + 2 * RAYS - 1] - angles[first]) / (2 * RAYS - 1)
     middle = 0.5 * (angles[first + RAYS - 1] + angles[first + RAYS])
-    total, slope = 0.0, 0.0
+    total, slope, bend = 0.0, 0.0, 0.0
     for i in range(first, first + 2 * RAYS):
         if not np.isfinite(ranges[i]) or ranges[i] <= 0.0:
             return math.nan, math.nan
@@ -142,8 +147,13 @@ def surface(bearing: float, angles: FloatArray, ranges: FloatArray) -> tuple[flo
             return math.nan, math.nan
         total += 1.0 / ranges[i]
         slope += (i - first - RAYS + 0.5) / ranges[i]
+        bend += (1.0 if abs(i - first - RAYS + 0.5) > 0.5 * RAYS else -1.0) / ranges[i]
+    # Rays that meet two walls on both sides of a corner.
+    if abs(bend) > STRAIGHT * sigma * math.sqrt(2.0 * RAYS) * (total / (2 * RAYS)) ** 2:
+        return math.nan, math.nan
     slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
-    inverse = total / (2 * RAYS) + slope * (bearing - middle) / step
+    mean = total * math.sin(0.5 * step) / math.sin(RAYS * step)
+    inverse = mean + slope * (bearing - middle) / step
     return 1.0 / inverse, slope / (step * inverse)
 
 
@@ -168,7 +178,7 @@ def _pairs(
     apart, others = np.empty(len(range_), dtype=np.int64), 0
     for k in range(len(range_)):
         at = bearing[k] + mean[1]
-        distance, slant = surface(at, angles, ranges)
+        distance, slant = surface(at, angles, ranges, sigma_scan)
         if not abs(slant) < STEEPEST:
             continue
         row = rows[k]

@@ -33,6 +33,13 @@ class Shared:
         """(8,) standard deviations."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
+    def told(self, information: FloatArray, gradient: FloatArray) -> Shared:
+        """The Gaussian once something else tells of the parameters, too: information (8, 8) and gradient (8,) where
+        they are zero."""
+        before = np.linalg.inv(self.covariance)
+        covariance = np.linalg.inv(before + information)
+        return Shared(covariance @ (before @ self.mean - gradient), 0.5 * (covariance + covariance.T))
+
 
 def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig) -> Shared:
     """The parameters before the first frame: none is expected to be off, as surely as the data sheets say."""

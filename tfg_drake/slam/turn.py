@@ -16,9 +16,9 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message, replace
 from tfg_drake.slam.keyframe import Keyframe, keyframe
-from tfg_drake.slam.noise_correlation import LONG_RUN, NoiseCorrelation, compared, no_correlation
+from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
 from tfg_drake.slam.shared import CLOCK, DISTANCE_SCALE, RANGE_SCALE, SHARED, Shared
 
@@ -47,22 +47,41 @@ ROUNDING = 1e-9
 # Least pivot of a factorisation: rounding may leave none.
 LEAST_PIVOT = 1e-30
 
-# Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,).
-_Problem = tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]
+
+class _Problem(NamedTuple):
+    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,)."""
+
+    clock: FloatArray
+    X_OB: FloatArray
+    node: IntArray
+    ids: IntArray
+    z: FloatArray
 
 
 class _Solution(NamedTuple):
-    """ids (n,) and places (n, 2) of the tags, how often each was seen, poses (t, 3), parameters (7,), information (10 +
-    2n, 10 + 2n) and gradient (10 + 2n,) of (D, parameters, tags), and the squared error of each sighting, in sigmas."""
+    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (7 + 2n,), information (10 + 2n, 10 + 2n) and
+    gradient (10 + 2n,) of (D, parameters, tags), and the squared error of each sighting, in sigmas; and the prior of
+    the parameters, mean (7,) and information (7, 7)."""
 
     ids: IntArray
-    y_AL: FloatArray
     sightings: IntArray
     X_AB: FloatArray
-    parameters: FloatArray
+    border: FloatArray
     information: FloatArray
     gradient: FloatArray
     squared: FloatArray
+    prior: FloatArray
+    of_prior: FloatArray
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(7,)."""
+        return self.border[:PARAMETERS]
+
+    @property
+    def y_AL(self) -> FloatArray:
+        """(n, 2) places of the tags."""
+        return self.border[PARAMETERS:].reshape(-1, 2)
 
 
 @message
@@ -95,31 +114,67 @@ def no_detections(stamp: float) -> TagDetections:
 @message
 class Reduced:
     """A turn or piece reduced. sightings: (n,) detections behind each of its tags. dropped: number of detections left
-    out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in A. correlation: what is known of the noise now."""
+    out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in A. sample: what its noise is learnt from, None where
+    the wheels slipped."""
 
     keyframe: Keyframe
     sightings: IntArray
     dropped: int
     stamps: FloatArray
     X_AB: FloatArray
-    correlation: NoiseCorrelation
+    sample: Sample | None
+
+
+@message
+class Sample:
+    """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB (t, 3),
+    X_AB (t, 3); node, tag (m,) and z (m, 7) of its sightings; border, prior, of_prior: as `solved_chain` has them."""
+
+    clock: FloatArray
+    X_OB: FloatArray
+    X_AB: FloatArray
+    node: IntArray
+    tag: IntArray
+    z: FloatArray
+    border: FloatArray
+    prior: FloatArray
+    of_prior: FloatArray
+
+    def misfit(self, noise: Noise) -> float:
+        """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
+        marginalised out."""
+        before, left = _correlated(noise, self.node, self.tag)
+        z = self.z.copy()
+        z[:, 2:4] *= noise.tags
+        own = float(np.sum(np.log(z[:, 2] * z[:, 3] * (1.0 - left**2))))
+        return own + misfit_of_chain(
+            self.X_AB,
+            np.diff(self.clock),
+            self.X_OB,
+            noise.walks,
+            self.prior,
+            self.of_prior,
+            self.node,
+            self.tag,
+            z,
+            before,
+            left,
+            self.border,
+        )
 
 
 def reduced(
-    noise: FloatArray,
+    noise: Noise,
     begin: TurnFrame,
     frames: tuple[TurnFrame, ...],
     end: TurnFrame,
     shared: Shared,
-    correlation: NoiseCorrelation | None = None,
 ) -> Reduced:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
-    noise: (3,) of `random_walks`. frames: in the order of their stamps, within [begin, end]; begin and end carry no
-    detections. shared: what is known of the parameters, which the solution is linearised at. correlation: what earlier
-    turns say of the noise's from frame to frame; the turn counts its frames by that and by what it says itself. Where
-    the sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are
-    believed.
+    frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. shared: what is known
+    of the parameters, which the solution is linearised at. Where the sightings agree with each other but not with the
+    odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in (*frames, end)]
@@ -133,25 +188,21 @@ def reduced(
     z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
     ids = np.concatenate([detections.ids for detections in seen])
 
-    problem = clock, X_OB, np.repeat(node, counts), ids, z
+    problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z)
     X_AB = se2.between(X_OB[0], X_OB)
-    kept = np.ones(len(ids), dtype=bool)
+    kept, slipped = np.ones(len(ids), dtype=bool), False
     solution = _solved(noise, shared, problem, X_AB, kept)
     if np.any(_outliers(solution)):
         solution, kept = _without_outliers(noise, shared, problem, X_AB)
         unexplained = int(np.sum(~kept))
         if unexplained >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
-            slipping = np.maximum(noise, SLIPPING)
-            other, other_kept = _without_outliers(slipping, shared, (stamps, *problem[1:]), X_AB)
+            slipping = replace(noise, walks=np.maximum(noise.walks, SLIPPING))
+            by_time = problem._replace(clock=stamps)
+            other, other_kept = _without_outliers(slipping, shared, by_time, X_AB)
             left = int(np.sum(~other_kept))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
-                solution, kept = other, other_kept
-                noise, problem = slipping, (stamps, *problem[1:])
-    correlation = _compared(correlation or no_correlation(), solution, problem, kept)
-    if correlation.frame_worth < 1.0:
-        problem = _less_certain(problem, kept, correlation)
-        solution = _solved(noise, shared, problem, solution.X_AB, kept)
+                solution, kept, slipped = other, other_kept, True
     scale = 1.0 + _unit(solution, shared)[1]
     return Reduced(
         keyframe=_keyframe(solution, shared, _on_error(solution, problem, kept)),
@@ -159,8 +210,15 @@ def reduced(
         dropped=int(np.sum(~kept)),
         stamps=stamps,
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
-        correlation=correlation,
+        sample=None if slipped else _sample(problem, solution, kept),
     )
+
+
+def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
+    tag = np.searchsorted(solution.ids, problem.ids[kept])
+    node, z = problem.node[kept], problem.z[kept]
+    border, prior, of_prior = solution.border, solution.prior, solution.of_prior
+    return Sample(problem.clock, problem.X_OB, solution.X_AB, node, tag, z, border, prior, of_prior)
 
 
 def _unit(solution: _Solution, shared: Shared) -> tuple[int, float]:
@@ -198,7 +256,7 @@ def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> Keyf
 def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:
     """(n, 2, 2) derivative of each tag's place on its constant errors of range and bearing: along the line of sight and
     across it, in the mean of the frames that saw it."""
-    tag, X = np.searchsorted(solution.ids, problem[3][kept]), solution.X_AB[problem[2][kept]]
+    tag, X = np.searchsorted(solution.ids, problem.ids[kept]), solution.X_AB[problem.node[kept]]
     d = solution.y_AL[tag] - X[:, :2]
     ahead = d / np.maximum(np.hypot(*d.T), 1e-6)[:, None]
     columns = np.stack([ahead[:, 0], -d[:, 1], ahead[:, 1], d[:, 0]])
@@ -206,37 +264,21 @@ def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatA
     return np.asarray(each.reshape(-1, 2, 2) / np.maximum(solution.sightings, 1)[:, None, None])
 
 
-def _compared(
-    correlation: NoiseCorrelation, solution: _Solution, problem: _Problem, kept: BoolArray
-) -> NoiseCorrelation:
-    """The noise's correlation after the sightings kept (m,) of a solution."""
-    if np.max(solution.sightings, initial=0) < LONG_RUN:
-        return correlation
-    _, _, node, ids, z = problem
-    tag, node, z = np.searchsorted(solution.ids, ids[kept]), node[kept], z[kept]
-    yaw, ahead, aside, clock = solution.parameters[3:]
-    X, earlier = solution.X_AB[node], clock - z[:, 6]
-    lever = np.column_stack([ahead - earlier * z[:, 4], np.full(len(z), aside)])
-    d = solution.y_AL[tag] - se2.compose(X, np.column_stack([lever, np.zeros(len(z))]))[:, :2]
-    bearing = se2.wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - X[:, 2] + earlier * z[:, 5] - yaw - z[:, 0])
-    errors = np.stack([bearing / z[:, 2], (np.hypot(d[:, 0], d[:, 1]) - z[:, 1]) / z[:, 3]], axis=1)
-    return compared(correlation, errors, tag, node)
+def _correlated(noise: Noise, node: IntArray, tag: IntArray) -> tuple[IntArray, FloatArray]:
+    """Which sighting (m,) of the same tag each is correlated with, the one before, or -1, and by how much."""
+    before, left = np.full(len(node), -1), np.zeros(len(node))
+    if noise.correlation != 0.0:
+        order = np.lexsort([node, tag])
+        again = np.flatnonzero(np.diff(tag[order]) == 0)
+        after = order[again + 1]
+        before[after] = order[again]
+        left[after] = noise.correlation ** (node[after] - node[order[again]])
+    return before, left
 
 
-def _less_certain(problem: _Problem, kept: BoolArray, correlation: NoiseCorrelation) -> _Problem:
-    """The problem with the standard deviations that make those frames in a row that are kept (m,) count as much as they
-    tell."""
-    clock, X_OB, node, ids, z = problem
-    z = z.copy()
-    z[kept, 2:4] *= correlation.worth(ids[kept], node[kept])[:, None] ** -0.5
-    return clock, X_OB, node, ids, z
-
-
-def _without_outliers(
-    noise: FloatArray, shared: Shared, problem: _Problem, X_AB: FloatArray
-) -> tuple[_Solution, BoolArray]:
+def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
     """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    robust = _solved(noise, shared, problem, X_AB, np.ones(len(problem[3]), dtype=bool), HUBER_SIGMAS)
+    robust = _solved(noise, shared, problem, X_AB, np.ones(len(problem.ids), dtype=bool), HUBER_SIGMAS)
     kept = ~_outliers(robust)
     return _solved(noise, shared, problem, robust.X_AB, kept), kept
 
@@ -247,7 +289,7 @@ def _outliers(solution: _Solution) -> BoolArray:
 
 
 def _solved(
-    noise: FloatArray,
+    noise: Noise,
     shared: Shared,
     problem: _Problem,
     X_AB: FloatArray,
@@ -255,36 +297,40 @@ def _solved(
     huber: float = math.inf,
 ) -> _Solution:
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
-    sigmas."""
-    clock, X_OB, node, ids, z = problem
-    node, z, X_AB = node[kept], z[kept], X_AB.copy()
-    ids, tag, sightings = np.unique(ids[kept], return_inverse=True, return_counts=True)
+    sigmas, for which all noise is white."""
+    node, X_AB = problem.node[kept], X_AB.copy()
+    ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
+    z = problem.z[kept]
+    z[:, 2:4] *= noise.tags
+    before, left = _correlated(replace(noise, correlation=0.0) if math.isfinite(huber) else noise, node, tag)
     on = _by_shared(shared.mean, has_tags=bool(len(ids)))
     prior = shared.mean[:PARAMETERS].copy()
     prior[0] = (1.0 + prior[0]) / (1.0 + shared.mean[RANGE_SCALE]) - 1.0 if len(ids) else 0.0
     covariance = on @ shared.covariance @ on.T
     if not len(ids):
         covariance[0, 0] = 1.0 / HELD
+    of_prior = np.asarray(np.linalg.inv(covariance), dtype=float)
     border = np.append(prior, np.empty(2 * len(ids)))
     angle = X_AB[node, 2] + z[:, 0]
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
         border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     information, gradient, squared = solved_chain(
         X_AB,
-        np.diff(clock),
-        X_OB,
-        noise,
+        np.diff(problem.clock),
+        problem.X_OB,
+        noise.walks,
         prior,
-        np.asarray(np.linalg.inv(covariance), dtype=float),
+        of_prior,
         node,
         tag,
         z,
+        before,
+        left,
         border,
         huber,
     )
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
-    y_AL, parameters = border[PARAMETERS:].reshape(-1, 2), border[:PARAMETERS]
-    return _Solution(ids, y_AL, sightings, X_AB, parameters, information, gradient, squared)
+    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior)
 
 
 def _nodes(
@@ -311,43 +357,41 @@ def solved_chain(
     X: FloatArray,
     dt: FloatArray,
     X_OB: FloatArray,
-    noise: FloatArray,
+    walks: FloatArray,
     prior: FloatArray,
-    information: FloatArray,
+    of_prior: FloatArray,
     node: IntArray,
     tag: IntArray,
     z: FloatArray,
+    before: IntArray,
+    left: FloatArray,
     border: FloatArray,
     huber: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Bring the poses X (t, 3), the first of which is fixed, and the border (7 + 2n,), parameters and tags, to the
     least squares, in place.
 
-    dt: (t - 1,) s between the poses. X_OB: (t, 3) odometry. prior, information: (7,), (7, 7) of the parameters. node,
-    tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range, their sigmas, the robot's twist then and the
-    clock's offset that its stamp was taken with, s. huber: threshold of a robust solution, in sigmas.
+    dt: (t - 1,) s between the poses. X_OB: (t, 3) odometry. walks: (3,) of `random_walks`. prior, of_prior: (7,) and
+    information (7, 7) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range,
+    their sigmas, the robot's twist then and the clock's offset that its stamp was taken with, s. before: (m,) the
+    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much. huber: threshold of a
+    robust solution, in sigmas, for which there must be none.
 
     Returns the information (10 + 2n, 10 + 2n) of the frames alone on (D, parameters, tags), the gradient (10 + 2n,)
     there, and the squared errors (m,) of the sightings, in sigmas.
     """
-    poses, size = len(X), 3 + len(border)
-    increments, covariance = np.empty((poses - 1, 3)), np.empty((poses - 1, 3, 3))
-    for i in range(poses - 1):
-        increments[i] = arc(X_OB[i], X_OB[i + 1])
-        covariance[i] = predict_increment(increments[i], dt[i], np.zeros(3), noise)[2]
-    # Three rows a pose of `chain`: columns for itself, the next pose, the border, the gradient; the upper triangle
-    # counts. `rest`: D and the border.
-    chain, rest, squared = np.empty((poses, 3, 7 + size - 3)), np.empty((size, size + 1)), np.empty(len(node))
-    step_X, step = np.zeros((poses, 3)), np.zeros(size)
+    size, (increments, covariance) = 3 + len(border), _motions(X_OB, dt, walks)
+    chain, rest = _normal_equations(len(X), size)
+    squared, step_X, step = np.empty(len(node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
         chain.fill(0.0)
         rest.fill(0.0)
-        new_cost = _add_odometry(X, border, increments, dt, noise, covariance, chain, rest)
-        new_cost += _add_sightings(X, border, node, tag, z, huber, chain, rest, squared)
+        new_cost = _add_odometry(X, border, increments, dt, walks, covariance, chain, rest)
+        new_cost += _add_sightings(X, border, node, tag, z, before, left, huber, chain, rest, squared)
         for a in range(PARAMETERS):
             for b in range(PARAMETERS):
-                new_cost += 0.5 * information[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
+                new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
         if 0 < attempt < MOST_STEPS - 1 and not last and not new_cost <= cost + ROUNDING * (1.0 + cost):
             share *= 0.5
             _move(X, border, step_X, step, -share)
@@ -357,10 +401,7 @@ def solved_chain(
             break
         cost, share = new_cost, 1.0
         with_prior = rest.copy()
-        for a in range(PARAMETERS):
-            for b in range(PARAMETERS):
-                with_prior[3 + a, 3 + b] += information[a, b]
-                with_prior[3 + a, -1] += information[a, b] * (border[b] - prior[b])
+        _add_prior(with_prior, border, prior, of_prior)
         _factor(with_prior)
         last = _back_substitute(chain, with_prior, step_X, step) < LAST_STEP
         _move(X, border, step_X, step, share)
@@ -369,6 +410,68 @@ def solved_chain(
         for b in range(a, size):
             whole[a, b], whole[b, a] = rest[a, b], rest[a, b]
     return whole, rest[:, -1].copy(), squared
+
+
+@njit(cache=True)
+def misfit_of_chain(
+    X: FloatArray,
+    dt: FloatArray,
+    X_OB: FloatArray,
+    walks: FloatArray,
+    prior: FloatArray,
+    of_prior: FloatArray,
+    node: IntArray,
+    tag: IntArray,
+    z: FloatArray,
+    before: IntArray,
+    left: FloatArray,
+    border: FloatArray,
+) -> float:
+    """The negative logarithm of the likelihood of odometry and sightings, linearised at X and border, of which it is
+    the marginal; without what only the sightings' own deviations say. Arguments: as of `solved_chain`."""
+    increments, covariance = _motions(X_OB, dt, walks)
+    chain, rest = _normal_equations(len(X), 3 + len(border))
+    misfit = _add_odometry(X, border, increments, dt, walks, covariance, chain, rest)
+    for one in covariance:
+        misfit += 0.5 * math.log(np.linalg.det(one))
+    misfit += _add_sightings(X, border, node, tag, z, before, left, math.inf, chain, rest, np.empty(len(node)))
+    for a in range(PARAMETERS):
+        for b in range(PARAMETERS):
+            misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
+    _add_prior(rest, border, prior, of_prior)
+    _eliminate(chain, rest)
+    _factor(rest)
+    for i in range(1, len(X) - 1):
+        for a in range(3):
+            misfit += math.log(chain[i, a, a]) - 0.5 * chain[i, a, -1] ** 2
+    for a in range(len(rest)):
+        misfit += math.log(rest[a, a]) - 0.5 * rest[a, -1] ** 2
+    return misfit
+
+
+@njit(cache=True)
+def _motions(X_OB: FloatArray, dt: FloatArray, walks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Increments (t - 1, 3) of `arc` between odometry's poses (t, 3), and the covariance (t - 1, 3, 3) of each."""
+    increments, covariance = np.empty((len(dt), 3)), np.empty((len(dt), 3, 3))
+    for i in range(len(dt)):
+        increments[i] = arc(X_OB[i], X_OB[i + 1])
+        covariance[i] = predict_increment(increments[i], dt[i], np.zeros(3), walks)[2]
+    return increments, covariance
+
+
+@njit(cache=True)
+def _normal_equations(poses: int, size: int) -> tuple[FloatArray, FloatArray]:
+    """None yet: three rows a pose of the chain, with columns for itself, the next pose, the border and the gradient, of
+    which the upper triangle counts; and the rest, D and the border."""
+    return np.zeros((poses, 3, 7 + size - 3)), np.zeros((size, size + 1))
+
+
+@njit(cache=True)
+def _add_prior(rest: FloatArray, border: FloatArray, prior: FloatArray, of_prior: FloatArray) -> None:
+    for a in range(PARAMETERS):
+        for b in range(PARAMETERS):
+            rest[3 + a, 3 + b] += of_prior[a, b]
+            rest[3 + a, -1] += of_prior[a, b] * (border[b] - prior[b])
 
 
 @njit(cache=True)
@@ -447,18 +550,25 @@ def _add_sightings(
     node: IntArray,
     tag: IntArray,
     z: FloatArray,
+    before: IntArray,
+    left: FloatArray,
     huber: float,
     chain: FloatArray,
     rest: FloatArray,
     squared: FloatArray,
 ) -> float:
-    """Add the normal equations of the sightings and set their squared errors (m,), in sigmas; returns the cost."""
+    """Add the normal equations of the sightings and set their squared errors (m,), in sigmas; returns the cost.
+
+    A sighting's noise less what is left in it of the noise before is white. The pose of the sighting before is taken to
+    be off as the one before this is: they are the same, unless the tag was not seen for some frames.
+    """
     cost = 0.0
     yaw, ahead, aside, clock = border[3], border[4], border[5], border[6]
-    # Jacobians on pose, camera and tag, and the error, of bearing and range.
-    rows = np.zeros((2, 10))
+    # Jacobians on pose, camera and tag, and the error, of bearing and range; and with the pose before in front, those of
+    # what is not yet told by the sighting before.
+    every, fresh, last = np.zeros((len(node), 2, 10)), np.zeros((2, 13)), 12
     for j in range(len(node)):
-        i, k = node[j], PARAMETERS + 2 * tag[j]
+        i, k, rows = node[j], PARAMETERS + 2 * tag[j], every[j]
         # Where the camera was when the frame was taken, if the clock is otherwise than it was taken to be.
         earlier, speed, rate = clock - z[j, 6], z[j, 4], z[j, 5]
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
@@ -474,9 +584,7 @@ def _add_sightings(
         if sigmas > huber:
             # Farther off than the threshold it pulls with a constant force.
             weight = math.sqrt(huber / sigmas)
-            cost += huber * (sigmas - 0.5 * huber)
-        else:
-            cost += 0.5 * squared[j]
+            cost += 0.5 * huber * (sigmas - huber)
         # By the place of the tag seen from the camera, (dx, dy).
         u_x, u_y = -weight / (z[j, 2] * r2) * dy, weight / (z[j, 2] * r2) * dx
         v_x, v_y = weight / (z[j, 3] * r) * dx, weight / (z[j, 3] * r) * dy
@@ -489,27 +597,41 @@ def _add_sightings(
         rows[0, 6], rows[1, 6] = one * rate - speed * rows[0, 4], -speed * rows[1, 4]
         rows[0, 7], rows[0, 8], rows[1, 7], rows[1, 8] = u_x, u_y, v_x, v_y
         rows[0, 9], rows[1, 9] = weight * bearing, weight * distance
+        fresh[:, :3], fresh[:, 3:] = 0.0, rows
+        if before[j] >= 0:
+            rows_before, whitener = every[before[j]], 1.0 / math.sqrt(1.0 - left[j] * left[j])
+            fresh[:, :3] = -left[j] * whitener * rows_before[:, :3]
+            fresh[:, 3:6] = whitener * rows[:, :3]
+            fresh[:, 6:] = whitener * (rows[:, 3:] - left[j] * rows_before[:, 3:])
+        cost += 0.5 * _dot(fresh, last, last)
         # D's rows are the rest's first; the border's columns follow D's there, and itself and the next in the chain.
         of_pose, begin = (rest[:3], 3) if i == len(X) - 1 else (chain[i], 6)
         for a in range(3):
             for b in range(3):
-                of_pose[a, b] += _dot(rows, a, b)
-            for b in range(4):
-                of_pose[a, begin + 3 + b] += _dot(rows, a, 3 + b)
-            for b in range(2):
-                of_pose[a, begin + k + b] += _dot(rows, a, 7 + b)
-            of_pose[a, -1] += _dot(rows, a, 9)
+                of_pose[a, b] += _dot(fresh, 3 + a, 3 + b)
+            _add_border(of_pose[a], begin, k, fresh, 3 + a)
+        for a in range(3 if before[j] >= 0 else 0):
+            for b in range(3):
+                chain[i - 1, a, b] += _dot(fresh, a, b)
+                chain[i - 1, a, 3 + b] += _dot(fresh, a, 3 + b)
+            _add_border(chain[i - 1, a], 6, k, fresh, a)
         for a in range(4):
-            for b in range(4):
-                rest[CAMERA + a, CAMERA + b] += _dot(rows, 3 + a, 3 + b)
-            for b in range(2):
-                rest[CAMERA + a, 3 + k + b] += _dot(rows, 3 + a, 7 + b)
-            rest[CAMERA + a, -1] += _dot(rows, 3 + a, 9)
+            _add_border(rest[CAMERA + a], 3, k, fresh, 6 + a)
         for a in range(2):
             for b in range(2):
-                rest[3 + k + a, 3 + k + b] += _dot(rows, 7 + a, 7 + b)
-            rest[3 + k + a, -1] += _dot(rows, 7 + a, 9)
+                rest[3 + k + a, 3 + k + b] += _dot(fresh, 10 + a, 10 + b)
+            rest[3 + k + a, -1] += _dot(fresh, 10 + a, last)
     return cost
+
+
+@njit(cache=True)
+def _add_border(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
+    """Add a column's products with camera, tag and error, whose border begins in the row at `begin`."""
+    for b in range(4):
+        row[begin + 3 + b] += _dot(rows, column, 6 + b)
+    for b in range(2):
+        row[begin + k + b] += _dot(rows, column, 10 + b)
+    row[-1] += _dot(rows, column, 12)
 
 
 @njit(cache=True)

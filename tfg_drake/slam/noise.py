@@ -1,0 +1,143 @@
+"""The noise of odometry and tags, learnt while the mission goes on.
+
+Data sheets say how far wheels and gyro wander and how far a sighting is off; floors, blur and detectors say otherwise.
+Levels and correlation are those that make the frames of the newest turns and pieces most likely, each with its poses,
+tags and parameters marginalised out (restricted maximum likelihood, Harville 1977), beside a prior round the data
+sheet: all together, for a gyro that wanders and noise that goes on from frame to frame look alike to either alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, TagDetections, message, replace
+
+# What is learnt: logarithms of the deviations of distance, heading and tags over those told, and Fisher's z of the
+# correlation of a tag's noise from frame to frame; prior deviations, and how far they may go.
+DISTANCE, HEADING, TAGS, CORRELATION = range(4)
+PRIOR = np.array([0.7, 0.7, 0.3, 0.7])
+FARTHEST = np.array([1.6, 1.6, 1.6, 2.3])
+# Samples kept. The noise is learnt anew when there have been so many times more.
+MOST_SAMPLES = 32
+GROWTH = 3
+# Steps of one learning at most, the longest, and the share of a deviation that is small; step of the differences.
+MOST_STEPS = 6
+LONGEST_STEP = 1.0
+SMALL = 0.3
+DIFFERENCE = 0.01
+
+
+@message
+class Noise:
+    """walks: (3,) of `random_walks`. tags: deviations of sightings are so many times those told. correlation: of a
+    tag's noise in one frame with that in the frame before."""
+
+    walks: FloatArray
+    tags: float = 1.0
+    correlation: float = 0.0
+
+    @property
+    def frame_worth(self) -> float:
+        """What share of an independent frame one of many in a row tells, after the first."""
+        return (1.0 - self.correlation) / (1.0 + self.correlation)
+
+    @property
+    def worth(self) -> float:
+        """What share of what it tells by the data sheet one frame of many in a row tells."""
+        return self.frame_worth / self.tags**2
+
+    def in_a_row(self, detections: TagDetections) -> TagDetections:
+        """One of many frames in a row, with the deviations that make it count as much as it tells."""
+        share = self.worth**-0.5
+        if share == 1.0 or not len(detections.ids):
+            return detections
+        return replace(
+            detections, sigma_range=share * detections.sigma_range, sigma_bearing=share * detections.sigma_bearing
+        )
+
+
+class Sample(Protocol):
+    """Frames of one turn or piece."""
+
+    def misfit(self, noise: Noise) -> float:
+        """The negative logarithm of their likelihood, but for a constant."""
+
+
+@message
+class LearntNoise:
+    """The noise as it is known, now: the most likely. told: (3,) walks of the data sheet. level, sigma: (4,) of what is learnt and its
+    standard deviations. samples: the newest, seen: how many there have been, due: how many there are when it is learnt
+    next."""
+
+    now: Noise
+    told: FloatArray
+    level: FloatArray
+    sigma: FloatArray
+    samples: tuple[Sample, ...] = ()
+    seen: int = 0
+    due: int = 1
+
+    @property
+    def values(self) -> tuple[FloatArray, FloatArray]:
+        """(4,) the random walks of distance and heading, the tags' deviations over those told and the correlation, and
+        their standard deviations."""
+        values = np.array([*self.now.walks[:2], self.now.tags, self.now.correlation])
+        slopes = np.append(values[:3], 1.0 - values[3] ** 2)
+        return values, slopes * self.sigma
+
+    def with_sample(self, sample: Sample | None) -> LearntNoise:
+        """With one sample more, not yet learnt from."""
+        if sample is None:
+            return self
+        return replace(self, samples=(*self.samples, sample)[-MOST_SAMPLES:], seen=self.seen + 1)
+
+    def learnt(self) -> LearntNoise:
+        """By the samples at hand, where it is time."""
+        if self.seen < self.due:
+            return self
+        level, cost = self.level, self._cost(self.level)
+        for _ in range(MOST_STEPS):
+            gradient, curvature = self._differences(level, cost)
+            sigma = np.sqrt(np.diag(np.linalg.inv(curvature)))
+            step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
+            there = np.clip(level + step, -FARTHEST, FARTHEST)
+            while (lower := self._cost(there)) > cost and np.max(np.abs(there - level) / sigma) > SMALL:
+                there = 0.5 * (level + there)
+            small = np.max(np.abs(there - level) / sigma) <= SMALL
+            if lower <= cost:
+                level, cost = there, lower
+            if small:
+                break
+        return replace(self, now=_at(self.told, level), level=level, sigma=sigma, due=GROWTH * self.seen)
+
+    def _cost(self, level: FloatArray) -> float:
+        noise = _at(self.told, level)
+        return sum(one.misfit(noise) for one in self.samples) + 0.5 * float(np.sum((level / PRIOR) ** 2))
+
+    def _differences(self, level: FloatArray, cost: float) -> tuple[FloatArray, FloatArray]:
+        """Gradient (4,) and Hessian (4, 4) of the cost. Where that is not definite, its eigenvalues' sizes are
+        taken, and no direction is known worse than by the prior."""
+        n, step = len(level), DIFFERENCE * np.eye(len(level))
+        ahead = np.array([self._cost(level + one) for one in step])
+        back = np.array([self._cost(level - one) for one in step])
+        curvature = np.diag(ahead + back - 2.0 * cost)
+        for i in range(n):
+            for j in range(i):
+                both = self._cost(level + step[i] + step[j])
+                curvature[i, j] = curvature[j, i] = both - ahead[i] - ahead[j] + cost
+        value, direction = np.linalg.eigh(PRIOR[:, None] * curvature / DIFFERENCE**2 * PRIOR)
+        curvature = (direction * np.maximum(np.abs(value), 1.0)) @ direction.T / np.outer(PRIOR, PRIOR)
+        return (ahead - back) / (2.0 * DIFFERENCE), curvature
+
+
+def as_told(walks: FloatArray) -> LearntNoise:
+    """As the data sheet says, walks (3,), before the first frame."""
+    return LearntNoise(Noise(walks), walks, np.zeros(len(PRIOR)), PRIOR)
+
+
+def _at(told: FloatArray, level: FloatArray) -> Noise:
+    walks = told * np.array([math.exp(level[DISTANCE]), math.exp(level[HEADING]), 1.0])
+    return Noise(walks, math.exp(level[TAGS]), math.tanh(level[CORRELATION]))
