@@ -16,11 +16,13 @@ from scipy.sparse.linalg import splu
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections
+from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, random_walks
 from tfg_drake.slam.shared import SHARED, Shared
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
-NOISE = random_walks(OdometryConfig())
+WALKS = random_walks(OdometryConfig())
+NOISE = Noise(WALKS)
 # Standard deviations of the parameters, in their order.
 SIGMA = np.array([0.015, 0.001, 0.01, 0.0175, 0.005, 0.005, 0.05, 0.01])
 PRIOR = Shared(np.zeros(SHARED), np.diag(SIGMA**2))
@@ -50,7 +52,7 @@ class Drive:
         self.tags, self.shared, self.noise = tags, shared, noise
         self.rng = np.random.default_rng(seed)
         self.X_WB, self.X_OB, self.time = np.zeros(3), np.zeros(3), 0.0
-        self.begins = []
+        self.begins, self.walks = [], WALKS
 
     def instant(self):
         return TurnFrame(self.time, self.time, self.X_OB.copy(), no_detections(self.time))
@@ -75,7 +77,7 @@ class Drive:
         chord = speed * np.sinc(0.5 * turn / np.pi)
         motion = np.array([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])
         # What odometry says is the motion less the noise of `predict_increment`, and its own errors of scale and bias.
-        covariance = predict_increment(np.array([chord, 0.0, turn]), PERIOD, np.zeros(3), NOISE)[2]
+        covariance = predict_increment(np.array([chord, 0.0, turn]), PERIOD, np.zeros(3), self.walks)[2]
         x, y, turned = motion - self.noise * np.linalg.cholesky(covariance) @ self.rng.normal(size=3)
         distance_scale, bias, gyro_scale = self.shared[:3]
         said = (1.0 + gyro_scale) * turned + bias * PERIOD
@@ -99,7 +101,8 @@ class Drive:
 @dataclasses.dataclass
 class Dense:
     """The optimum. ids (n,), p_ML (n, 2), X_MN (k + 1, 3) between k pieces, shared (8,), covariance: of (p_ML row by
-    row, X_MN[1:], shared), cost: half the squared errors of the frames, in sigmas, there."""
+    row, X_MN[1:], shared), cost: half the squared errors of the frames, in sigmas, there, and log_information: the
+    logarithm of the determinant of all unknowns' information."""
 
     ids: np.ndarray
     p_ML: np.ndarray
@@ -107,6 +110,7 @@ class Dense:
     shared: np.ndarray
     covariance: np.ndarray
     cost: float
+    log_information: float
 
     @property
     def newest(self):
@@ -168,7 +172,7 @@ def _rows(errors, arguments, columns):
     return value.ravel(), np.hstack(entries)
 
 
-def dense(pieces, prior=PRIOR, noise=NOISE):
+def dense(pieces, prior=PRIOR, walks=WALKS):
     """The least squares of all frames of pieces that follow each other."""
     instants, last, X, nodes = [pieces[0][0]], [], [np.zeros(3)], []
     for _, frames, end in pieces:
@@ -181,7 +185,7 @@ def dense(pieces, prior=PRIOR, noise=NOISE):
     X = np.array(X)
     increments = np.array([arc(a.X_OB, b.X_OB) for a, b in itertools.pairwise(instants)])
     dt = np.array([b.clock - a.clock for a, b in itertools.pairwise(instants)])
-    covariances = [predict_increment(u, t, np.zeros(3), noise)[2] for u, t in zip(increments, dt, strict=True)]
+    covariances = [predict_increment(u, t, np.zeros(3), walks)[2] for u, t in zip(increments, dt, strict=True)]
     whitener = np.array([np.linalg.inv(np.linalg.cholesky(one)) for one in covariances])
     seen = [(node, frame.detections, frame.twist) for node, frame in last]
     counts = [len(detections.ids) for _, detections, _ in seen]
@@ -222,4 +226,6 @@ def dense(pieces, prior=PRIOR, noise=NOISE):
     at = np.concatenate([*at, shared_at + np.arange(SHARED)])
     unit = np.zeros((size, len(at)))
     unit[at, np.arange(len(at))] = 1.0
-    return Dense(ids, p, X[[0, *nodes]], shared, factor.solve(unit)[at], 0.5 * float(error @ error))
+    cost = 0.5 * float(error @ error)
+    log_information = float(np.sum(np.log(np.abs(factor.U.diagonal()))))
+    return Dense(ids, p, X[[0, *nodes]], shared, factor.solve(unit)[at], cost, log_information)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, measured
+from tests.slam.oracle import NOISE, PRIOR, SIGMA, WALKS, Drive, measured
 from tests.slam.rings import NOTHING
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections, replace
@@ -86,11 +86,11 @@ class Joint:
         shared = self.shared
 
         def moved(x):
-            motion = predict_increment(increment, dt, x[shared : shared + 3], NOISE)[0]
+            motion = predict_increment(increment, dt, x[shared : shared + 3], WALKS)[0]
             return np.concatenate([se2.compose(x[:3], motion), x[3:]])
 
         F = differences(moved, self.x)
-        Q = predict_increment(increment, dt, self.x[shared : shared + 3], NOISE)[2]
+        Q = predict_increment(increment, dt, self.x[shared : shared + 3], WALKS)[2]
         R = np.eye(3)
         R[:2, :2] = se2.rotation(self.x[2])
         self.x, self.P = moved(self.x), F @ self.P @ F.T
@@ -160,7 +160,7 @@ def differences(function, x):
 
 def look(localizer, frame):
     """One frame without motion."""
-    return step_localizer(localizer, NOISE, np.zeros(3), 0.0, frame, STANDING, 0.0)[0]
+    return step_localizer(localizer, WALKS, np.zeros(3), 0.0, frame, STANDING, 0.0)[0]
 
 
 def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
@@ -175,7 +175,7 @@ def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
         frame = sight(ids, there, X_MB, stamp, rng, truth, twist)
         joint.predict(increment, 0.1)
         joint.look(frame, twist, offset)
-        localizer, known, ignored = step_localizer(localizer, NOISE, increment, 0.1, frame, twist, offset)
+        localizer, known, ignored = step_localizer(localizer, WALKS, increment, 0.1, frame, twist, offset)
         assert (known, ignored) == (5 if stamp else 3, 0)
         size = 3 + 2 * len(joint.local)
         np.testing.assert_allclose(localizer.mean, joint.x[:size], atol=1e-8)
@@ -185,7 +185,7 @@ def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
             joint.P[:size, :size] / np.outer(deviation, deviation),
             atol=1e-6,
         )
-        (X, P), (expected, of_joint) = localized_pose(localizer, NOISE, np.zeros(3), 0.0), joint.pose()
+        (X, P), (expected, of_joint) = localized_pose(localizer, WALKS, np.zeros(3), 0.0), joint.pose()
         np.testing.assert_allclose(X, expected, atol=1e-8)
         np.testing.assert_allclose(P, of_joint, atol=1e-6 * np.abs(of_joint).max())
         # Landmarks and parameters are as they were.
@@ -193,7 +193,7 @@ def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
     assert sorted(localizer.seen) == [0, 3, 5]
     # And a step of odometry beyond.
     joint.predict(increment, 0.1)
-    X, P = localized_pose(localizer, NOISE, increment, 0.1)
+    X, P = localized_pose(localizer, WALKS, increment, 0.1)
     np.testing.assert_allclose(X, joint.pose()[0], atol=1e-8)
     np.testing.assert_allclose(P, joint.pose()[1], atol=1e-6 * np.abs(joint.pose()[1]).max())
 
@@ -202,12 +202,12 @@ def test_what_it_considers_it_never_learns():
     """However often it sees tags, the pose remains as uncertain as these and the parameters make it."""
     estimate, points, X_MB = make_map(4, 8, of_shared=SIGMA)
     frame = sight(np.arange(4), points, X_MB, 0.0)
-    localizer = restart_localizer(estimate, NOISE, X_MB, frame)
+    localizer = restart_localizer(estimate, WALKS, X_MB, frame)
     for k in range(300):
-        localizer, _, _ = step_localizer(localizer, NOISE, np.zeros(3), 0.0, frame, STANDING, 0.0)
+        localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.0, frame, STANDING, 0.0)
         if k == 100:
-            after = localized_pose(localizer, NOISE, np.zeros(3), 0.0)[1]
-    covariance = localized_pose(localizer, NOISE, np.zeros(3), 0.0)[1]
+            after = localized_pose(localizer, WALKS, np.zeros(3), 0.0)[1]
+    covariance = localized_pose(localizer, WALKS, np.zeros(3), 0.0)[1]
     np.testing.assert_allclose(np.diag(covariance), np.diag(after), rtol=0.02)
     assert covariance[2, 2] > 0.5 * SIGMA[3] ** 2
     np.testing.assert_array_equal(localizer.considered[:SHARED, :SHARED], estimate.with_shared[-SHARED:])
@@ -234,8 +234,8 @@ def test_consistent_over_many_sightings_of_the_same_map(nees):
         localizer = start_localizer(estimate)
         for i in range(60):
             frame = sight(np.arange(10), points, X_MB, 0.1 * i, rng)
-            localizer, _, _ = step_localizer(localizer, NOISE, np.zeros(3), 0.1, frame, STANDING, 0.0)
-        pose, covariance = localized_pose(localizer, NOISE, np.zeros(3), 0.0)
+            localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, frame, STANDING, 0.0)
+        pose, covariance = localized_pose(localizer, WALKS, np.zeros(3), 0.0)
         error = pose - X_MB
         error[2] = se2.wrap_angle(error[2])
         values.append(nees(error, covariance))
@@ -267,7 +267,7 @@ def test_consistent_where_the_whole_map_is_uncertain_and_far_from_its_origin(nee
             X_MB = se2.compose(X_MB, predict_increment(increment, 0.1, np.zeros(3), np.zeros(3))[0])
             frame = sight(np.arange(12), points, X_MB, 0.1 * i, rng)
             noisy = increment + [0.0045, 0.0, 0.0016] * rng.normal(size=3)
-            localizer, _, _ = step_localizer(localizer, NOISE, noisy, 0.1, frame, STANDING, 0.0)
+            localizer, _, _ = step_localizer(localizer, WALKS, noisy, 0.1, frame, STANDING, 0.0)
         # Turned as one, far from the origin, no error in M is Gaussian; what the filter holds in D is.
         error = localizer.mean[:3] - se2.between(X_WD, X_MB)
         error[2] = se2.wrap_angle(error[2])
@@ -293,7 +293,7 @@ def test_of_many_new_tags_the_filter_keeps_the_latest():
     localizer = start_localizer(estimate)
     for k, tag in enumerate(range(50, 100)):
         frame = sight([tag], np.array([[2.0, tag - 75.0]]), X_MB, 0.1 * k)
-        localizer, _, _ = step_localizer(localizer, NOISE, np.zeros(3), 0.1, frame, STANDING, 0.0)
+        localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, frame, STANDING, 0.0)
     np.testing.assert_array_equal(localizer.local_ids, np.arange(100 - MOST_LOCAL, 100))
     p_MU = se2.transform(localizer.map.X_MD, localizer.mean[3:].reshape(-1, 2))
     np.testing.assert_allclose(p_MU[:, 1], np.arange(100 - MOST_LOCAL, 100) - 75.0, atol=0.5)
@@ -302,10 +302,10 @@ def test_of_many_new_tags_the_filter_keeps_the_latest():
 def test_before_the_first_map_it_stands_at_the_origin():
     sheet = 0.0 * SIGMA + [0.015, 0.001, 0.01, 0, 0, 0, 0, 0]
     localizer = start_localizer(empty_map(exactly_known(sheet)))
-    pose, covariance = localized_pose(localizer, NOISE, np.zeros(3), 0.0)
+    pose, covariance = localized_pose(localizer, WALKS, np.zeros(3), 0.0)
     np.testing.assert_array_equal(pose, np.zeros(3))
     np.testing.assert_array_equal(covariance, np.zeros((3, 3)))
-    mean, covariance = localized_pose(localizer, NOISE, np.array([1.0, 0.0, 0.0]), 2.0)
+    mean, covariance = localized_pose(localizer, WALKS, np.array([1.0, 0.0, 0.0]), 2.0)
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0])
     assert np.sqrt(covariance[0, 0]) == pytest.approx(np.hypot(0.015, 0.02), rel=0.02)
 
@@ -328,7 +328,7 @@ def test_nobody_looks_for_what_one_frame_saw():
         localizer = start_localizer(estimate)
         for stamp, place in enumerate(places):
             seen = sight([50], place[None], X_MB, 0.1 * stamp)
-            localizer, _, _ = step_localizer(localizer, NOISE, np.zeros(3), 0.1, seen, STANDING, 0.0)
+            localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, seen, STANDING, 0.0)
         ids, p_MU = new_tags(localizer, none)
         return [] if not len(ids) else [there, elsewhere][int(np.hypot(*(p_MU[0] - there)) > 1.5)].tolist()
 
@@ -343,7 +343,7 @@ def test_a_pose_found_by_geometry_is_as_uncertain_as_the_tags_it_was_found_from(
     estimate, points, X_MB = make_map(8, 9)
     frame = sight(np.arange(8), points, X_MB, 0.0, np.random.default_rng(1))
     off = se2.compose(X_MB, np.array([0.1, -0.1, 0.05]))
-    X, P = localized_pose(restart_localizer(estimate, NOISE, off, frame), NOISE, np.zeros(3), 0.0)
+    X, P = localized_pose(restart_localizer(estimate, WALKS, off, frame), WALKS, np.zeros(3), 0.0)
     assert np.abs(X - X_MB).max() < 0.15
     assert (np.sqrt(np.diag(P)) < [0.1, 0.1, 0.05]).all()
 
@@ -362,11 +362,11 @@ def test_consistent_on_drives_with_all_parameters_off(nees):
                 for frame in pieces[1]:
                     increment, dt = arc(last.X_OB, frame.X_OB), frame.clock - last.clock
                     localizer, _, ignored = step_localizer(
-                        localizer, NOISE, increment, dt, frame.detections, frame.twist, 0.0
+                        localizer, WALKS, increment, dt, frame.detections, frame.twist, 0.0
                     )
                     assert ignored == 0
                     last = frame
-                X, P = localized_pose(localizer, NOISE, np.zeros(3), 0.0)
+                X, P = localized_pose(localizer, WALKS, np.zeros(3), 0.0)
                 error = X - robot.X_MB
                 error[2] = se2.wrap_angle(error[2])
                 values.append(nees(error, P))

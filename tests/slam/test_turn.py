@@ -1,6 +1,7 @@
 """One turn or piece reduced to a keyframe."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.slam.noise_correlation import NoiseCorrelation
+from tfg_drake.messages import TagDetections
+from tfg_drake.simulation.tag_sensor import correlated
 from tfg_drake.slam.odometry_model import REST_SHARE
 from tfg_drake.slam.shared import (
     CLOCK,
@@ -150,13 +152,37 @@ def test_the_cameras_clock_is_counted_from_the_offset_that_stamps_were_taken_wit
 
 def test_where_noise_is_correlated_frames_count_for_less():
     robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 4)
-    seen = robot.piece(0.0, 0.6, 10.5)
-    correlated = NoiseCorrelation(0.8e9, 1e9, 10**9, 10**11)
-    assert correlated.frame_worth < 0.2
-    independent, solution = reduced(NOISE, *seen, KNOWN), reduced(NOISE, *seen, KNOWN, correlated)
+    seen, correlated = robot.piece(0.0, 0.6, 10.5), dataclasses.replace(NOISE, correlation=0.8)
+    independent, solution = reduced(NOISE, *seen, KNOWN), reduced(correlated, *seen, KNOWN)
     sure, less = (np.sqrt(np.diag(one.keyframe.given(np.zeros(8))[2]))[:-3] for one in (independent, solution))
     assert 1.5 < np.median(less / sure) < correlated.frame_worth**-0.5
-    assert solution.correlation == correlated
+
+
+@pytest.mark.parametrize("gaps", [0.0, 0.1])
+def test_a_turn_of_correlated_frames_is_as_sure_as_it_may_be(drive, nees, gaps):
+    """The robot stands and looks at the same tags for twenty seconds, of which now and then one is not seen."""
+    values, noise = [], dataclasses.replace(NOISE, correlation=math.exp(-0.1))
+    for seed in range(12):
+        robot = drive(np.random.default_rng(seed).uniform(-8.0, 8.0, (60, 2)), seed, 0.0)
+        rng, begin = np.random.default_rng(seed), robot.instant()
+        frames, normal = [], rng.normal(size=(60, 2))
+        for frame in robot.frames(0.0, 0.0, 200):
+            seen = frame.detections
+            normal = correlated(normal, rng.normal(size=(60, 2)), 0.1, 1.0)
+            own, kept = normal[seen.ids - 100], rng.random(len(seen.ids)) >= gaps
+            seen = TagDetections(
+                seen.stamp,
+                seen.ids[kept],
+                (seen.range + own[:, 1] * seen.sigma_range)[kept],
+                (seen.bearing + own[:, 0] * seen.sigma_bearing)[kept],
+                seen.sigma_range[kept],
+                seen.sigma_bearing[kept],
+            )
+            frames.append(dataclasses.replace(frame, detections=seen))
+        solution = reduced(noise, begin, tuple(frames), robot.instant(), KNOWN)
+        p_AL, _, covariance = solution.keyframe.given(KNOWN.mean)
+        values.append(nees((p_AL - robot.p_ML(solution.keyframe.ids)).ravel(), covariance[:-3, :-3]))
+    assert 0.75 < np.mean(values) < 1.25
 
 
 def test_consistent(drive, nees):

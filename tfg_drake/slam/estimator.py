@@ -433,8 +433,8 @@ def _prior(state: EstimatorState) -> Shared:
 def _reduced_anew(
     state: EstimatorState, graph: KeyframeGraph, sources: tuple[Source | None, ...]
 ) -> tuple[KeyframeGraph, tuple[Source | None, ...]]:
-    """The graph with those of its newest keyframes reduced anew that were reduced where the parameters or the noise were
-    believed to be others; their sources."""
+    """The graph with those of its newest keyframes reduced anew that were reduced by other parameters or noise; their
+    sources."""
     keyframes, kept, shared, noise = list(graph.keyframes), list(sources), graph.shared, state.noise
     for k, source in enumerate(sources):
         at = k - len(sources)

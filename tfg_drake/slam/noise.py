@@ -68,9 +68,9 @@ class Sample(Protocol):
 
 @message
 class LearntNoise:
-    """The noise as it is known, now: the most likely. told: (3,) walks of the data sheet. level, sigma: (4,) of what is learnt and its
-    standard deviations. samples: the newest, seen: how many there have been, due: how many there are when it is learnt
-    next."""
+    """The noise as it is known, now: the most likely. told: (3,) walks of the data sheet. level, sigma: (4,) of what is
+    learnt and its standard deviations. samples: the newest, seen: how many there have been, due: how many there are
+    when it is learnt next."""
 
     now: Noise
     told: FloatArray

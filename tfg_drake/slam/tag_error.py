@@ -12,11 +12,11 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray
 
-# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does: by
-# chance it is once and a quarter of that, in small maps.
+# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does, in the
+# mean over so many of which the keyframes say more than a share of what they say of one.
 SUSPICIOUS = 1.5
-# Tags from which on that is asked.
-LEAST_TAGS = 40
+LEAST_ERRORS = 60
+LEAST_SHARE = 1e-3
 # The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
 # are none.
 FIRST = (0.01, 0.003)
@@ -37,7 +37,8 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
     pull: (n, 2) gradient of half the squared error on each tag's errors where they are taken to be zero, information:
     (n, 2) its variance by noise.
     """
-    if np.count_nonzero(information) < 2 * LEAST_TAGS or np.sum(pull**2) < SUSPICIOUS * np.sum(information):
+    some = information > LEAST_SHARE * np.max(information, initial=0.0)
+    if np.count_nonzero(some) < LEAST_ERRORS or np.mean(pull[some] ** 2 / information[some]) < SUSPICIOUS:
         return np.zeros(2)
     return np.array(FIRST)
 

@@ -564,8 +564,8 @@ def _add_sightings(
     """
     cost = 0.0
     yaw, ahead, aside, clock = border[3], border[4], border[5], border[6]
-    # Jacobians on pose, camera and tag, and the error, of bearing and range; and with the pose before in front, those of
-    # what is not yet told by the sighting before.
+    # Jacobians on pose, camera and tag, and the error, of bearing and range; and, with the pose before in front, those
+    # of what the sighting before does not tell yet.
     every, fresh, last = np.zeros((len(node), 2, 10)), np.zeros((2, 13)), 12
     for j in range(len(node)):
         i, k, rows = node[j], PARAMETERS + 2 * tag[j], every[j]
