@@ -21,6 +21,8 @@ from tfg_drake.slam.shared import SHARED, Shared
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 NOISE = random_walks(OdometryConfig())
+# As messages hold it: kernels are compiled anew for arrays that can be written.
+NOISE.flags.writeable = False
 # Standard deviations of the parameters, in their order.
 SIGMA = np.array([0.015, 0.001, 0.01, 0.0175, 0.005, 0.005, 0.05, 0.01])
 PRIOR = Shared(np.zeros(SHARED), np.diag(SIGMA**2))
