@@ -22,6 +22,8 @@ from tfg_drake.slam.shared import SHARED, Shared
 from tfg_drake.slam.turn import TurnFrame, no_detections
 
 WALKS = random_walks(OdometryConfig())
+# As messages hold it: kernels are compiled anew for arrays that can be written.
+WALKS.flags.writeable = False
 NOISE = Noise(WALKS)
 # Standard deviations of the parameters, in their order.
 SIGMA = np.array([0.015, 0.001, 0.01, 0.0175, 0.005, 0.005, 0.05, 0.01])

@@ -374,7 +374,7 @@ def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray,
     if not (len(frame.ids) and state.scans):
         return None
     scan = min(state.scans, key=lambda scan: abs(scan.stamp - frame.stamp))
-    return scan if abs(scan.stamp - frame.stamp) * float(np.max(np.abs(twist))) <= most else None
+    return scan if abs(scan.stamp - frame.stamp) * max(map(abs, twist.tolist())) <= most else None
 
 
 def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:

@@ -10,21 +10,16 @@ the heading that it shares with the whole map for something that its sightings t
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, message, replace
 from tfg_drake.slam.keyframe import rows_of
-from tfg_drake.slam.odometry_model import predict_increment, wrap
-from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED
+from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map, whereabouts
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 
-POSE = 3
-# Squared deviations beyond which a sighting is ignored (2 degrees of freedom): 1 in 270 000 good ones.
-GATE = 25.0
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Tags seen in fewer frames become no goal: one of them may be wrong, or its id misread.
@@ -54,6 +49,11 @@ class Localizer:
     local_ids: IntArray
     last_seen: FloatArray
     local_frames: IntArray
+
+    @property
+    def state(self) -> State:
+        """mean, covariance and sensitivity."""
+        return self.mean, self.covariance, self.sensitivity
 
     @property
     def X_MB(self) -> FloatArray:
@@ -106,39 +106,41 @@ def step_localizer(
     camera's clock was taken to be so much ahead. Known tags correct the pose, all at once, unknown ones join the
     state. A sighting outside its gate is ignored.
     """
-    now = _predicted(localizer, noise, increment, dt)
-    if not len(detections.ids):
-        return now, 0, 0
-    row, known = rows_of(detections.ids, now.map.ids[now.map.local])
-    new = np.setdiff1d(row[known], now.seen)
+    now, ids = localizer, detections.ids
+    map_ids = now.map.ids[now.map.local]
+    row, column, entry = whereabouts(ids, map_ids, now.seen, now.local_ids)
+    new = np.sort(row[(row >= 0) & (column < 0)])
     if len(new):
-        seen = np.append(now.seen, new)
-        considered, with_D, p_DL = _considered(now.map, seen)
-        sensitivity = np.pad(now.sensitivity, ((0, 0), (0, 2 * len(new))))
-        now = replace(now, seen=seen, considered=considered, with_D=with_D, p_DL=p_DL, sensitivity=sensitivity)
-    place_of = {int(row): at for at, row in enumerate(now.seen)}
-    local_of = {int(tag): at for at, tag in enumerate(now.local_ids)}
-    # Where each tag is: in W's columns, in the state, nowhere yet.
-    column = np.array([SHARED + 2 * place_of[int(r)] if k else -1 for r, k in zip(row, known, strict=True)])
-    entry = np.array([POSE + 2 * local_of.get(int(tag), -1) for tag in detections.ids])
-    entry[(column >= 0) | (entry < POSE)] = -1
-    at = np.flatnonzero((column >= 0) | (entry >= 0))
-    z = np.column_stack([detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing])
-    now, accepted = _corrected(now, z[at], column[at], entry[at], twist, offset)
+        now = _with_seen(now, np.append(now.seen, new))
+        row, column, entry = whereabouts(ids, map_ids, now.seen, now.local_ids)
+    (mean, covariance, sensitivity), accepted = filtered(
+        now.state,
+        (now.map.shared, now.considered),
+        (increment, dt, noise),
+        (twist, offset),
+        (column, entry, now.p_DL),
+        (detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing),
+    )
+    now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
+    if (column >= 0).all():
+        return now, len(ids), len(ids) - int(np.count_nonzero(accepted))
+    local, fresh = entry >= 0, (column < 0) & (entry < 0)
+    of, inside = (entry[local] - POSE) // 2, accepted[local]
     frames, last_seen = now.local_frames.copy(), now.last_seen.copy()
-    local = np.flatnonzero(entry[at] >= 0)
-    of = (entry[at][local] - POSE) // 2
-    frames[of] += np.where(accepted[local], 1, -1)
-    last_seen[of[accepted[local]]] = detections.stamp
-    now = replace(now, local_frames=frames, last_seen=last_seen)
-    fresh = np.setdiff1d(np.arange(len(z)), at)
-    if len(fresh):
-        now = _with_local(now, z[fresh], detections.ids[fresh], detections.stamp, twist, offset)
+    frames[of] += np.where(inside, 1, -1)
+    last_seen[of[inside]] = detections.stamp
+    now = replace(
+        now,
+        local_ids=np.append(now.local_ids, ids[fresh]),
+        last_seen=np.append(last_seen, np.full(np.count_nonzero(fresh), detections.stamp)),
+        local_frames=np.append(frames, np.ones(np.count_nonzero(fresh), dtype=np.int64)),
+    )
     # What was seen elsewhere as often as there is forgotten: its next sighting says where it is.
     keep = now.local_frames > 0
     if len(keep) > MOST_LOCAL:
         keep[np.argsort(-now.last_seen, kind="stable")[MOST_LOCAL:]] = False
-    return _keep_local(now, keep), len(at), int(np.count_nonzero(~accepted))
+    known = ~fresh
+    return _keep_local(now, keep), int(np.count_nonzero(known)), int(np.count_nonzero(known & ~accepted))
 
 
 def without_local(localizer: Localizer) -> Localizer:
@@ -150,15 +152,10 @@ def localized_pose(
     localizer: Localizer, noise: FloatArray, increment: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
     """X_MB (3,) and its covariance (3, 3), an odometry increment (3,) over dt seconds past the localiser's instant."""
-    now, X_MD = _predicted(localizer, noise, increment, dt, pose_only=True), localizer.map.X_MD
-    c, s = math.cos(X_MD[2]), math.sin(X_MD[2])
-    x, y = c * now.mean[0] - s * now.mean[1], s * now.mean[0] + c * now.mean[1]
-    by_B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    by_D = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-    across = by_B @ now.sensitivity[:POSE] @ localizer.with_D @ by_D.T
-    own = by_B @ now.covariance[:POSE, :POSE] @ by_B.T
-    of_D = by_D @ localizer.map.covariance[-3:, -3:] @ by_D.T
-    return np.array([X_MD[0] + x, X_MD[1] + y, wrap(X_MD[2] + now.mean[2])]), own + across + across.T + of_D
+    estimate, considered = localizer.map, (localizer.map.shared, localizer.considered)
+    return pose_in_map(
+        localizer.state, considered, (increment, dt, noise), estimate.X_MD, localizer.with_D, estimate.covariance
+    )
 
 
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
@@ -196,149 +193,15 @@ def _considered(estimate: MapEstimate, seen: IntArray) -> tuple[FloatArray, Floa
 
     joint = seen_from_D(seen_from_D(P).T)
     if estimate.tag_error.any():
-        i = SHARED + 2 * np.arange(s)
-        own = in_place(p_DL, estimate.tag_error)
-        for a in range(2):
-            for b in range(2):
-                joint[i + a, i + b] += own[:, a, b]
+        joint[SHARED:-3, SHARED:-3] += scipy.linalg.block_diag(*in_place(p_DL, estimate.tag_error))
     return joint[:-3, :-3].copy(), joint[:-3, -3:].copy(), p_DL
 
 
-def _predicted(
-    localizer: Localizer, noise: FloatArray, increment: FloatArray, dt: float, *, pose_only: bool = False
-) -> Localizer:
-    """The localiser an odometry increment on; pose_only: without its local tags."""
-    mean, P, W = localizer.mean, localizer.covariance, localizer.sensitivity
-    if pose_only:
-        mean, P, W = mean[:POSE], P[:POSE, :POSE], W[:POSE]
-    X, on_calibration, Q = predict_increment(increment, dt, localizer.map.shared[:3], noise)
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    motion = R @ X
-    F = np.array([[1.0, 0.0, -motion[1]], [0.0, 1.0, motion[0]], [0.0, 0.0, 1.0]])
-    B = R @ on_calibration
-    mean, P, W_before = mean.copy(), P.copy(), W
-    of_calibration = W_before @ localizer.considered[:, :3] @ B.T
-    P[:POSE] = F @ P[:POSE]
-    P[:, :POSE] = P[:, :POSE] @ F.T
-    across = F @ of_calibration[:POSE]
-    P[POSE:, :POSE] += of_calibration[POSE:]
-    P[:POSE, POSE:] += of_calibration[POSE:].T
-    P[:POSE, :POSE] += across + across.T + B @ localizer.considered[:3, :3] @ B.T + R @ Q @ R.T
-    W = W_before.copy()
-    W[:POSE] = F @ W_before[:POSE]
-    W[:POSE, :3] += B
-    mean[:2] += motion[:2]
-    mean[2] = wrap(mean[2] + X[2])
-    return replace(localizer, mean=mean, covariance=P, sensitivity=W)
-
-
-def _corrected(
-    localizer: Localizer, z: FloatArray, column: IntArray, entry: IntArray, twist: FloatArray, offset: float
-) -> tuple[Localizer, BoolArray]:
-    """The localiser corrected by sightings of known tags, and which of them (m,) were inside their gate.
-
-    z: (m, 4) range, bearing and their sigmas. column: (m,) where each tag begins in W's columns, -1 for local ones;
-    entry: (m,) where these begin in the state. Landmarks and parameters are left as they are.
-    """
-    mean, P, W, C, shared = (
-        localizer.mean,
-        localizer.covariance,
-        localizer.sensitivity,
-        localizer.considered,
-        localizer.map.shared,
-    )
-    m, is_local, i = len(z), entry >= 0, np.arange(len(z))
-    if not m:
-        return localizer, np.zeros(0, dtype=bool)
-    tags = np.empty((m, 2))
-    tags[is_local] = mean[entry[is_local][:, None] + [0, 1]]
-    tags[~is_local] = localizer.p_DL[(column[~is_local] - SHARED) // 2]
-    R, lever, earlier = _lever(mean, shared, twist, offset)
-    d = tags - mean[:2] - lever
-    r = np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-3)
-    scale = 1.0 + float(shared[RANGE_SCALE])
-    # Range and bearing by the tag's place.
-    on = np.stack([scale * d / r[:, None], np.column_stack([-d[:, 1], d[:, 0]]) / (r * r)[:, None]], axis=1)
-    H, H_c = np.zeros((m, 2, len(mean))), np.zeros((m, 2, len(C)))
-    H[:, :, :2] = -on
-    H[:, :, 2] = on @ np.array([lever[1], -lever[0]])
-    H[:, 1, 2] -= 1.0
-    for a in range(2):
-        H[i[is_local], :, entry[is_local] + a] = on[is_local, :, a]
-        H_c[i[~is_local], :, column[~is_local] + a] = on[~is_local, :, a]
-    H_c[:, :, [LEVER_X, LEVER_Y]] = -on @ R
-    H_c[:, :, CLOCK] = twist[0] * (on @ R[:, 0])
-    H_c[:, 1, CLOCK] += twist[1]
-    H_c[:, 1, CAMERA_YAW] = -1.0
-    H_c[:, 0, RANGE_SCALE] = r
-    bearing = np.arctan2(d[:, 1], d[:, 0]) - mean[2] + earlier * twist[1] - shared[CAMERA_YAW]
-    residual = np.stack([z[:, 0] - scale * r, se2.wrap_angle(z[:, 1] - bearing)], axis=1).ravel()
-    by_state, by_c = H.reshape(2 * m, -1), H_c.reshape(2 * m, -1)
-    HW = by_state @ W + by_c
-    HP = by_state @ P + by_c @ (C @ W.T)
-    S = HP @ by_state.T + HW @ C @ by_c.T + np.diag(np.square(z[:, 2:]).ravel())
-    own, off = S.reshape(m, 2, m, 2)[i, :, i, :], residual.reshape(m, 2, 1)
-    accepted = (off * np.linalg.solve(own, off)).sum(axis=(1, 2)) <= GATE
-    if not accepted.any():
-        return localizer, accepted
-    kept = np.repeat(accepted, 2)
-    root = np.linalg.cholesky(S[np.ix_(kept, kept)])
-    half = scipy.linalg.solve_triangular(
-        root, np.hstack([HP[kept], HW[kept], residual[kept, None]]), lower=True, check_finite=False
-    )
-    half_P, half_W, nu = half[:, : len(mean)], half[:, len(mean) : -1], half[:, -1]
-    mean = mean + half_P.T @ nu
-    mean[2] = wrap(mean[2])
-    return replace(localizer, mean=mean, covariance=P - half_P.T @ half_P, sensitivity=W - half_P.T @ half_W), accepted
-
-
-def _with_local(
-    localizer: Localizer, z: FloatArray, ids: IntArray, stamp: float, twist: FloatArray, offset: float
-) -> Localizer:
-    """The localiser with a local tag more for each sighting z (m, 4)."""
-    mean, P, W, C, m = localizer.mean, localizer.covariance, localizer.sensitivity, localizer.considered, len(z)
-    shared = localizer.map.shared
-    R, lever, earlier = _lever(mean, shared, twist, offset)
-    angle = mean[2] + z[:, 1] + shared[CAMERA_YAW] - earlier * twist[1]
-    r = z[:, :1] / (1.0 + shared[RANGE_SCALE])
-    direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    across = direction[:, ::-1] * (-1.0, 1.0)
-    p_DU = mean[:2] + lever + r * direction
-    # The tag moves with the robot, the robot's heading has a lever, and the camera's errors move it, too.
-    G, G_c, i, size = np.zeros((m, 2, len(mean))), np.zeros((m, 2, len(C))), np.arange(m), len(mean)
-    G[:, 0, 0] = G[:, 1, 1] = 1.0
-    G[:, :, 2] = (p_DU - mean[:2])[:, ::-1] * (-1.0, 1.0)
-    G_c[:, :, CAMERA_YAW], G_c[:, :, RANGE_SCALE] = r * across, -r * direction / (1.0 + shared[RANGE_SCALE])
-    G_c[:, :, [LEVER_X, LEVER_Y]] = R
-    G_c[:, :, CLOCK] = -twist[0] * R[:, 0] - twist[1] * r * across
-    by_state, by_c = G.reshape(2 * m, -1), G_c.reshape(2 * m, -1)
-    with_old = by_state @ P + by_c @ C @ W.T
-    joined = np.empty((size + 2 * m, size + 2 * m))
-    joined[:size, :size], joined[size:, :size], joined[:size, size:] = P, with_old, with_old.T
-    joined[size:, size:] = with_old @ by_state.T + (by_state @ W + by_c) @ C @ by_c.T
-    along, aside = z[:, 2, None] / (1.0 + shared[RANGE_SCALE]) * direction, (r * z[:, 3:]) * across
-    own = along[:, :, None] * along[:, None, :] + aside[:, :, None] * aside[:, None, :]
-    joined[size:, size:].reshape(m, 2, m, 2)[i, :, i, :] += own
-    return replace(
-        localizer,
-        mean=np.append(mean, p_DU.ravel()),
-        covariance=joined,
-        sensitivity=np.vstack([W, by_state @ W + by_c]),
-        local_ids=np.append(localizer.local_ids, ids),
-        last_seen=np.append(localizer.last_seen, np.full(m, stamp)),
-        local_frames=np.append(localizer.local_frames, np.ones(m, dtype=np.int64)),
-    )
-
-
-def _lever(
-    mean: FloatArray, shared: FloatArray, twist: FloatArray, offset: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Rotation (2, 2) of the body in D, where the camera was seen from it (2,), m along D's axes, and how much earlier
-    than taken, s, when the frame was taken."""
-    earlier = float(shared[CLOCK]) - offset
-    R = se2.rotation(float(mean[2]))
-    return R, R @ [shared[LEVER_X] - earlier * twist[0], shared[LEVER_Y]], earlier
+def _with_seen(localizer: Localizer, seen: IntArray) -> Localizer:
+    """The localiser that has seen some landmarks more, in rows (s,) of the map's local."""
+    considered, with_D, p_DL = _considered(localizer.map, seen)
+    sensitivity = np.pad(localizer.sensitivity, ((0, 0), (0, len(considered) - len(localizer.considered))))
+    return replace(localizer, seen=seen, considered=considered, with_D=with_D, p_DL=p_DL, sensitivity=sensitivity)
 
 
 def _keep_local(localizer: Localizer, keep: BoolArray) -> Localizer:

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
+from tfg_drake.slam.keyframe import rows_of
 from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
 
 # The parameters that a comparison is linear in: those of the camera less those of the scanner, and the distance of tags
@@ -47,16 +48,19 @@ STRAIGHT = 3.0
 
 @message
 class ScanRanges:
-    """All pairs of a sighting and the scan. ids: (t,), ascending, of the tags in them. sums: (t, 7, 7) over each
-    tag's pairs of w (J, d, 1) (J, d, 1)^T: J (5,) how the pair differs by the parameters compared and the distance
-    before the surface, d: its difference, m, where these are zero, w: its weight, 1/m^2.
+    """All pairs of a sighting and the scan, sums over those that agree of w (J, d, 1) (J, d, 1)^T. J: (5,) how the pair
+    differs by the parameters compared and the distance before the surface, d: its difference, m, where these are zero,
+    w: its weight, 1/m^2.
 
-    apart: (b,) how many of the pairs that do not agree have ranges whose logarithm is greater than that of the range to
-    the surface by -MOST to -MOST + BIN, ... pairs: how many agree. told: whether somebody was told of a `great_error`.
+    ids: (t,), ascending, of the tags compared. of_tag: (t, 7) the last row of the sum over each tag's pairs. total:
+    (6, 6) the other rows and columns of the sum over all pairs. apart: (b,) how many of the pairs that do not agree
+    have ranges whose logarithm is greater than that of the range to the surface by -MOST to -MOST + BIN, ... pairs: how
+    many agree. told: whether somebody was told of a `great_error`.
     """
 
     ids: IntArray
-    sums: FloatArray
+    of_tag: FloatArray
+    total: FloatArray
     apart: IntArray
     pairs: int
     told: bool = False
@@ -65,51 +69,34 @@ class ScanRanges:
 def none_compared() -> ScanRanges:
     """Before the first pair."""
     apart = np.zeros(round(2.0 * MOST / BIN), dtype=np.int64)
-    return ScanRanges(np.zeros(0, dtype=np.int64), np.zeros((0, 7, 7)), apart, 0)
+    return ScanRanges(np.zeros(0, dtype=np.int64), np.zeros((0, 7)), np.zeros((6, 6)), apart, 0)
 
 
 def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, shared: Shared) -> ScanRanges:
     """The pairs with those of one frame of tags and the scan of the same instant; shared: what is known of the
     parameters."""
-    if len(scan.angles) < 2 or not len(detections.ids):
-        return before
-    sigma = np.append(shared.sigma[list(COMPARED)], NUISANCE[-1])
-    sigma[1:4] = np.hypot(sigma[1:4], NUISANCE[:3])
-    rows, weight, apart = _pairs(
-        detections.range,
-        detections.bearing,
-        detections.sigma_range,
-        detections.sigma_bearing,
-        scan.angles,
-        scan.ranges,
-        scan.sigma,
-        np.append(shared.mean[list(COMPARED)], 0.0),
-        sigma,
+    row, known = rows_of(detections.ids, before.ids)
+    if not known.all():
+        ids = np.union1d(before.ids, detections.ids)
+        of_tag = np.zeros((len(ids), 7))
+        of_tag[np.searchsorted(ids, before.ids)] = before.of_tag
+        before, row = replace(before, ids=ids, of_tag=of_tag), np.searchsorted(ids, detections.ids)
+    of_tag, total, apart, pairs = _with_pairs(
+        (before.of_tag, before.total, before.apart),
+        row,
+        (detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing),
+        (scan.angles, scan.ranges, scan.sigma),
+        (shared.mean, shared.covariance),
     )
-    if len(apart):
-        before = replace(before, apart=before.apart + np.bincount(apart, minlength=len(before.apart)))
-    agree = weight > 0.0
-    if not agree.any():
-        return before
-    ids = np.union1d(before.ids, detections.ids[agree])
-    sums = np.zeros((len(ids), 7, 7))
-    sums[np.searchsorted(ids, before.ids)] = before.sums
-    each = rows[agree]
-    np.add.at(
-        sums,
-        np.searchsorted(ids, detections.ids[agree]),
-        weight[agree, None, None] * each[:, :, None] * each[:, None, :],
-    )
-    return replace(before, ids=ids, sums=sums, pairs=before.pairs + int(np.count_nonzero(agree)))
+    return replace(before, of_tag=of_tag, total=total, apart=apart, pairs=before.pairs + pairs)
 
 
 def told_by_scan(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
     """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero. worth: the
     share of what it tells by the data sheet that one frame of many tells."""
-    sums = worth * ranges.sums
-    of_tag, weight = sums[:, :6, 6], sums[:, 6, 6]
+    of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
     # Each tag's own error eliminated.
-    M = sums[:, :6, :6].sum(axis=0) - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
+    M = worth * ranges.total - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
     J, gradient = M[:5, :5], -M[:5, 5]
     # From what is compared to (parameters, scanner, distance).
     by = np.zeros((5, 8))
@@ -158,30 +145,30 @@ def surface(bearing: float, angles: FloatArray, ranges: FloatArray, sigma: float
 
 
 @njit(cache=True)
-def _pairs(
-    range_: FloatArray,
-    bearing: FloatArray,
-    sigma_range: FloatArray,
-    sigma_bearing: FloatArray,
-    angles: FloatArray,
-    ranges: FloatArray,
-    sigma_scan: float,
-    mean: FloatArray,
-    sigma: FloatArray,
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Of each sighting of a frame (n,) its row (J, d, 1) (n, 7) and its weight (n,), 0 where it agrees with no surface;
-    and of those that do not agree their bins of ScanRanges.apart, (a,).
-
-    mean, sigma: (5,) of what is compared.
-    """
-    rows, weight = np.ones((len(range_), 7)), np.zeros(len(range_))
-    apart, others = np.empty(len(range_), dtype=np.int64), 0
+def _with_pairs(
+    before: tuple[FloatArray, FloatArray, IntArray],
+    tag: IntArray,
+    frame: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    scan: tuple[FloatArray, FloatArray, float],
+    known: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray, IntArray, int]:
+    """of_tag, total and apart as before, with the sightings (n,) of a frame, of the tags in the rows tag (n,), and how
+    many of these agree with the scan. known: mean and covariance of the parameters."""
+    of_tag, total, apart, pairs = before[0].copy(), before[1].copy(), before[2].copy(), 0
+    (range_, bearing, sigma_range, sigma_bearing), (angles, ranges, sigma_scan), (shared, covariance) = (
+        frame,
+        scan,
+        known,
+    )
+    mean, sigma, row = np.zeros(5), np.full(5, NUISANCE[-1]), np.ones(7)
+    for a in range(4):
+        mean[a], sigma[a] = shared[COMPARED[a]], math.sqrt(covariance[COMPARED[a], COMPARED[a]])
+    sigma[1:4] = np.hypot(sigma[1:4], np.array(NUISANCE[:3]))
     for k in range(len(range_)):
         at = bearing[k] + mean[1]
         distance, slant = surface(at, angles, ranges, sigma_scan)
         if not abs(slant) < STEEPEST:
             continue
-        row = rows[k]
         row[0], row[1] = distance, -slant * distance
         row[2], row[3] = -math.cos(at), -math.sin(at)
         row[4] = -math.sqrt(1.0 + slant * slant)
@@ -196,11 +183,12 @@ def _pairs(
         if error * error > GATE**2 * predicted:
             longer = math.log(range_[k] / distance)
             if abs(longer) < MOST:
-                apart[others] = int((longer + MOST) / BIN)
-                others += 1
+                apart[int((longer + MOST) / BIN)] += 1
             continue
-        weight[k] = 1.0 / variance
-    return rows, weight, apart[:others]
+        pairs += 1
+        of_tag[tag[k]] += row / variance
+        total += np.outer(row[:6], row[:6]) / variance
+    return of_tag, total, apart, pairs
 
 
 def great_error(ranges: ScanRanges, shared: Shared) -> float:
