@@ -16,10 +16,12 @@ import numpy as np
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 
 # What is learnt: logarithms of the deviations of distance, heading and tags over those told, and Fisher's z of the
-# correlation of a tag's noise from frame to frame; prior deviations, and how far they may go.
+# correlation of a tag's noise from frame to frame; prior deviations, and the least and the most that is believed. What
+# errs little in the seconds of a sample may drift in minutes: nothing is much better than its data sheet.
 DISTANCE, HEADING, TAGS, CORRELATION = range(4)
 PRIOR = np.array([0.7, 0.7, 0.3, 0.7])
-FARTHEST = np.array([1.6, 1.6, 1.6, 2.3])
+LEAST = np.array([-0.35, -0.35, -0.35, -0.1])
+MOST = np.array([1.6, 1.6, 1.6, 1.7])
 # Samples kept. The noise is learnt anew when there have been so many times more.
 MOST_SAMPLES = 32
 GROWTH = 3
@@ -102,8 +104,11 @@ class LearntNoise:
         for _ in range(MOST_STEPS):
             gradient, curvature = self._differences(level, cost)
             sigma = np.sqrt(np.diag(np.linalg.inv(curvature)))
-            step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
-            there = np.clip(level + step, -FARTHEST, FARTHEST)
+            # What a bound holds is not free.
+            free = (gradient < 0.0) & (level < MOST) | (gradient > 0.0) & (level > LEAST)
+            step = np.zeros(len(level))
+            step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
+            there = np.clip(level + np.clip(step, -LONGEST_STEP, LONGEST_STEP), LEAST, MOST)
             while (lower := self._cost(there)) > cost and np.max(np.abs(there - level) / sigma) > SMALL:
                 there = 0.5 * (level + there)
             small = np.max(np.abs(there - level) / sigma) <= SMALL
