@@ -23,7 +23,6 @@ from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
     interpolate,
-    interpolate_clock,
     predict_increments,
     random_walks,
     reckon,
@@ -70,19 +69,6 @@ class SmoothedRun:
     rejected: int
 
 
-@message
-class _Run:
-    """stamps (k,), clock (k,), X_OB (k, 3): the graph's poses. node (s,), ids (s,), z (s, 4): sightings as their pose,
-    landmark, and bearing, range, sigma of bearing, sigma of range."""
-
-    stamps: FloatArray
-    clock: FloatArray
-    X_OB: FloatArray
-    node: IntArray
-    ids: IntArray
-    z: FloatArray
-
-
 def smooth(
     odometry: tuple[Odometry, ...],
     detections: tuple[TagDetections, ...],
@@ -95,9 +81,9 @@ def smooth(
     """
     if not odometry:
         raise ValueError("A run without odometry cannot be smoothed.")
-    batch = _Batch(_run(odometry, detections), config)
-    ids, X_MB = batch.run.ids, batch.grown(lambda share: on_progress(0.7 * share))
-    calibration, kept = np.zeros(3), np.ones(len(ids), dtype=bool)
+    batch = _Batch(odometry, detections, config)
+    X_MB = batch.grown(lambda share: on_progress(0.7 * share))
+    calibration, kept = np.zeros(3), np.ones(len(batch.landmark), dtype=bool)
     for rounds in range(1, MOST_ROUNDS + 1):
         X_MB, p_ML, error, step = batch.solved(X_MB, kept, calibration)
         calibration = calibration + step
@@ -110,9 +96,9 @@ def smooth(
     on_progress(1.0)
     seen = np.unique(batch.landmark[kept])
     return SmoothedRun(
-        stamps=batch.run.stamps,
+        stamps=batch.stamps,
         X_MB=X_MB,
-        ids=np.unique(ids)[seen],
+        ids=batch.ids[seen],
         p_ML=p_ML[seen],
         calibration=calibration,
         half_chi_square=error,
@@ -121,78 +107,52 @@ def smooth(
     )
 
 
-def _run(odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...]) -> _Run:
-    reckoned = [first_reckoning(odometry[0])]
-    for before, after in itertools.pairwise(odometry):
-        reckoned.append(reckon(reckoned[-1], before, after))
-    at = np.array([one.stamp for one in reckoned])
-    frames = [one for one in detections if at[0] <= one.stamp <= at[-1]]
-
-    stamps, clock, X_OB = [reckoned[0].stamp], [reckoned[0].clock], [reckoned[0].X_OB]
-    node = []
-
-    def add(stamp: float) -> None:
-        if stamp > stamps[-1]:
-            i = max(int(np.searchsorted(at, stamp)), 1)
-            stamps.append(stamp)
-            clock.append(interpolate_clock(reckoned[i - 1], reckoned[i], stamp))
-            X_OB.append(interpolate(reckoned[i - 1], reckoned[i], stamp))
-
-    row = 0
-    for frame in frames:
-        while row < len(reckoned) and reckoned[row].stamp < frame.stamp:
-            if reckoned[row].clock - clock[-1] >= LONGEST_GAP:
-                add(reckoned[row].stamp)
-            row += 1
-        add(frame.stamp)
-        node.append(len(stamps) - 1)
-    for one in reckoned[row:]:
-        if one.clock - clock[-1] >= LONGEST_GAP:
-            add(one.stamp)
-    add(reckoned[-1].stamp)
-
-    counts = [len(frame.ids) for frame in frames]
-    z = np.empty((sum(counts), 4))
-    for column, name in enumerate(("bearing", "range", "sigma_bearing", "sigma_range")):
-        z[:, column] = np.concatenate([np.empty(0), *(getattr(frame, name) for frame in frames)])
-    return _Run(
-        stamps=np.array(stamps),
-        clock=np.array(clock),
-        X_OB=np.array(X_OB),
-        node=np.repeat(np.array(node, dtype=np.int64), counts),
-        ids=np.concatenate([np.empty(0, dtype=np.int64), *(frame.ids for frame in frames)]),
-        z=z,
-    )
-
-
 class _Batch:
-    """The factors of a run. landmark: (s,) the row of each sighting's."""
+    """The factors of a run. stamps: (k,) of the poses. node, landmark: (s,) the rows of each sighting's; ids: (n,)."""
 
-    def __init__(self, run: _Run, config: OdometryConfig) -> None:
-        self.run, self.calibration_sigma = run, np.maximum(calibration_sigma(config), LEAST_SIGMA)
-        self.landmark: IntArray = np.unique(run.ids, return_inverse=True)[1]
-        self._increment = np.array([arc(*pair) for pair in itertools.pairwise(run.X_OB)]).reshape(-1, 3)
-        self._dt = np.diff(run.clock)
+    def __init__(
+        self, odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...], config: OdometryConfig
+    ) -> None:
+        reckoned = [first_reckoning(odometry[0])]
+        for before, after in itertools.pairwise(odometry):
+            reckoned.append(reckon(reckoned[-1], before, after))
+        at, by_clock = np.array([[one.stamp, one.clock] for one in reckoned]).T
+        frames = [one for one in detections if at[0] <= one.stamp <= at[-1]]
+        ends = np.unique([at[0], *(frame.stamp for frame in frames), at[-1]])
+        marks = np.interp(ends, at, by_clock)
+        rows = np.append(0, np.cumsum(np.maximum(np.ceil(np.diff(marks) / LONGEST_GAP), 1.0))).astype(np.int64)
+        clock = np.interp(np.arange(rows[-1] + 1), rows, marks)
+        self.stamps: FloatArray = np.interp(clock, by_clock, at)
+        self.stamps[rows] = ends
+        after_it = np.clip(np.searchsorted(at, self.stamps), min(1, len(at) - 1), len(at) - 1).tolist()
+        X_OB = [
+            interpolate(reckoned[max(i - 1, 0)], reckoned[i], stamp)
+            for i, stamp in zip(after_it, self.stamps.tolist(), strict=True)
+        ]
+        self._increment = np.array([arc(*pair) for pair in itertools.pairwise(X_OB)]).reshape(-1, 3)
+        self._dt, self.calibration_sigma = np.diff(clock), np.maximum(calibration_sigma(config), LEAST_SIGMA)
         X_ij, _, covariance = predict_increments(self._increment, self._dt, np.zeros(3), random_walks(config))
         # GTSAM has the error as it is seen from the measured pose.
         self._R_ji = np.array([se2.rotation(float(-angle)) for angle in X_ij[:, 2]]).reshape(-1, 2, 2)
         covariance[:, :2] = self._R_ji @ covariance[:, :2]
         covariance[:, :, :2] = covariance[:, :, :2] @ self._R_ji.transpose(0, 2, 1)
         self._noise = [gtsam.noiseModel.Gaussian.Covariance(one) for one in covariance]
-        first = gtsam.Pose2(*run.X_OB[0])
+        first = gtsam.Pose2(*X_OB[0])
         self._first = gtsam.PriorFactorPose2(X(0), first, gtsam.noiseModel.Isotropic.Sigma(3, HELD))
+
+        frame_rows = rows[np.searchsorted(ends, [frame.stamp for frame in frames])]
+        self.node: IntArray = np.repeat(frame_rows, [len(frame.ids) for frame in frames])
+        z = [np.stack([one.bearing, one.range, one.sigma_bearing, one.sigma_range], axis=1) for one in frames]
+        self._z = np.concatenate([np.empty((0, 4)), *z])
+        self.ids, self.landmark = np.unique(
+            np.concatenate([np.empty(0, dtype=np.int64), *(one.ids for one in frames)]), return_inverse=True
+        )
         huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SIGMAS)
-        self._sightings = [
-            gtsam.BearingRangeFactor2D(
-                X(i),
-                L(j),
-                gtsam.Rot2(z[0]),
-                z[1],
-                gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Diagonal.Sigmas(z[2:])),
-            )
-            for i, j, z in zip(run.node.tolist(), self.landmark.tolist(), run.z, strict=True)
-        ]
-        bearing, distance = run.z[:, 0], run.z[:, 1]
+        self._sightings = []
+        for i, j, (bearing, distance, *sigmas) in zip(self.node.tolist(), self.landmark.tolist(), self._z, strict=True):
+            noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+            self._sightings.append(gtsam.BearingRangeFactor2D(X(i), L(j), gtsam.Rot2(bearing), distance, noise))
+        bearing, distance = self._z[:, 0], self._z[:, 1]
         self._p_BL = distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
 
     def _motions(self, calibration: FloatArray) -> tuple[list[gtsam.BetweenFactorPose2], FloatArray]:
@@ -210,8 +170,8 @@ class _Batch:
         parameters = gtsam.ISAM2Params()
         parameters.setFactorization("QR")
         isam, factors, values = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph(), gtsam.Values()
-        motions, k = self._motions(np.zeros(3))[0], len(self.run.stamps)
-        begins = np.searchsorted(self.run.node, np.arange(k + 1))
+        motions, k = self._motions(np.zeros(3))[0], len(self.stamps)
+        begins = np.searchsorted(self.node, np.arange(k + 1))
         newest = self._first.prior()
         for i in range(k):
             factors.add(motions[i - 1] if i else self._first)
@@ -245,8 +205,8 @@ class _Batch:
             factors.add(factor)
         for i, pose in enumerate(X_MB):
             values.insert(X(i), gtsam.Pose2(*pose))
-        seen, p_ML = np.unique(self.landmark[rows]), np.full((int(self.landmark.max(initial=-1)) + 1, 2), np.nan)
-        points = X_MB[self.run.node[rows], :2] + turned(self._p_BL[rows], X_MB[self.run.node[rows], 2])
+        seen, p_ML = np.unique(self.landmark[rows]), np.full((len(self.ids), 2), np.nan)
+        points = X_MB[self.node[rows], :2] + turned(self._p_BL[rows], X_MB[self.node[rows], 2])
         for j in seen.tolist():
             values.insert(L(j), np.median(points[self.landmark[rows] == j], axis=0))
         parameters = gtsam.LevenbergMarquardtParams()
@@ -277,8 +237,8 @@ class _Batch:
 
     def near(self, X_MB: FloatArray, p_ML: FloatArray) -> BoolArray:
         """(s,) True where a sighting lies near the solution, and its landmark is in it."""
-        X_MB, bearing, distance = X_MB[self.run.node], self.run.z[:, 0], self.run.z[:, 1]
+        X_MB, bearing, distance = X_MB[self.node], self._z[:, 0], self._z[:, 1]
         x, y = (p_ML[self.landmark] - X_MB[:, :2]).T
         turn = se2.wrap_angle(np.arctan2(y, x) - X_MB[:, 2] - bearing)
-        error = np.column_stack([turn, np.hypot(x, y) - distance]) / self.run.z[:, 2:]
+        error = np.column_stack([turn, np.hypot(x, y) - distance]) / self._z[:, 2:]
         return np.asarray(np.linalg.norm(error, axis=1) <= OUTLIER_SIGMAS)
