@@ -41,7 +41,7 @@ SMALL_STEP = 0.05
 SMALL_DECREASE = 1e-6
 # Poses that the graph grows by before it is solved again: dead reckoning alone would go far astray.
 POSES_AT_ONCE = 50
-# Without frames a pose at least this often while the robot moves, s of the odometry's clock.
+# Where frames leave room for it, a pose this often while the robot moves, s of the odometry's clock.
 LONGEST_GAP = 0.5
 # The first pose is held this firmly, m and rad: nothing pulls at it.
 HELD = 1e-3
@@ -119,18 +119,19 @@ class _Batch:
         at, by_clock = np.array([[one.stamp, one.clock] for one in reckoned]).T
         frames = [one for one in detections if at[0] <= one.stamp <= at[-1]]
         ends = np.unique([at[0], *(frame.stamp for frame in frames), at[-1]])
-        marks = np.interp(ends, at, by_clock)
-        rows = np.append(0, np.cumsum(np.maximum(np.ceil(np.diff(marks) / LONGEST_GAP), 1.0))).astype(np.int64)
-        clock = np.interp(np.arange(rows[-1] + 1), rows, marks)
-        self.stamps: FloatArray = np.interp(clock, by_clock, at)
-        self.stamps[rows] = ends
+        # Where messages are missing, all between them is one motion.
+        between = at[np.searchsorted(at[:-1], np.interp(np.arange(0.0, by_clock[-1], LONGEST_GAP), by_clock, at))]
+        next_end = np.clip(np.searchsorted(ends, between), 1, len(ends) - 1)
+        room = np.minimum(between - ends[next_end - 1], ends[next_end] - between)
+        self.stamps: FloatArray = np.unique(np.append(ends, between[room > 0.5 * LONGEST_GAP]))
         after_it = np.clip(np.searchsorted(at, self.stamps), min(1, len(at) - 1), len(at) - 1).tolist()
         X_OB = [
             interpolate(reckoned[max(i - 1, 0)], reckoned[i], stamp)
             for i, stamp in zip(after_it, self.stamps.tolist(), strict=True)
         ]
         self._increment = np.array([arc(*pair) for pair in itertools.pairwise(X_OB)]).reshape(-1, 3)
-        self._dt, self.calibration_sigma = np.diff(clock), np.maximum(calibration_sigma(config), LEAST_SIGMA)
+        self._dt = np.diff(np.interp(self.stamps, at, by_clock))
+        self.calibration_sigma = np.maximum(calibration_sigma(config), LEAST_SIGMA)
         X_ij, _, covariance = predict_increments(self._increment, self._dt, np.zeros(3), random_walks(config))
         # GTSAM has the error as it is seen from the measured pose.
         self._R_ji = np.array([se2.rotation(float(-angle)) for angle in X_ij[:, 2]]).reshape(-1, 2, 2)
@@ -140,7 +141,7 @@ class _Batch:
         first = gtsam.Pose2(*X_OB[0])
         self._first = gtsam.PriorFactorPose2(X(0), first, gtsam.noiseModel.Isotropic.Sigma(3, HELD))
 
-        frame_rows = rows[np.searchsorted(ends, [frame.stamp for frame in frames])]
+        frame_rows = np.searchsorted(self.stamps, [frame.stamp for frame in frames])
         self.node: IntArray = np.repeat(frame_rows, [len(frame.ids) for frame in frames])
         z = [np.stack([one.bearing, one.range, one.sigma_bearing, one.sigma_range], axis=1) for one in frames]
         self._z = np.concatenate([np.empty((0, 4)), *z])
@@ -184,7 +185,6 @@ class _Batch:
                 factors.add(self._sightings[row])
             if (i + 1) % POSES_AT_ONCE == 0 or i == k - 1:
                 isam.update(factors, values)
-                isam.update()
                 factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
                 newest = isam.calculateEstimatePose2(X(i))
                 report((i + 1) / k)
