@@ -9,6 +9,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
+from tfg_drake.slam.least_squares import cost
 from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
 
 # Steps that show which of two starts is the better one.
@@ -42,7 +43,7 @@ class PoseGraph:
 def half_chi_square(graph: PoseGraph) -> float:
     """Half the sum of squared whitened errors at the graph's values."""
     factors = _factors(graph)
-    return factors.cost(factors.unknowns(graph.X_MB, graph.p_ML))
+    return cost(factors.linearise(factors.unknowns(graph.X_MB, graph.p_ML)))
 
 
 def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None) -> PoseGraph:

@@ -14,7 +14,7 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.least_squares import MOST_STEPS, Rows, cost, minimise
+from tfg_drake.slam.least_squares import MOST_STEPS, Rows, minimise
 
 # Poses that a graph grows by before it is solved again.
 POSES_AT_ONCE = 50
@@ -109,10 +109,6 @@ class PlanarGraph:
         columns = [_at(seen.pose, 3), 3 * self.poses + _at(seen.landmark, 2)]
         jacobian = seen.whitener @ np.concatenate([on_pose, on_landmark], axis=2)
         return Rows(np.einsum("sij,sj->si", seen.whitener, p_BL - seen.p_BL), np.hstack(columns), jacobian)
-
-    def cost(self, x: FloatArray) -> float:
-        """Half the sum of squared whitened errors."""
-        return cost(self.linearise(x))
 
     def solved(self, x: FloatArray, most_steps: int = MOST_STEPS) -> tuple[FloatArray, float]:
         """The unknowns of least cost that steps from x lead to, and that cost."""
