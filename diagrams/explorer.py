@@ -110,7 +110,7 @@ def MakeTfgExplorer(
         "slam_estimator",
         "estimator",
         estimator,
-        lambda _: SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period),
+        lambda _: SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period, explorer.solver),
     )
     tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
     selector = add(

@@ -24,6 +24,7 @@ from tfg_drake.config import (
     GOAL_RULES,
     RISKS,
     ROBOTS,
+    SOLVERS,
     CameraConfig,
     DisturbanceConfig,
     ExplorerConfig,
@@ -148,6 +149,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
 _CHOICES: dict[str, tuple[str, ...]] = {
     "explorer.gain": GAINS,
     "explorer.goal": GOAL_RULES,
+    "explorer.solver": SOLVERS,
     "planner.risk": RISKS,
     "station.eyes": EYES,
     "hardware.robot": ROBOTS,

@@ -60,9 +60,15 @@ class SlamEstimator(LeafSystem):
     stage plus one. Messages are taken once each, by their stamps.
     """
 
-    def __init__(self, odometry_config: OdometryConfig, sensor: TagSensorConfig, path_keyframe_period: float) -> None:
-        """odometry_config, sensor: what the estimator believes of odometry and camera. path_keyframe_period: s, see
-        `tfg_drake.slam.estimator_state.initial_state`."""
+    def __init__(
+        self,
+        odometry_config: OdometryConfig,
+        sensor: TagSensorConfig,
+        path_keyframe_period: float,
+        solver: str = "dissection",
+    ) -> None:
+        """odometry_config, sensor: what the estimator believes of odometry and camera. path_keyframe_period (s),
+        solver: see `tfg_drake.slam.estimator_state.initial_state`."""
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
@@ -72,7 +78,7 @@ class SlamEstimator(LeafSystem):
         self._mission = declare_message_input(self, "mission")
         self._goal = declare_message_input(self, "goal")
         prior = by_data_sheet(odometry_config, sensor)
-        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, prior))
+        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, prior, solver))
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)

@@ -16,6 +16,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 # The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
 # of a short tour, the frontier reached soonest, any place within reach.
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
+# What solves the estimator's keyframe graph: nested dissection, or GTSAM alone.
+SOLVERS = ("dissection", "gtsam")
 # The real robots, by what their base speaks.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
 # What a simulated robot sees tags and walls with: sensors as the paper's, or a camera whose images are rendered.
@@ -418,6 +420,8 @@ class ExplorerConfig:
     glance_period: float = 2.0
     # The way between views is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
+    # What solves the estimator's keyframe graph, one of SOLVERS. GTSAM is slower and knows no constant errors of tags.
+    solver: str = "dissection"
 
 
 @dataclasses.dataclass

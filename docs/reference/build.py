@@ -25,6 +25,7 @@ API = {
     "explore": "tfg_drake.diagrams.exploration",
     "load_run": "tfg_drake.storage.run",
     "fork": "tfg_drake.diagrams.exploration",
+    "map_graph": "tfg_drake.slam.gtsam_solver",
 }
 START = """tfg_drake
 =========

@@ -237,6 +237,7 @@ def test_settings_are_applied_in_order_to_a_copy():
             "explorer.goal=far",
             "explorer.goal: must be one of gain_per_time, argmax, tour, nearest_frontier, random, is far",
         ),
+        ("explorer.solver=ceres", "explorer.solver: must be one of dissection, gtsam, is ceres"),
         ("planner.risk=none", "planner.risk: must be one of point, path, is none"),
         ("explorer.stop_gian=5", "explorer.stop_gian: unknown key; did you mean stop_gain?"),
         ("robot.x=5", None),

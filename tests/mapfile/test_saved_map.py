@@ -68,6 +68,12 @@ def test_round_trip_is_exact(path, small_map):
     assert path.read_bytes() == first
 
 
+def test_the_solver_is_no_part_of_the_map(tmp_path, small_map):
+    graph = dataclasses.replace(small_map.graph, solver="gtsam")
+    save_map(tmp_path / "map.npz", dataclasses.replace(small_map, graph=graph))
+    assert load_map(tmp_path / "map.npz").graph.solver == "dissection"
+
+
 def test_a_map_without_landmarks_can_be_kept(tmp_path, small_map):
     prior = exactly_known()
     graph, _, _ = updated(empty_graph(prior), empty_map(prior), way(np.zeros(3), 1e-4 * np.eye(3)))

@@ -7,15 +7,18 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
 from tfg_drake.slam import estimator, map_solver, map_update
+from tfg_drake.slam.dissection_solver import DissectionSolver
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
+    finished_map,
     map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
 )
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.gtsam_solver import GtsamSolver
 from tfg_drake.slam.shared import CLOCK, SHARED, Shared, by_data_sheet
 
 TURN = 201
@@ -25,11 +28,11 @@ def feed(state, message):
     return (process_odometry if isinstance(message, Odometry) else process_detections)(state, message)
 
 
-def explore(drive, seed, noise, views=8, tags=80, check=None, order=lambda messages: messages):
+def explore(drive, seed, noise, views=8, tags=80, check=None, order=lambda messages: messages, solver="dissection"):
     """Turns at places on a ring in a 20 x 20 m room; returns the robot and the estimator after the last."""
     points = np.random.default_rng(1000 + seed).uniform(-10.0, 10.0, (tags, 2))
     robot = drive(points, seed, noise, start=(6.0, 0.0, 0.5 * np.pi))
-    state = process_odometry(initial_state(robot.config), robot.odometry())
+    state = process_odometry(initial_state(robot.config, solver=solver), robot.odometry())
 
     def move(state, speed, turn_rate, steps):
         for _ in range(steps):
@@ -60,6 +63,20 @@ def test_exact_without_noise(drive):
     np.testing.assert_allclose(estimate.p_ML, robot.p_ML(estimate.ids), atol=1e-6)
     np.testing.assert_allclose(estimate.X_MD, robot.X_MB, atol=1e-6)
     assert estimate.observation.X_AB.shape[0] > 60
+
+
+def test_gtsam_alone_comes_to_the_same_map(drive):
+    expected, found = (
+        finished_map(explore(drive, 3, 1.0, views=4, solver=solver)[1]) for solver in ("dissection", "gtsam")
+    )
+    assert isinstance(map_solver.solver_of(found.graph), GtsamSolver)
+    assert isinstance(map_solver.solver_of(expected.graph), DissectionSolver)
+    np.testing.assert_array_equal(found.map.ids, expected.map.ids)
+    np.testing.assert_allclose(found.map.p_ML, expected.map.p_ML, atol=1e-6)
+    np.testing.assert_allclose(found.map.X_MA, expected.map.X_MA, atol=1e-6)
+    np.testing.assert_allclose(found.graph.shared.mean, expected.graph.shared.mean, atol=1e-6)
+    deviation = np.sqrt(np.diag(expected.map.covariance))
+    assert np.abs((found.map.covariance - expected.map.covariance) / np.outer(deviation, deviation)).max() < 1e-5
 
 
 def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(drive, monkeypatch):

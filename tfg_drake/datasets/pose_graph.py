@@ -5,12 +5,11 @@ This is what a g2o file holds. It is no stream of range and bearing, so the onli
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
+from tfg_drake.slam.least_squares import cost
 from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
 
 # Steps that show which of two starts is the better one.
@@ -44,7 +43,7 @@ class PoseGraph:
 def half_chi_square(graph: PoseGraph) -> float:
     """Half the sum of squared whitened errors at the graph's values."""
     factors = _factors(graph)
-    return factors.cost(factors.unknowns(graph.X_MB, graph.p_ML))
+    return cost(factors.linearise(factors.unknowns(graph.X_MB, graph.p_ML)))
 
 
 def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None) -> PoseGraph:
@@ -74,18 +73,8 @@ def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None)
     x, _ = min((factors.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
     x, _ = factors.solved(x)
     report(1.0)
-    X_MB, p_ML, _ = factors.parts(x)
+    X_MB, p_ML = factors.parts(x)
     return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=p_ML)
-
-
-@dataclass(frozen=True)
-class _Points(Sightings):
-    """Sightings in x and y. whitener: (s, 2, 2)."""
-
-    whitener: FloatArray
-
-    def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.einsum("sij,sj->si", self.whitener, p_BL - self.p_BL), self.whitener
 
 
 def _factors(graph: PoseGraph) -> PlanarGraph:
@@ -96,7 +85,7 @@ def _factors(graph: PoseGraph) -> PlanarGraph:
     c, s = np.cos(graph.X_ij[:, 2]), np.sin(graph.X_ij[:, 2])
     R_ji[:, 0, 0], R_ji[:, 0, 1], R_ji[:, 1, 0], R_ji[:, 1, 1], R_ji[:, 2, 2] = c, s, -s, c, 1.0
     motions = Motions(ends[:, 0], ends[:, 1], graph.X_ij, _root(graph.edge_information) @ R_ji)
-    sightings = _Points(
+    sightings = Sightings(
         pose=np.searchsorted(graph.pose_ids, graph.sightings[:, 0]),
         landmark=np.searchsorted(graph.landmark_ids, graph.sightings[:, 1]),
         p_BL=graph.p_BL,

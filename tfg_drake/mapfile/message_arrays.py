@@ -11,9 +11,10 @@ one of these or None. Marks behind the name tell what a plain array cannot:
 | `name@present` | false where an optional field is None |
 | `name@lower` | a symmetric matrix or stack of them by its lower triangle, row by row |
 
-Only fields named `covariance` or `..._covariance` are stored by the lower triangle, and only where every one of them
-is symmetric to the bit. Classes are never named in the file: which class stands where follows from the annotations,
-and all of them must be in the registry that the caller gives. Nothing that is read is ever run.
+A field with the metadata `kept: False` has no array and is read as its default. Only fields named `covariance` or
+`..._covariance` are stored by the lower triangle, and only where every one of them is symmetric to the bit. Classes are
+never named in the file: which class stands where follows from the annotations, and all of them must be in the registry
+that the caller gives. Nothing that is read is ever run.
 """
 
 from __future__ import annotations
@@ -78,9 +79,9 @@ def from_arrays(kind: type[T], arrays: Mapping[str, Array], registry: Registry) 
 
 @functools.cache
 def hints_of(kind: type) -> dict[str, Any]:
-    """The annotations of a dataclass's fields by their names."""
+    """The annotations of a dataclass's fields by their names, without those that are not kept."""
     hints = typing.get_type_hints(kind)
-    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.metadata.get("kept", True)}
 
 
 def optional_of(hint: Any) -> Any | None:

@@ -1,42 +1,53 @@
 """The reference for any online estimator: every pose, landmark and the odometry's calibration, solved from all data.
 
-A pose at every frame, odometry between them, bearing and range with a robust kernel. The graph is grown pose by pose,
-then solved to convergence; sightings that the robust solution contradicts grossly are left out of the last solve.
+A pose at every frame, odometry between them, bearing and range with a robust kernel: GTSAM's stock factors. The graph
+is grown by ISAM2, then solved to convergence; sightings that the robust solution contradicts grossly are left out of
+the last solve. No stock factor knows the calibration, so after each solve it takes a step of the linear system that
+does.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from collections.abc import Callable
 
+import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import C, L, X
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDetections, message
 from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
     interpolate,
-    interpolate_clock,
     predict_increments,
     random_walks,
     reckon,
 )
-from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings, in_body, in_map
 from tfg_drake.slam.shared import LEAST_SIGMA, calibration_sigma
 
 # A sighting this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 4.0
 # Huber threshold, sigmas.
 HUBER_SIGMAS = 1.3
-# Rounds of solving and looking for outliers, at most.
-MOST_ROUNDS = 6
-# Without frames a pose at least this often while the robot moves, s of the odometry's clock.
+# Rounds of solving, at most, and the step of the calibration, in sigmas of what is known of it beforehand, after which
+# outliers are looked for.
+MOST_ROUNDS = 12
+SMALL_STEP = 0.05
+# Relative decrease of the cost after which a solve ends.
+SMALL_DECREASE = 1e-6
+# Poses that the graph grows by before it is solved again: dead reckoning alone would go far astray.
+POSES_AT_ONCE = 50
+# Where frames leave room for it, a pose this often while the robot moves, s of the odometry's clock.
 LONGEST_GAP = 0.5
-# A landmark nearer than this, m, has no bearing.
-LEAST_RANGE = 1e-6
+# The first pose is held this firmly, m and rad: nothing pulls at it.
+HELD = 1e-3
+
+# Called with the share of the work done, 0 to 1.
+OnProgress = Callable[[float], None]
 
 
 @message
@@ -58,47 +69,6 @@ class SmoothedRun:
     rejected: int
 
 
-@message
-class _Run:
-    """stamps (k,), clock (k,), X_OB (k, 3): the graph's poses. node (s,), ids (s,), z (s, 4): sightings as their pose,
-    landmark, and bearing, range, sigma of bearing, sigma of range."""
-
-    stamps: FloatArray
-    clock: FloatArray
-    X_OB: FloatArray
-    node: IntArray
-    ids: IntArray
-    z: FloatArray
-
-
-@dataclass(frozen=True)
-class _Odometry(Motions):
-    """Motions by odometry. increment: (m, 3) of `odometry_model.arc` over dt (m,), s."""
-
-    increment: FloatArray
-    dt: FloatArray
-
-    def measured(self, calibration: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return predict_increments(self.increment, self.dt, calibration, np.zeros(3))[:2]
-
-
-@dataclass(frozen=True)
-class _BearingRange(Sightings):
-    """Sightings by bearing, rad, and range, m. z: (s, 4) the two and their sigmas."""
-
-    z: FloatArray
-    huber: ClassVar[float] = HUBER_SIGMAS
-
-    def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
-        bearing, distance, sigma_bearing, sigma_range = self.z.T
-        x, y = p_BL.T
-        r = np.maximum(np.hypot(x, y), LEAST_RANGE)
-        turn = se2.wrap_angle(np.arctan2(y, x) - bearing)
-        error = np.column_stack([turn / sigma_bearing, (r - distance) / sigma_range])
-        on_bearing = np.column_stack([-y, x]) / (r**2 * sigma_bearing)[:, None]
-        return error, np.stack([on_bearing, p_BL / (r * sigma_range)[:, None]], axis=1)
-
-
 def smooth(
     odometry: tuple[Odometry, ...],
     detections: tuple[TagDetections, ...],
@@ -111,28 +81,24 @@ def smooth(
     """
     if not odometry:
         raise ValueError("A run without odometry cannot be smoothed.")
-    run = _run(odometry, detections)
-    graph = _graph(run, config)
-    start = np.full((graph.poses, 3), np.nan)
-    start[0] = run.X_OB[0]
-    x = graph.unknowns(start, np.full((graph.landmarks, 2), np.nan))
-    x = graph.grown(x, lambda share: on_progress(0.7 * share))
-    kept = np.ones(len(run.ids), dtype=bool)
+    batch = _Batch(odometry, detections, config)
+    X_MB = batch.grown(lambda share: on_progress(0.7 * share))
+    calibration, kept = np.zeros(3), np.ones(len(batch.landmark), dtype=bool)
     for rounds in range(1, MOST_ROUNDS + 1):
-        x = _with_landmarks(graph, x, kept)
-        x, error = replace(graph, sightings=graph.sightings.take(kept)).solved(x)
-        near = _near(graph, x, kept)
-        if rounds == MOST_ROUNDS or np.array_equal(near, kept):
+        X_MB, p_ML, error, step = batch.solved(X_MB, kept, calibration)
+        calibration = calibration + step
+        is_small = bool(np.all(np.abs(step) < SMALL_STEP * batch.calibration_sigma))
+        near = batch.near(X_MB, p_ML) if is_small else kept
+        if rounds == MOST_ROUNDS or (is_small and np.array_equal(near, kept)):
             break
         kept = near
         on_progress(0.7 + 0.3 * rounds / MOST_ROUNDS)
     on_progress(1.0)
-    X_MB, p_ML, calibration = graph.parts(x)
-    seen = np.unique(graph.sightings.landmark[kept])
+    seen = np.unique(batch.landmark[kept])
     return SmoothedRun(
-        stamps=run.stamps,
-        X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]),
-        ids=np.unique(run.ids)[seen],
+        stamps=batch.stamps,
+        X_MB=X_MB,
+        ids=batch.ids[seen],
         p_ML=p_ML[seen],
         calibration=calibration,
         half_chi_square=error,
@@ -141,85 +107,138 @@ def smooth(
     )
 
 
-def _run(odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...]) -> _Run:
-    reckoned = [first_reckoning(odometry[0])]
-    for before, after in itertools.pairwise(odometry):
-        reckoned.append(reckon(reckoned[-1], before, after))
-    at = np.array([one.stamp for one in reckoned])
-    frames = [one for one in detections if at[0] <= one.stamp <= at[-1]]
+class _Batch:
+    """The factors of a run. stamps: (k,) of the poses. node, landmark: (s,) the rows of each sighting's; ids: (n,)."""
 
-    stamps, clock, X_OB = [reckoned[0].stamp], [reckoned[0].clock], [reckoned[0].X_OB]
-    node = []
+    def __init__(
+        self, odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...], config: OdometryConfig
+    ) -> None:
+        reckoned = [first_reckoning(odometry[0])]
+        for before, after in itertools.pairwise(odometry):
+            reckoned.append(reckon(reckoned[-1], before, after))
+        at, by_clock = np.array([[one.stamp, one.clock] for one in reckoned]).T
+        frames = [one for one in detections if at[0] <= one.stamp <= at[-1]]
+        ends = np.unique([at[0], *(frame.stamp for frame in frames), at[-1]])
+        # Where messages are missing, all between them is one motion.
+        between = at[np.searchsorted(at[:-1], np.interp(np.arange(0.0, by_clock[-1], LONGEST_GAP), by_clock, at))]
+        next_end = np.clip(np.searchsorted(ends, between), 1, len(ends) - 1)
+        room = np.minimum(between - ends[next_end - 1], ends[next_end] - between)
+        self.stamps: FloatArray = np.unique(np.append(ends, between[room > 0.5 * LONGEST_GAP]))
+        after_it = np.clip(np.searchsorted(at, self.stamps), min(1, len(at) - 1), len(at) - 1).tolist()
+        X_OB = [
+            interpolate(reckoned[max(i - 1, 0)], reckoned[i], stamp)
+            for i, stamp in zip(after_it, self.stamps.tolist(), strict=True)
+        ]
+        self._increment = np.array([arc(*pair) for pair in itertools.pairwise(X_OB)]).reshape(-1, 3)
+        self._dt = np.diff(np.interp(self.stamps, at, by_clock))
+        self.calibration_sigma = np.maximum(calibration_sigma(config), LEAST_SIGMA)
+        X_ij, _, covariance = predict_increments(self._increment, self._dt, np.zeros(3), random_walks(config))
+        # GTSAM has the error as it is seen from the measured pose.
+        self._R_ji = np.array([se2.rotation(float(-angle)) for angle in X_ij[:, 2]]).reshape(-1, 2, 2)
+        covariance[:, :2] = self._R_ji @ covariance[:, :2]
+        covariance[:, :, :2] = covariance[:, :, :2] @ self._R_ji.transpose(0, 2, 1)
+        self._noise = [gtsam.noiseModel.Gaussian.Covariance(one) for one in covariance]
+        first = gtsam.Pose2(*X_OB[0])
+        self._first = gtsam.PriorFactorPose2(X(0), first, gtsam.noiseModel.Isotropic.Sigma(3, HELD))
 
-    def add(stamp: float) -> None:
-        if stamp > stamps[-1]:
-            i = max(int(np.searchsorted(at, stamp)), 1)
-            stamps.append(stamp)
-            clock.append(interpolate_clock(reckoned[i - 1], reckoned[i], stamp))
-            X_OB.append(interpolate(reckoned[i - 1], reckoned[i], stamp))
+        frame_rows = np.searchsorted(self.stamps, [frame.stamp for frame in frames])
+        self.node: IntArray = np.repeat(frame_rows, [len(frame.ids) for frame in frames])
+        z = [np.stack([one.bearing, one.range, one.sigma_bearing, one.sigma_range], axis=1) for one in frames]
+        self._z = np.concatenate([np.empty((0, 4)), *z])
+        self.ids, self.landmark = np.unique(
+            np.concatenate([np.empty(0, dtype=np.int64), *(one.ids for one in frames)]), return_inverse=True
+        )
+        huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_SIGMAS)
+        self._sightings = []
+        for i, j, (bearing, distance, *sigmas) in zip(self.node.tolist(), self.landmark.tolist(), self._z, strict=True):
+            noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+            self._sightings.append(gtsam.BearingRangeFactor2D(X(i), L(j), gtsam.Rot2(bearing), distance, noise))
+        bearing, distance = self._z[:, 0], self._z[:, 1]
+        self._p_BL = distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
 
-    row = 0
-    for frame in frames:
-        while row < len(reckoned) and reckoned[row].stamp < frame.stamp:
-            if reckoned[row].clock - clock[-1] >= LONGEST_GAP:
-                add(reckoned[row].stamp)
-            row += 1
-        add(frame.stamp)
-        node.append(len(stamps) - 1)
-    for one in reckoned[row:]:
-        if one.clock - clock[-1] >= LONGEST_GAP:
-            add(one.stamp)
-    add(reckoned[-1].stamp)
+    def _motions(self, calibration: FloatArray) -> tuple[list[gtsam.BetweenFactorPose2], FloatArray]:
+        """Those of the odometry with a calibration (3,), and how they depend on it, (k - 1, 3, 3)."""
+        X_ij, on_calibration, _ = predict_increments(self._increment, self._dt, calibration, np.zeros(3))
+        motions = [
+            gtsam.BetweenFactorPose2(X(i), X(i + 1), gtsam.Pose2(*one), noise)
+            for i, (one, noise) in enumerate(zip(X_ij, self._noise, strict=True))
+        ]
+        return motions, on_calibration
 
-    counts = [len(frame.ids) for frame in frames]
-    z = np.empty((sum(counts), 4))
-    for column, name in enumerate(("bearing", "range", "sigma_bearing", "sigma_range")):
-        z[:, column] = np.concatenate([np.empty(0), *(getattr(frame, name) for frame in frames)])
-    return _Run(
-        stamps=np.array(stamps),
-        clock=np.array(clock),
-        X_OB=np.array(X_OB),
-        node=np.repeat(np.array(node, dtype=np.int64), counts),
-        ids=np.concatenate([np.empty(0, dtype=np.int64), *(frame.ids for frame in frames)]),
-        z=z,
-    )
+    def grown(self, report: OnProgress) -> FloatArray:
+        """(k, 3) poses near the solution, some at a time added where odometry has them, each landmark where it is seen
+        first."""
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        isam, factors, values = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph(), gtsam.Values()
+        motions, k = self._motions(np.zeros(3))[0], len(self.stamps)
+        begins = np.searchsorted(self.node, np.arange(k + 1))
+        newest = self._first.prior()
+        for i in range(k):
+            factors.add(motions[i - 1] if i else self._first)
+            newest = newest.compose(motions[i - 1].measured()) if i else newest
+            values.insert(X(i), newest)
+            for row in range(begins[i], begins[i + 1]):
+                key = L(int(self.landmark[row]))
+                if not values.exists(key) and not isam.valueExists(key):
+                    values.insert(key, newest.transformFrom(self._p_BL[row]))
+                factors.add(self._sightings[row])
+            if (i + 1) % POSES_AT_ONCE == 0 or i == k - 1:
+                isam.update(factors, values)
+                factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+                newest = isam.calculateEstimatePose2(X(i))
+                report((i + 1) / k)
+        return np.asarray(gtsam.utilities.extractPose2(isam.calculateBestEstimate()))
 
+    def solved(
+        self, X_MB: FloatArray, kept: BoolArray, calibration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+        """Poses (k, 3) and landmarks (n, 2), nan where no sighting is kept, of least cost with a calibration (3,), that
+        cost, and the step (3,) of Gauss and Newton that the calibration takes from there; the others have taken it.
 
-def _graph(run: _Run, config: OdometryConfig) -> PlanarGraph:
-    """The first pose is held where odometry has it."""
-    k = len(run.stamps)
-    increment = np.array([arc(*pair) for pair in itertools.pairwise(run.X_OB)]).reshape(-1, 3)
-    dt = np.diff(run.clock)
-    X_ij, _, covariance = predict_increments(increment, dt, np.zeros(3), random_walks(config))
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-    tags, landmark = np.unique(run.ids, return_inverse=True)
-    bearing, distance = run.z[:, 0], run.z[:, 1]
-    p_BL = distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
-    return PlanarGraph(
-        poses=k,
-        landmarks=len(tags),
-        motions=_Odometry(np.arange(k - 1), np.arange(1, k), X_ij, whitener, increment, dt),
-        sightings=_BearingRange(run.node, landmark, p_BL, run.z),
-        held=np.zeros(1, dtype=np.int64),
-        calibration_sigma=np.maximum(calibration_sigma(config), LEAST_SIGMA),
-    )
+        X_MB: (k, 3) poses to begin from; each landmark begins where most of its kept (s,) sightings put it.
+        """
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        motions, on_calibration = self._motions(calibration)
+        rows = np.flatnonzero(kept)
+        for factor in (self._first, *motions, *(self._sightings[row] for row in rows.tolist())):
+            factors.add(factor)
+        for i, pose in enumerate(X_MB):
+            values.insert(X(i), gtsam.Pose2(*pose))
+        seen, p_ML = np.unique(self.landmark[rows]), np.full((len(self.ids), 2), np.nan)
+        points = X_MB[self.node[rows], :2] + turned(self._p_BL[rows], X_MB[self.node[rows], 2])
+        for j in seen.tolist():
+            values.insert(L(j), np.median(points[self.landmark[rows] == j], axis=0))
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setRelativeErrorTol(SMALL_DECREASE)
+        values = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters).optimize()
+        error = factors.error(values) + 0.5 * np.sum((calibration / self.calibration_sigma) ** 2)
+        step = self._step(factors.linearize(values), calibration, on_calibration)
+        values = values.retract(step)
+        for j in seen.tolist():
+            p_ML[j] = values.atPoint2(L(j))
+        return np.asarray(gtsam.utilities.extractPose2(values)), p_ML, float(error), np.asarray(step.at(C(0)))
 
+    def _step(
+        self, linear: gtsam.GaussianFactorGraph, calibration: FloatArray, on_calibration: FloatArray
+    ) -> gtsam.VectorValues:
+        """Where the linear factors of `solved` lead when motions depend on the calibration, too."""
+        system, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
+        on_calibration[:, :2] = self._R_ji @ on_calibration[:, :2]
+        for i, (noise, on) in enumerate(zip(self._noise, on_calibration, strict=True)):
+            motion = gtsam.JacobianFactor(linear.at(i + 1))
+            A, b = motion.getA(), motion.getb()
+            system.push_back(gtsam.JacobianFactor(X(i), A[:, :3], X(i + 1), A[:, 3:], C(0), -noise.R() @ on, b, unit))
+        for i in (0, *range(len(self._noise) + 1, linear.size())):
+            system.push_back(linear.at(i))
+        whitener = np.diag(1.0 / self.calibration_sigma)
+        system.push_back(gtsam.JacobianFactor(C(0), whitener, -whitener @ calibration, unit))
+        return system.optimize()
 
-def _with_landmarks(graph: PlanarGraph, x: FloatArray, kept: BoolArray) -> FloatArray:
-    """The poses and calibration of x, and every landmark where most of its sightings put it."""
-    seen = graph.sightings.take(kept)
-    x = x.copy()
-    X_MB, p_ML, _ = graph.parts(x)
-    points = in_map(X_MB[seen.pose], seen.p_BL)
-    for landmark in np.unique(seen.landmark):
-        p_ML[landmark] = np.median(points[seen.landmark == landmark], axis=0)
-    return x
-
-
-def _near(graph: PlanarGraph, x: FloatArray, kept: BoolArray) -> BoolArray:
-    """(s,) True where a sighting lies near the solution, and its landmark is in it."""
-    seen = graph.sightings
-    X_MB, p_ML, _ = graph.parts(x)
-    error, _ = seen.error(in_body(X_MB[seen.pose], p_ML[seen.landmark])[0])
-    known = np.isin(seen.landmark, seen.landmark[kept])
-    return np.asarray(known & (np.linalg.norm(error, axis=1) <= OUTLIER_SIGMAS))
+    def near(self, X_MB: FloatArray, p_ML: FloatArray) -> BoolArray:
+        """(s,) True where a sighting lies near the solution, and its landmark is in it."""
+        X_MB, bearing, distance = X_MB[self.node], self._z[:, 0], self._z[:, 1]
+        x, y = (p_ML[self.landmark] - X_MB[:, :2]).T
+        turn = se2.wrap_angle(np.arctan2(y, x) - X_MB[:, 2] - bearing)
+        error = np.column_stack([turn, np.hypot(x, y) - distance]) / self._z[:, 2:]
+        return np.asarray(np.linalg.norm(error, axis=1) <= OUTLIER_SIGMAS)

@@ -120,17 +120,20 @@ class EstimatorState:
 
 
 def initial_state(
-    config: OdometryConfig, path_keyframe_period: float = 0.0, prior: Shared | None = None
+    config: OdometryConfig,
+    path_keyframe_period: float = 0.0,
+    prior: Shared | None = None,
+    solver: str = "dissection",
 ) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
     prior: what is known of the shared parameters beforehand; none: what the odometry's data sheet says, and of the
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
-    localise (the paper's Sec. III).
+    localise (the paper's Sec. III). solver: what solves the keyframe graph, one of `config.SOLVERS`.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
-    graph = empty_graph(prior)
+    graph = empty_graph(prior, solver)
     state = EstimatorState(
         noise=as_told(random_walks(config)),
         sheet=prior,

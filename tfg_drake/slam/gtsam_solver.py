@@ -25,9 +25,20 @@ from tfg_drake.slam.solver import Factors, factors_of
 LEAST_SHARE = 1e-13
 
 
-def nonlinear_graph(graph: KeyframeGraph) -> gtsam.NonlinearFactorGraph:
-    """The map as GTSAM has it: landmarks L(row) (2), nodes X(j) (3) from 1 on, X(0) being the origin, and the shared
-    parameters S(0) (8). Constant errors of tags are not in it."""
+def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The map of an estimator, of which a saved map is one, as GTSAM has it: its factors, and its values.
+
+    graph: `exploration.look("estimator_state").graph` of a mission, `load_run(folder).map.graph` of a run that is kept.
+
+    The keys: L(row), (2,) landmark graph.ids[row], m. X(j), (3,) the pose graph.X_MN[j] in which keyframe j - 1 ends
+    and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's origin and no variable. S(0), (8,) the
+    parameters that all keyframes share, in the order of `tfg_drake.slam.shared`. All are vectors, in the map frame M.
+    Factor 0 is the prior of S(0), factor j + 1 keyframe j: a `CustomFactor`, which GTSAM cannot serialise. Constant
+    errors of tags (graph.tag_error) are in none.
+
+    The values are those of the last solve, and of landmarks that were first seen since. They are the optimum where tags
+    have no constant errors; `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
+    """
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.prior.covariance)
     factors.add(gtsam.PriorFactorVector(S(0), graph.prior.mean, prior))
@@ -35,18 +46,16 @@ def nonlinear_graph(graph: KeyframeGraph) -> gtsam.NonlinearFactorGraph:
         rows = np.searchsorted(graph.ids, one.ids)
         keys = [*(L(row) for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
         factors.add(_factor(one, keys, from_origin=j == 0))
-    return factors
+    return factors, _values_of(Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML)))
 
 
-def values_of(graph: KeyframeGraph, values: Values | None = None) -> gtsam.Values:
-    """The values of a graph, its own by default, as GTSAM has them."""
+def _values_of(values: Values) -> gtsam.Values:
     where = gtsam.Values()
-    now = values or Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
-    for row, p_ML in enumerate(now.p_ML):
+    for row, p_ML in enumerate(values.p_ML):
         where.insert(L(row), p_ML)
-    for j, X_MN in enumerate(now.X_MN[1:], 1):
+    for j, X_MN in enumerate(values.X_MN[1:], 1):
         where.insert(X(j), X_MN)
-    where.insert(S(0), now.shared)
+    where.insert(S(0), values.shared)
     return where
 
 
@@ -82,29 +91,25 @@ def _factor(one: Keyframe, keys: list[int], *, from_origin: bool) -> gtsam.Custo
 
 @dataclasses.dataclass(frozen=True)
 class GtsamSystem:
-    """See `solver.System`. at: where the unknowns of each key are."""
+    """See `solver.System`. at: where the unknowns of each key are. newton: (u,) the step."""
 
     system: gtsam.GaussianFactorGraph
     at: dict[int, slice]
     gradient: FloatArray
     error: float
+    newton: FloatArray
     # Constant errors of tags are looked for by the default solver only.
     places: FloatArray | None = None
 
     @property
     def log_determinant(self) -> float:
         """Of the information on all unknowns."""
-        conditionals = self.system.eliminateSequential()
-        diagonals = (np.diag(conditionals.at(i).R()) for i in range(conditionals.size()))
-        return 2.0 * float(sum(np.sum(np.log(np.abs(diagonal))) for diagonal in diagonals))
+        return 2.0 * float(self.system.eliminateSequential().logDeterminant())
 
     def step(self, gradient: FloatArray) -> FloatArray:
         """(u,) the step of Gauss and Newton; the gradient is the system's own."""
         del gradient
-        found, step = self.system.optimize(), np.empty(len(self.gradient))
-        for key, at in self.at.items():
-            step[at] = found.at(key)
-        return step
+        return self.newton
 
     def covariance(self, at: IntArray) -> FloatArray:
         """(c, c) joint, of some unknowns (c,): what is left when all others are eliminated, inverted."""
@@ -129,50 +134,58 @@ def _left(system: gtsam.GaussianFactorGraph, keys: list[int]) -> FloatArray:
 
 
 class GtsamSolver:
-    """See `solver.Solver`. It takes five and a half times as long as the default, which it is there to test."""
+    """See `solver.Solver`. It is chosen by `explorer.solver` and takes six to seven times as long as the default."""
 
     keeps_for = 0.0
 
     def __init__(self, graph: KeyframeGraph) -> None:
-        """Raises ValueError where tags have constant errors, which are not in `nonlinear_graph`."""
+        """Raises ValueError where tags have constant errors, which are not in `map_graph`."""
         if graph.tag_error.any():
             raise ValueError("GTSAM alone solves no graph whose tags have constant errors: take DissectionSolver.")
         self.factors: Factors = factors_of(graph)
         n, k = len(graph.ids), len(graph.keyframes)
         nodes = 2 * n + 3 * np.arange(k)
         self.unknowns = Unknowns(2 * np.arange(n), np.append(-1, nodes), 2 * n + 3 * k, np.full(n, -1))
-        self._keyframes, self._graph = graph, nonlinear_graph(graph)
+        self._graph = map_graph(graph)[0]
         self._at = {L(i): slice(2 * i, 2 * i + 2) for i in range(n)}
         self._at |= {X(j + 1): slice(at, at + 3) for j, at in enumerate(nodes.tolist())}
         self._at[S(0)] = slice(2 * n + 3 * k, 2 * n + 3 * k + SHARED)
+        # A step that lowers the error leads to where the next one begins.
+        self._newest: tuple[Values, tuple[gtsam.GaussianFactorGraph, FloatArray, float]] | None = None
 
     def linearised(self, values: Values, damping: float) -> GtsamSystem:
         """See `solver.Solver`."""
-        where = values_of(self._keyframes, values)
-        system = self._graph.linearize(where)
+        linear, gradient, error = self._linear(values)
+        system, step = gtsam.GaussianFactorGraph(), np.empty(len(gradient))
+        system.push_back(linear)
         for key, at in self._at.items() if damping else ():
             width = at.stop - at.start
             system.push_back(gtsam.HessianFactor(key, damping * np.eye(width), np.zeros(width), 0.0))
-        gradient, found = np.empty(self._at[S(0)].stop), system.gradientAtZero()
+        try:
+            found = system.optimize()
+        except RuntimeError as singular:
+            raise np.linalg.LinAlgError(str(singular)) from None
         for key, at in self._at.items():
-            gradient[at] = found.at(key)
-        return GtsamSystem(system, self._at, gradient, 2.0 * self._graph.error(where))
+            step[at] = found.at(key)
+        return GtsamSystem(system, self._at, gradient, error, step)
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """See `solver.Solver`."""
-        system = self.linearised(values, 0.0)
-        return system.gradient, system.error
+        return self._linear(values)[1:]
+
+    def _linear(self, values: Values) -> tuple[gtsam.GaussianFactorGraph, FloatArray, float]:
+        """The linear factors at some values, their gradient and twice the cost."""
+        if self._newest is None or values is not self._newest[0]:
+            where = _values_of(values)
+            linear, gradient = self._graph.linearize(where), np.empty(self._at[S(0)].stop)
+            found = linear.gradientAtZero()
+            for key, at in self._at.items():
+                gradient[at] = found.at(key)
+            self._newest = values, (linear, gradient, 2.0 * self._graph.error(where))
+        return self._newest[1]
 
     def log_determinant_given_landmarks(self, values: Values) -> float:
         """See `solver.Solver`."""
-        system = self.linearised(values, 0.0)
-        rest = [key for key in self._at if key == S(0) or gtsam.symbolChr(key) == ord("x")]
-        whole = system.system.hessian(self._ordering())[0]
-        places = np.concatenate([np.arange(self._at[key].start, self._at[key].stop) for key in rest])
-        return float(np.linalg.slogdet(whole[np.ix_(places, places)])[1])
-
-    def _ordering(self) -> gtsam.Ordering:
-        ordering = gtsam.Ordering()
-        for key in self._at:
-            ordering.push_back(key)
-        return ordering
+        # In the order of the keys, in which landmarks come first.
+        information, first = self._linear(values)[0].hessian()[0], int(self.unknowns.node_at[1])
+        return float(np.linalg.slogdet(information[first:, first:])[1])

@@ -9,6 +9,7 @@ grows with the building, and little with the time that the robot drives about in
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -39,7 +40,8 @@ class KeyframeGraph:
     landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
     of the landmarks, nats, entropy_beyond: what is to be added to that of the landmarks known jointly, of which it is
     all in a small map. prior: of the shared parameters, by all but the keyframes. shared: the same by everything.
-    tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`.
+    tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`. solver: what finds the values, one
+    of `config.SOLVERS`; no part of a saved map.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -54,6 +56,7 @@ class KeyframeGraph:
     prior: Shared
     shared: Shared
     tag_error: FloatArray
+    solver: str = dataclasses.field(default="dissection", metadata={"kept": False})
 
     @property
     def X_MA(self) -> FloatArray:
@@ -61,7 +64,7 @@ class KeyframeGraph:
         return se2.compose(self.X_MN[self.view_keyframe], self.X_AV) if len(self.X_AV) else self.X_AV
 
 
-def empty_graph(prior: Shared) -> KeyframeGraph:
+def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
     """The graph before the first view."""
     none = np.empty(0, dtype=np.int64)
     return KeyframeGraph(
@@ -77,6 +80,7 @@ def empty_graph(prior: Shared) -> KeyframeGraph:
         prior=prior,
         shared=prior,
         tag_error=np.zeros(2),
+        solver=solver,
     )
 
 

@@ -31,14 +31,12 @@ SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMo
 class Rows:
     """m residuals of one kind, linearised.
 
-    residual: (m, d), whitened. columns: (m, w), the unknowns that each depends on. jacobian: (m, d, w). huber: the
-    length beyond which a residual costs in proportion to its length.
+    residual: (m, d), whitened. columns: (m, w), the unknowns that each depends on. jacobian: (m, d, w).
     """
 
     residual: FloatArray
     columns: IntArray
     jacobian: FloatArray
-    huber: float = math.inf
 
 
 # The residuals at values (n,) of all unknowns.
@@ -46,13 +44,8 @@ Linearise = Callable[[FloatArray], Sequence[Rows]]
 
 
 def cost(rows: Sequence[Rows]) -> float:
-    """Half the sum of the squared lengths of all residuals, Huber's function of those that have a threshold."""
-    total = 0.0
-    for one in rows:
-        length = np.linalg.norm(one.residual, axis=1)
-        inside = np.minimum(length, one.huber)
-        total += float(np.sum(inside * (length - 0.5 * inside)))
-    return total
+    """Half the sum of the squared lengths of all residuals."""
+    return 0.5 * sum(float(np.sum(one.residual**2)) for one in rows)
 
 
 def minimise(
@@ -108,15 +101,9 @@ def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -
 
 
 def _normal_equations(rows: Sequence[Rows], free: IntArray, n: int) -> tuple[sparse.csc_array, FloatArray]:
-    """J^T J and J^T r by the free ones of n unknowns, each residual weighted as its Huber function asks."""
-    residuals, jacobians = [], []
-    for one in rows:
-        length = np.linalg.norm(one.residual, axis=1)
-        weight = np.sqrt(np.minimum(1.0, one.huber / np.maximum(length, 1e-300)))
-        residuals.append((weight[:, None] * one.residual).ravel())
-        jacobians.append((weight[:, None, None] * one.jacobian, one.columns))
-    J = _matrix(jacobians, n)[:, free]
-    return (J.T @ J).tocsc(), J.T @ np.concatenate(residuals)
+    """J^T J and J^T r by the free ones of n unknowns."""
+    J = _matrix([(one.jacobian, one.columns) for one in rows], n)[:, free]
+    return (J.T @ J).tocsc(), J.T @ np.concatenate([one.residual.ravel() for one in rows])
 
 
 def _matrix(parts: Sequence[tuple[FloatArray, IntArray]], n: int) -> sparse.csr_array:

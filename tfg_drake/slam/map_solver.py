@@ -8,7 +8,7 @@ from tfg_drake.messages import IntArray, MapEstimate, Observation
 from tfg_drake.slam.dissection_solver import DissectionSolver
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import estimate_of
-from tfg_drake.slam.solver import solved
+from tfg_drake.slam.solver import Solver, solved
 
 # Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
 JOINT = 400
@@ -43,8 +43,18 @@ def solve(
         others = np.sort(by_distance[joint:])
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
-    graph, local, covariance = solved(graph, DissectionSolver(graph), local, node)
+    graph, local, covariance = solved(graph, solver_of(graph), local, node)
     return graph, estimate_of(graph, stamp, observation, graph.p_ML, graph.X_MN[node], local, covariance)
+
+
+def solver_of(graph: KeyframeGraph) -> Solver:
+    """The graph's solver, by its name."""
+    if graph.solver == "dissection":
+        return DissectionSolver(graph)
+    # Its library is loaded only where it is asked for.
+    from tfg_drake.slam.gtsam_solver import GtsamSolver
+
+    return GtsamSolver(graph)
 
 
 def known_jointly(graph: KeyframeGraph) -> int:

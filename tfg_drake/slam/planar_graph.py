@@ -1,23 +1,20 @@
-"""A planar graph of poses, landmarks and the odometry's calibration: its factors in arrays, linearised, grown, solved.
+"""A planar graph of poses and landmarks: its factors in arrays, linearised, grown, solved.
 
-The unknowns are one vector: the poses (x, y, theta), the landmarks (x, y) and last the calibration (scale of distance,
-bias and scale of the gyro), which a graph without odometry leaves alone.
+The unknowns are one vector: the poses (x, y, theta) and the landmarks (x, y).
 """
 
 from __future__ import annotations
 
-import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.slam.least_squares import MOST_STEPS, Rows, cost, minimise
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.least_squares import MOST_STEPS, Rows, minimise
 
 # Poses that a graph grows by before it is solved again.
 POSES_AT_ONCE = 50
@@ -30,7 +27,7 @@ OnProgress = Callable[[float], None]
 class _Factors:
     """Arrays with a row a factor."""
 
-    def take(self, rows: IntArray | BoolArray | slice) -> Self:
+    def take(self, rows: IntArray | slice) -> Self:
         """Some of the factors."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
@@ -51,28 +48,19 @@ class Motions(_Factors):
         """(m,) the later of the two poses."""
         return np.maximum(self.first, self.second)
 
-    def measured(self, calibration: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """X_ij (m, 3) with a calibration (3,), and its Jacobian (m, 3, c): without columns if it depends on none."""
-        del calibration
-        return self.X_ij, np.empty((len(self.X_ij), 3, 0))
-
 
 @dataclass(frozen=True)
-class Sightings(_Factors, ABC):
+class Sightings(_Factors):
     """Landmarks seen from poses.
 
-    pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. huber: the whitened
-    error beyond which one counts in proportion to its length.
+    pose, landmark: (s,) their rows. p_BL: (s, 2) m, where the landmark seems to be in the body. whitener: (s, 2, 2) of
+    the error of p_BL.
     """
 
     pose: IntArray
     landmark: IntArray
     p_BL: FloatArray
-    huber: ClassVar[float] = math.inf
-
-    @abstractmethod
-    def error(self, p_BL: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The whitened error (s, 2) if the landmarks are at p_BL (s, 2) in the body, and its Jacobian (s, 2, 2)."""
+    whitener: FloatArray
 
 
 @dataclass(frozen=True)
@@ -80,7 +68,7 @@ class PlanarGraph:
     """k poses, n landmarks and what ties them.
 
     motions: by their later, then their earlier pose. sightings: by their pose. held: rows of poses that stay where they
-    are. calibration_sigma: (3,) what is known of the calibration beforehand, None if it is no unknown.
+    are.
     """
 
     poses: int
@@ -88,56 +76,43 @@ class PlanarGraph:
     motions: Motions
     sightings: Sightings
     held: IntArray
-    calibration_sigma: FloatArray | None = None
 
-    def parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Poses (k, 3), landmarks (n, 2) and calibration (3,) as views of a vector of the unknowns."""
-        X_MB, p_ML, calibration = np.split(x, [3 * self.poses, 3 * self.poses + 2 * self.landmarks])
-        return X_MB.reshape(-1, 3), p_ML.reshape(-1, 2), calibration
+    def parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Poses (k, 3) and landmarks (n, 2) as views of a vector of the unknowns."""
+        X_MB, p_ML = np.split(x, [3 * self.poses])
+        return X_MB.reshape(-1, 3), p_ML.reshape(-1, 2)
 
     def unknowns(self, X_MB: FloatArray, p_ML: FloatArray) -> FloatArray:
-        """The vector of these poses (k, 3) and landmarks (n, 2), with a calibration of zero."""
-        return np.concatenate([X_MB.ravel(), p_ML.ravel(), np.zeros(3)])
+        """The vector of these poses (k, 3) and landmarks (n, 2)."""
+        return np.concatenate([X_MB.ravel(), p_ML.ravel()])
 
     def linearise(self, x: FloatArray) -> list[Rows]:
         """All residuals and their Jacobians."""
-        rows = [self._motion_rows(x), self._sighting_rows(x)]
-        if self.calibration_sigma is not None:
-            whitener, calibration = np.diag(1.0 / self.calibration_sigma), self.parts(x)[2]
-            rows.append(Rows((whitener @ calibration)[None], len(x) - 3 + np.arange(3)[None], whitener[None]))
-        return rows
+        return [self._motion_rows(x), self._sighting_rows(x)]
 
     def _motion_rows(self, x: FloatArray) -> Rows:
-        X_MB, _, calibration = self.parts(x)
+        X_MB, _ = self.parts(x)
         ties = self.motions
-        measured, on_calibration = ties.measured(calibration)
-        p, on_first, on_p = in_body(X_MB[ties.first], X_MB[ties.second, :2])
+        p, on_first, on_p = _in_body(X_MB[ties.first], X_MB[ties.second, :2])
         turn = X_MB[ties.second, 2] - X_MB[ties.first, 2]
-        error = np.column_stack([p - measured[:, :2], se2.wrap_angle(turn - measured[:, 2])])
-        m, _, c = on_calibration.shape
-        jacobian = np.zeros((m, 3, 6 + c))
+        error = np.column_stack([p - ties.X_ij[:, :2], se2.wrap_angle(turn - ties.X_ij[:, 2])])
+        jacobian = np.zeros((len(error), 3, 6))
         jacobian[:, :2, :3], jacobian[:, :2, 3:5] = on_first, on_p
         jacobian[:, 2, 2], jacobian[:, 2, 5] = -1.0, 1.0
-        jacobian[:, :, 6:] = -on_calibration
-        columns = [_at(ties.first, 3), _at(ties.second, 3), np.broadcast_to(len(x) - 3 + np.arange(c), (m, c))]
+        columns = [_at(ties.first, 3), _at(ties.second, 3)]
         return Rows(np.einsum("mij,mj->mi", ties.whitener, error), np.hstack(columns), ties.whitener @ jacobian)
 
     def _sighting_rows(self, x: FloatArray) -> Rows:
-        X_MB, p_ML, _ = self.parts(x)
+        X_MB, p_ML = self.parts(x)
         seen = self.sightings
-        p_BL, on_pose, on_landmark = in_body(X_MB[seen.pose], p_ML[seen.landmark])
-        residual, on_body = seen.error(p_BL)
+        p_BL, on_pose, on_landmark = _in_body(X_MB[seen.pose], p_ML[seen.landmark])
         columns = [_at(seen.pose, 3), 3 * self.poses + _at(seen.landmark, 2)]
-        jacobian = on_body @ np.concatenate([on_pose, on_landmark], axis=2)
-        return Rows(residual, np.hstack(columns), jacobian, seen.huber)
-
-    def cost(self, x: FloatArray) -> float:
-        """Half the sum of squared whitened errors, with Huber's function where sightings have a threshold."""
-        return cost(self.linearise(x))
+        jacobian = seen.whitener @ np.concatenate([on_pose, on_landmark], axis=2)
+        return Rows(np.einsum("sij,sj->si", seen.whitener, p_BL - seen.p_BL), np.hstack(columns), jacobian)
 
     def solved(self, x: FloatArray, most_steps: int = MOST_STEPS) -> tuple[FloatArray, float]:
         """The unknowns of least cost that steps from x lead to, and that cost."""
-        counts = [3] * self.poses + [2] * self.landmarks + [3]
+        counts = [3] * self.poses + [2] * self.landmarks
         blocks = np.repeat(np.arange(len(counts)), counts)
         return minimise(self.linearise, x, _at(self.held, 3).ravel(), blocks, most_steps)
 
@@ -156,34 +131,29 @@ class PlanarGraph:
         x = x.copy()
         for begin in range(0, self.poses, POSES_AT_ONCE):
             end = min(begin + POSES_AT_ONCE, self.poses)
-            X_MB, p_ML, calibration = self.parts(x)
-            measured, _ = ties.measured(calibration)
+            X_MB, p_ML = self.parts(x)
             for i in np.flatnonzero(np.isnan(X_MB[begin:end, 0])) + begin:
-                first, second, X_ij = ties.first[tie[i]], ties.second[tie[i]], measured[tie[i]]
+                first, second, X_ij = ties.first[tie[i]], ties.second[tie[i]], ties.X_ij[tie[i]]
                 X_MB[i] = (
                     se2.compose(X_MB[first], X_ij) if second == i else se2.compose(X_MB[second], se2.inverse(X_ij))
                 )
             before, so_far = np.searchsorted(seen.pose, [begin, end])
             new = np.flatnonzero((first_seen >= before) & (first_seen < so_far))
-            p_ML[new] = in_map(X_MB[seen.pose[first_seen[new]]], seen.p_BL[first_seen[new]])
+            at = first_seen[new]
+            p_ML[new] = X_MB[seen.pose[at], :2] + turned(seen.p_BL[at], X_MB[seen.pose[at], 2])
             motions, sightings = ties.take(slice(np.searchsorted(later, end))), seen.take(slice(so_far))
             x, _ = replace(self, motions=motions, sightings=sightings).solved(x, most_steps=1)
             report(end / self.poses)
         return x
 
 
-def in_body(X_MB: FloatArray, p_M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _in_body(X_MB: FloatArray, p_M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p_B (n, 2) of points p_M (n, 2) as poses (n, 3) see them; its Jacobians on pose (n, 2, 3) and point (n, 2, 2)."""
     c, s = np.cos(X_MB[:, 2]), np.sin(X_MB[:, 2])
     R_BM = np.stack([c, s, -s, c], axis=1).reshape(-1, 2, 2)
     p_B = np.einsum("nij,nj->ni", R_BM, p_M - X_MB[:, :2])
     turned = np.column_stack([p_B[:, 1], -p_B[:, 0]])
     return p_B, np.concatenate([-R_BM, turned[:, :, None]], axis=2), R_BM
-
-
-def in_map(X_MB: FloatArray, p_B: FloatArray) -> FloatArray:
-    """p_M (n, 2) of points p_B (n, 2), each in the frame of its pose (n, 3)."""
-    return np.asarray(X_MB[:, :2] + turned(p_B, X_MB[:, 2]))
 
 
 def _at(rows: IntArray, width: int) -> IntArray:
