@@ -19,7 +19,7 @@ from tfg_drake.messages import FloatArray, TagDetections, message, replace
 # correlation of a tag's noise from frame to frame; prior deviations, and the least and the most that is believed. What
 # errs little in the seconds of a sample may drift in minutes: nothing is much better than its data sheet.
 DISTANCE, HEADING, TAGS, CORRELATION = range(4)
-PRIOR = np.array([0.7, 0.7, 0.3, 0.7])
+PRIOR = np.array([0.35, 0.35, 0.3, 0.7])
 LEAST = np.array([-0.35, -0.35, -0.35, -0.1])
 MOST = np.array([1.6, 1.6, 1.6, 1.7])
 # Samples kept. The noise is learnt anew when there have been so many times more.

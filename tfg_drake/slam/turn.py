@@ -115,7 +115,7 @@ def no_detections(stamp: float) -> TagDetections:
 class Reduced:
     """A turn or piece reduced. sightings: (n,) detections behind each of its tags. dropped: number of detections left
     out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in A. sample: what its noise is learnt from, None where
-    the wheels slipped."""
+    no tag was seen or the wheels slipped."""
 
     keyframe: Keyframe
     sightings: IntArray
@@ -210,7 +210,7 @@ def reduced(
         dropped=int(np.sum(~kept)),
         stamps=stamps,
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
-        sample=None if slipped else _sample(problem, solution, kept),
+        sample=_sample(problem, solution, kept) if kept.any() and not slipped else None,
     )
 
 
