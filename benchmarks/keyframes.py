@@ -20,11 +20,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.metrics import landmark_rmse
+from tfg_drake.datasets.batch_smoother import smooth
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.slam import estimator
-from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.systems import slam_estimator

@@ -33,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from tfg_drake.datasets.batch_smoother import smooth
 from tfg_drake.datasets.evaluation import landmark_error, robot_error
 from tfg_drake.datasets.mrclam import load_mrclam
 from tfg_drake.datasets.online import OnlineRun, run_online
@@ -40,7 +41,6 @@ from tfg_drake.datasets.recording import GroundTruth, Recording
 from tfg_drake.datasets.text import find_file, read_text
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray
-from tfg_drake.slam.batch_smoother import smooth
 
 # The error that counts as found again, m, and for how long it must stay below, s.
 FOUND, STAYS = 0.3, 10.0

@@ -7,6 +7,7 @@ import math
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
+from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.grid.path import find_ways, path_in_grid_is_free, path_in_scan_is_free, plan_path, with_returns
 from tfg_drake.messages import (
     FloatArray,
@@ -21,7 +22,6 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.planner import initial_state
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
+from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
@@ -28,7 +29,6 @@ from tfg_drake.planning.local import local
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import declare_message_input, eval_optional

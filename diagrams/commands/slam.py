@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
+from tfg_drake.datasets.batch_smoother import smooth
 from tfg_drake.datasets.evaluation import landmark_error, robot_error
 from tfg_drake.datasets.figure import draw_slam
 from tfg_drake.datasets.g2o import write_g2o
@@ -29,7 +30,6 @@ from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
 from tfg_drake.messages import replace
-from tfg_drake.slam.batch_smoother import smooth
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.trajectory import write_tum

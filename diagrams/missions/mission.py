@@ -22,7 +22,7 @@ from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.mission.manual_drive import Pressed
@@ -31,7 +31,6 @@ from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, as_told
 from tfg_drake.slam.odometry_model import random_walks
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.slam.shared import Shared, exactly_known
 from tfg_drake.storage.port_recording import GOAL, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter

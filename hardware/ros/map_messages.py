@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.geometry.se2 import compose, inverse
+from tfg_drake.geometry.se2 import compose, inverse, pose_at
 from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
 from tfg_drake.grid.frontier import classify
@@ -31,7 +31,6 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures.drawing import ellipses, outline_segments
 from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END, Colour, gain_colours
-from tfg_drake.slam.pose_prediction import pose_at
 
 Fields = dict[str, Any]
 Cells = NDArray[np.int8]

@@ -7,7 +7,7 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
 from tfg_drake.slam import estimator, map_solver, map_update
-from tfg_drake.slam.dissection_solver import DissectionSolver
+from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,

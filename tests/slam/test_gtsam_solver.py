@@ -5,11 +5,11 @@ from gtsam.symbol_shorthand import L, S, X
 
 from tests.slam.rings import reckoned, ring
 from tfg_drake.messages import replace
-from tfg_drake.slam.dissection_solver import DissectionSolver
+from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.gtsam_solver import GtsamSolver, map_graph
 from tfg_drake.slam.keyframe import way
-from tfg_drake.slam.keyframe_kernels import Values
-from tfg_drake.slam.solver import solved
+from tfg_drake.slam.map_solver import solved
+from tfg_drake.slam.solver import Values
 
 
 @pytest.fixture(scope="module")

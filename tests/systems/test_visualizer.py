@@ -16,7 +16,7 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 import tfg_drake
 from tests.systems.web_page import WebPage
 from tfg_drake.diagrams.commands.explore import open_meshcat
-from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
@@ -30,7 +30,6 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures import tables
 from tfg_drake.simulation.people import People, places_at
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 

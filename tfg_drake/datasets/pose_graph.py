@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tfg_drake.datasets.least_squares import cost
+from tfg_drake.datasets.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
-from tfg_drake.slam.least_squares import cost
-from tfg_drake.slam.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
 
 # Steps that show which of two starts is the better one.
 STEPS_TO_COMPARE = 10

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, PoseEstimate
 
 
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
@@ -66,3 +66,10 @@ def transform(X_AB: FloatArray, p_BP: FloatArray) -> FloatArray:
     """p_AP (n, 2) or (2,) of points p_BP (n, 2) or (2,) in B, for one pose X_AB (3,)."""
     p_BP = np.asarray(p_BP, dtype=float)
     return p_BP @ rotation(float(X_AB[2])).T + np.asarray(X_AB[:2])
+
+
+def pose_at(pose: PoseEstimate, stamp: float) -> FloatArray:
+    """The pose X_MB (3,) at a time (s) near pose.stamp, by the measured speed: messages have stamps of their own."""
+    dt = stamp - pose.stamp
+    v, w = pose.speed * dt
+    return compose(pose.X_MB, np.array([v * np.cos(0.5 * w), v * np.sin(0.5 * w), w]))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.geometry.se2 import transform
+from tfg_drake.geometry.se2 import pose_at, transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
 from tfg_drake.grid.runs import row_runs
@@ -32,7 +32,6 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.pictures.drawing import polyline_segments
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.tfg.frontier import PUSH, SPACING
 from tfg_drake.world.world import World
 

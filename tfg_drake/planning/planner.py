@@ -9,7 +9,7 @@ import numpy as np
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
-from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.geometry.se2 import inverse, pose_at, transform
 from tfg_drake.messages import (
     BoolArray,
     FloatArray,
@@ -36,7 +36,6 @@ from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen
 from tfg_drake.planning.roadmap import EFFORTS, RoadmapParameters, RoadmapState, empty_roadmap, extend, place_in_map
 from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.slam.pose_prediction import pose_at
 from tfg_drake.tfg.graph import empty_map
 
 # Interval at which the robot's way is noted, m.

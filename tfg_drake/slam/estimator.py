@@ -30,28 +30,32 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
-from tfg_drake.slam.doubt import (
+from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
+from tfg_drake.slam.evidence import (
     Evidence,
     Sighted,
+    TagWatch,
     believable,
     contradicted,
     disputed,
     doubtful,
     forgotten,
+    missing,
     only,
     overturned,
+    renewed,
+    sanitized,
+    watched,
     weighed,
     with_doubts,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
 from tfg_drake.slam.first_look import Message, held_against_odometry, told
 from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
-from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere
+from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere, realigned
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
-from tfg_drake.slam.missing_tags import TagWatch, missing, renewed, watched
 from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     arc,
@@ -60,10 +64,8 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
-from tfg_drake.slam.realign import realigned
 from tfg_drake.slam.scan_ranges import compared, great_error, told_by_scan
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.sightings import sanitized
 from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
 
 # Without frames the filters follow odometry in steps of this length, s.

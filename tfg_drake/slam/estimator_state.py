@@ -15,12 +15,11 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.doubt import Evidence, Sighted, no_evidence
+from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, no_evidence, no_watch
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
-from tfg_drake.slam.missing_tags import TagWatch, no_watch
 from tfg_drake.slam.noise import LearntNoise, as_told
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared

@@ -16,7 +16,7 @@ import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message
-from tfg_drake.slam.sightings import sanitized
+from tfg_drake.slam.evidence import sanitized
 
 # Clocks are compared up to so much before or after each other, in steps of so much, s.
 MOST_OFFSET, OFFSET_STEP = 1.0, 0.02

@@ -17,9 +17,8 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import Unknowns, Values
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Factors, factors_of
+from tfg_drake.slam.solver import Factors, Unknowns, Values, factors_of
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
 LEAST_SHARE = 1e-13

@@ -1,20 +1,39 @@
-"""The map: values of the whole keyframe graph and the joint Gaussian round a place."""
+"""The map: values of the whole keyframe graph and the joint Gaussian round a place.
+
+Both are the maximum a posteriori (the paper's sec. III), to rounding. A `Solver` linearises and eliminates; everything
+else is here, whichever it is.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
-from tfg_drake.messages import IntArray, MapEstimate, Observation
-from tfg_drake.slam.dissection_solver import DissectionSolver
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
+from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.map_update import estimate_of
-from tfg_drake.slam.solver import Solver, solved
+from tfg_drake.slam.map_update import entropy_of, estimate_of
+from tfg_drake.slam.shared import SHARED, Shared
+from tfg_drake.slam.solver import Keyframes, Solver, System, Unknowns, Values
+from tfg_drake.slam.tag_error import learnt, suspected
 
 # Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
 JOINT = 400
 SPREAD = 600
 # At the end of a mission those of the whole map are, if they are no more than this: their covariance has 200 MB then.
 MOST_JOINT = 2500
+# Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
+MOST_STEPS = 20
+SMALL_STEP = 2e-5
+# A step that fails to lower the error is halved, so many times at most.
+MOST_HALVINGS = 10
+# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
+# time. The first holds what hangs on nothing by 100 m, or rad.
+LEAST_DAMPING = 1e-4
+DAMPING_GROWTH = 100.0
+MOST_DAMPING = 1e10
 
 
 def solve(
@@ -60,3 +79,141 @@ def solver_of(graph: KeyframeGraph) -> Solver:
 def known_jointly(graph: KeyframeGraph) -> int:
     """How many landmarks are known jointly at the end of a mission."""
     return len(graph.ids) if len(graph.ids) <= MOST_JOINT else JOINT
+
+
+class Solution(NamedTuple):
+    """The graph at its maximum a posteriori values; local: (m,) rows of the landmarks known jointly, covariance: (2m +
+    11, 2m + 11) of these (row by row), of the node asked for and of the parameters."""
+
+    graph: KeyframeGraph
+    local: IntArray
+    covariance: FloatArray
+
+
+def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> Solution:
+    """The graph of one keyframe or more at its maximum a posteriori values, with what is known jointly.
+
+    local: (m,) rows of the landmarks whose joint covariance is asked for, with that of a node.
+    """
+    nothing = np.zeros(graph.p_ML.shape)
+    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
+    u, m = solver.unknowns, 2 * len(local)
+    at = np.concatenate(
+        [
+            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
+            u.node_at[node] + np.arange(3),
+            u.shared_at + np.arange(SHARED),
+            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
+        ]
+    )
+    covariance = system.covariance(at)
+    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
+    covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
+    tag_error = graph.tag_error
+    if solver.factors.has_errors:
+        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
+    elif system.places is not None:
+        tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
+    X_MN, p_ML = values.X_MN.copy(), values.p_ML
+    X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
+    entropy = of_local = entropy_of(covariance[:m, :m])
+    if len(local) < len(p_ML):
+        log_information = system.log_determinant - solver.log_determinant_given_landmarks(values)
+        entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information)
+    each, rows = graph.landmark_covariance.copy(), np.arange(len(local))
+    each[local] = covariance[:m, :m].reshape(m // 2, 2, m // 2, 2)[rows, :, rows, :]
+    shared = Shared(values.shared, covariance[-SHARED:, -SHARED:].copy())
+    graph = replace(
+        graph,
+        X_MN=X_MN,
+        p_ML=p_ML,
+        landmark_covariance=each,
+        entropy=entropy,
+        entropy_beyond=entropy - of_local,
+        shared=shared,
+        tag_error=tag_error,
+    )
+    return Solution(graph, local, covariance)
+
+
+def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
+    """Values at the maximum a posteriori, and the system linearised where the last step began."""
+    moved_since = math.inf
+    for number in range(MOST_STEPS):
+        anew = moved_since >= solver.keeps_for or number == MOST_STEPS - 1
+        if anew:
+            system, moved_since = _linearised(solver, values), 0.0
+            gradient, error = system.gradient, system.error
+        else:
+            gradient, error = solver.gradient(values)
+        step = system.step(gradient)
+        length = float(np.max(np.abs(step)))
+        there, share = _lowered(solver, error, values, step)
+        if share < 1.0 and not anew:
+            # A barely constrained unknown follows the error of a reused factorisation: factorise again.
+            moved_since = math.inf
+            continue
+        values, moved_since = there, moved_since + (length if share == 1.0 else math.inf)
+        if length < SMALL_STEP:
+            if anew:
+                break
+            moved_since = math.inf
+    return values, system
+
+
+def _linearised(solver: Solver, values: Values) -> System:
+    """The system at some values. Where some part of the map hangs on nothing that a double can tell, all is held by as
+    little as it takes."""
+    damping = 0.0
+    while True:
+        try:
+            return solver.linearised(values, damping)
+        except np.linalg.LinAlgError:
+            if damping > MOST_DAMPING:
+                raise
+            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
+
+
+def _lowered(solver: Solver, error: float, values: Values, step: FloatArray) -> tuple[Values, float]:
+    """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
+    share = 1.0
+    for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
+        there = moved(values, solver.unknowns, share * step)
+        if solver.gradient(there)[1] <= error + 1e-9 * (1.0 + abs(error)):
+            break
+        share *= 0.5
+    return there, share
+
+
+def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How hard all keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2)
+    of that where only noise does.
+
+    Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
+    """
+    keyframe = np.repeat(np.arange(len(keyframes.y_AD)), np.diff(keyframes.offsets))
+    row, n = keyframes.rows, len(values.p_ML)
+    heading, scale = values.X_MN[keyframe, 2], 1.0 + values.shared[keyframes.unit[keyframe]]
+    c, s = np.cos(heading) / scale, np.sin(heading) / scale
+    by_error = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1) @ keyframes.on_error
+    own, force = places[:, :, :2], places[:, :, 2]
+    pull, variance = np.zeros((n, 2)), np.zeros((n, 2))
+    total, by_place = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
+    np.add.at(total, row, own)
+    np.add.at(by_place, row, own @ by_error)
+    np.add.at(pull, row, np.einsum("eji,ej->ei", by_error, force))
+    np.add.at(variance, row, np.einsum("eji,ejk,eki->ei", by_error, own, by_error))
+    seen = np.flatnonzero(np.bincount(row, minlength=n))
+    taken = np.einsum("nji,njk->nik", by_place[seen], np.linalg.solve(total[seen], by_place[seen]))
+    variance[seen] = np.maximum(variance[seen] - np.einsum("nii->ni", taken), 0.0)
+    return pull, variance
+
+
+def moved(values: Values, unknowns: Unknowns, step: FloatArray) -> Values:
+    """Values moved by a step (u,) of the unknowns."""
+    X_MN, errors = values.X_MN.copy(), values.errors
+    X_MN[1:] += step[unknowns.node_at[1:, None] + [0, 1, 2]]
+    if np.any(unknowns.error_at >= 0):
+        errors = errors + step[unknowns.error_at[:, None] + [0, 1]]
+    shared = values.shared + step[unknowns.shared_at : unknowns.shared_at + SHARED]
+    return Values(X_MN, values.p_ML + step[unknowns.landmark_at[:, None] + [0, 1]], shared, errors)

@@ -1,6 +1,7 @@
-"""Values and joint covariance of the whole keyframe graph: maximum a posteriori (the paper's sec. III), to rounding.
+"""What every solver of the keyframe graph works on and is: all keyframes in flat arrays, and the protocol.
 
-A `Solver` linearises and eliminates; everything else is here, whichever it is.
+A `Solver` linearises the factors and eliminates; all else of a solve is in `map_solver`, whichever it is. The keyframes
+are linearised in compiled loops.
 """
 
 from __future__ import annotations
@@ -10,25 +11,55 @@ import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 
-from tfg_drake.messages import FloatArray, IntArray, replace
-from tfg_drake.slam.keyframe import rows_of
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.keyframe import linearised, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.keyframe_kernels import Keyframes, Unknowns, Values
-from tfg_drake.slam.map_update import entropy_of
-from tfg_drake.slam.shared import SHARED, Shared
-from tfg_drake.slam.tag_error import learnt, suspected
+from tfg_drake.slam.shared import SHARED
 
-# Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
-MOST_STEPS = 20
-SMALL_STEP = 2e-5
-# A step that fails to lower the error is halved, so many times at most.
-MOST_HALVINGS = 10
-# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
-# time. The first holds what hangs on nothing by 100 m, or rad.
-LEAST_DAMPING = 1e-4
-DAMPING_GROWTH = 100.0
-MOST_DAMPING = 1e10
+# Unknowns of the newest pose and the parameters.
+NEWEST = 3 + SHARED
+
+
+class Keyframes(NamedTuple):
+    """k keyframes in flat arrays.
+
+    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL and on_error. rows: of its
+    landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 8). starts: (k + 1,) the
+    same of information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
+    """
+
+    offsets: IntArray
+    rows: IntArray
+    y_AL: FloatArray
+    on_error: FloatArray
+    y_AD: FloatArray
+    unit: IntArray
+    vector: FloatArray
+    starts: IntArray
+    information: FloatArray
+    starts_of_errors: IntArray
+    by_errors: FloatArray
+
+
+class Values(NamedTuple):
+    """X_MN: (k + 1, 3), p_ML: (n, 2), shared: (8,), errors: (n, 2) of the tags' range and bearing, m and rad."""
+
+    X_MN: FloatArray
+    p_ML: FloatArray
+    shared: FloatArray
+    errors: FloatArray
+
+
+class Unknowns(NamedTuple):
+    """Which unknown the first of a landmark (n,), of a node (k + 1,), of the parameters and of a tag's errors (n,) is;
+    negative for what is none: the origin, and errors where tags have none."""
+
+    landmark_at: IntArray
+    node_at: IntArray
+    shared_at: int
+    error_at: IntArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,16 +87,6 @@ class Factors:
         pull = values.errors * self.of_errors
         gradient[unknowns.error_at[:, None] + [0, 1]] += pull
         return float(off @ force) + float(np.sum(values.errors * pull))
-
-
-def moved(values: Values, unknowns: Unknowns, step: FloatArray) -> Values:
-    """Values moved by a step (u,) of the unknowns."""
-    X_MN, errors = values.X_MN.copy(), values.errors
-    X_MN[1:] += step[unknowns.node_at[1:, None] + [0, 1, 2]]
-    if np.any(unknowns.error_at >= 0):
-        errors = errors + step[unknowns.error_at[:, None] + [0, 1]]
-    shared = values.shared + step[unknowns.shared_at : unknowns.shared_at + SHARED]
-    return Values(X_MN, values.p_ML + step[unknowns.landmark_at[:, None] + [0, 1]], shared, errors)
 
 
 class System(Protocol):
@@ -115,15 +136,6 @@ class Solver(Protocol):
         """Gradient (u,) of the cost and twice the cost at some values."""
 
 
-class Solution(NamedTuple):
-    """The graph at its maximum a posteriori values; local: (m,) rows of the landmarks known jointly, covariance: (2m +
-    11, 2m + 11) of these (row by row), of the node asked for and of the parameters."""
-
-    graph: KeyframeGraph
-    local: IntArray
-    covariance: FloatArray
-
-
 def factors_of(graph: KeyframeGraph) -> Factors:
     """The factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
@@ -148,120 +160,142 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     return Factors(keyframes, graph.prior.mean, information, errors)
 
 
-def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> Solution:
-    """The graph of one keyframe or more at its maximum a posteriori values, with what is known jointly.
+@njit(cache=True)
+def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Of keyframe k: the rows (n,) of its landmarks, where they are, (n, 2), its y_AL, (n, 2), and its information
+    (2n + 11, 2n + 11)."""
+    some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
+    rows = keyframes.rows[some]
+    m = 2 * len(rows) + 3 + SHARED
+    W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
+    return rows, values.p_ML[rows], keyframes.y_AL[some], W
 
-    local: (m,) rows of the landmarks whose joint covariance is asked for, with that of a node.
+
+@njit(cache=True)
+def _errors(k: int, rows: IntArray, keyframes: Keyframes, values: Values) -> tuple[FloatArray, FloatArray]:
+    """by_errors (4n + 11, 2n + 1) of keyframe k, and the errors (2n,) of its landmarks."""
+    n = len(rows)
+    flat = keyframes.by_errors[keyframes.starts_of_errors[k] : keyframes.starts_of_errors[k + 1]]
+    return flat.reshape(4 * n + 3 + SHARED, 2 * n + 1), values.errors[rows].copy().reshape(2 * n)
+
+
+@njit(cache=True)
+def assemble(
+    which: IntArray,
+    keyframes: Keyframes,
+    values: Values,
+    unknowns: Unknowns,
+    block: FloatArray,
+    gradient: FloatArray,
+    places: FloatArray,
+) -> float:
+    """Add the Hessians and gradients of some of k keyframes, which (q,), to a block (u, u) and gradient (u,) of
+    unknowns, and set the Hessian and the gradient on each of their tags among places (., 2, 3). Returns twice the cost.
     """
-    nothing = np.zeros(graph.p_ML.shape)
-    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
-    u, m = solver.unknowns, 2 * len(local)
-    at = np.concatenate(
-        [
-            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
-            u.node_at[node] + np.arange(3),
-            u.shared_at + np.arange(SHARED),
-            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
-        ]
-    )
-    covariance = system.covariance(at)
-    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
-    covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
-    tag_error = graph.tag_error
-    if solver.factors.has_errors:
-        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
-    elif system.places is not None:
-        tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
-    X_MN, p_ML = values.X_MN.copy(), values.p_ML
-    X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
-    entropy = of_local = entropy_of(covariance[:m, :m])
-    if len(local) < len(p_ML):
-        log_information = system.log_determinant - solver.log_determinant_given_landmarks(values)
-        entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information)
-    each, rows = graph.landmark_covariance.copy(), np.arange(len(local))
-    each[local] = covariance[:m, :m].reshape(m // 2, 2, m // 2, 2)[rows, :, rows, :]
-    shared = Shared(values.shared, covariance[-SHARED:, -SHARED:].copy())
-    graph = replace(
-        graph,
-        X_MN=X_MN,
-        p_ML=p_ML,
-        landmark_covariance=each,
-        entropy=entropy,
-        entropy_beyond=entropy - of_local,
-        shared=shared,
-        tag_error=tag_error,
-    )
-    return Solution(graph, local, covariance)
+    total = 0.0
+    for k in which:
+        begin = keyframes.offsets[k]
+        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
+        n = len(rows)
+        H, g, cost = linearised(
+            p_ML,
+            y_AL,
+            keyframes.y_AD[k],
+            keyframes.unit[k],
+            W,
+            keyframes.vector[k],
+            values.X_MN[k],
+            values.X_MN[k + 1],
+            values.shared,
+        )
+        total += cost
+        for i in range(n):
+            places[begin + i, :, :2] = H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
+        at = _of_keyframe(k, rows, unknowns)
+        if n > 0 and unknowns.error_at[rows[0]] >= 0:
+            A, unit = values.X_MN[k], keyframes.unit[k]
+            error, on = residual(p_ML, y_AL, keyframes.y_AD[k], unit, A, values.X_MN[k + 1], values.shared)
+            by_errors, errors = _errors(k, rows, keyframes, values)
+            H, g, more = with_errors(H, g, error, on, A[2], 1.0 + values.shared[unit], by_errors, errors)
+            at = np.append(at, _of_errors(rows, unknowns))
+            total += more
+        for i in range(len(at)):
+            if at[i] >= 0:
+                gradient[at[i]] += g[i]
+                row = block[at[i]]
+                for j in range(len(at)):
+                    if at[j] >= 0:
+                        row[at[j]] += H[i, j]
+    return total
 
 
-def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
-    """Values at the maximum a posteriori, and the system linearised where the last step began."""
-    moved_since = math.inf
-    for number in range(MOST_STEPS):
-        anew = moved_since >= solver.keeps_for or number == MOST_STEPS - 1
-        if anew:
-            system, moved_since = _linearised(solver, values), 0.0
-            gradient, error = system.gradient, system.error
-        else:
-            gradient, error = solver.gradient(values)
-        step = system.step(gradient)
-        length = float(np.max(np.abs(step)))
-        there, share = _lowered(solver, error, values, step)
-        if share < 1.0 and not anew:
-            # A barely constrained unknown follows the error of a reused factorisation: factorise again.
-            moved_since = math.inf
-            continue
-        values, moved_since = there, moved_since + (length if share == 1.0 else math.inf)
-        if length < SMALL_STEP:
-            if anew:
-                break
-            moved_since = math.inf
-    return values, system
+@njit(cache=True)
+def _of_errors(rows: IntArray, unknowns: Unknowns) -> IntArray:
+    """The unknowns (2n,) of the errors of landmarks in rows (n,)."""
+    at = np.empty(2 * len(rows), dtype=np.int64)
+    for i in range(len(rows)):
+        at[2 * i], at[2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
+    return at
 
 
-def _linearised(solver: Solver, values: Values) -> System:
-    """The system at some values. Where some part of the map hangs on nothing that a double can tell, all is held by as
-    little as it takes."""
-    damping = 0.0
-    while True:
-        try:
-            return solver.linearised(values, damping)
-        except np.linalg.LinAlgError:
-            if damping > MOST_DAMPING:
-                raise
-            damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
+@njit(cache=True)
+def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
+    """Add the gradient of the cost of k keyframes, and return twice that cost."""
+    total = 0.0
+    for k in range(len(keyframes.y_AD)):
+        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
+        error, on = residual(
+            p_ML,
+            y_AL,
+            keyframes.y_AD[k],
+            keyframes.unit[k],
+            values.X_MN[k],
+            values.X_MN[k + 1],
+            values.shared,
+        )
+        m = len(error) - SHARED
+        weighted = W @ error
+        total += error @ weighted + 2.0 * (keyframes.vector[k] @ values.shared)
+        if len(rows) > 0 and unknowns.error_at[rows[0]] >= 0:
+            by_errors, errors = _errors(k, rows, keyframes, values)
+            coupling = np.ascontiguousarray(by_errors[: len(error), :-1])
+            force = coupling.T @ error + by_errors[len(error) :, -1]
+            own = np.ascontiguousarray(by_errors[len(error) :, :-1]) @ errors
+            total += errors @ (2.0 * force + own)
+            weighted += coupling @ errors
+            own += force
+            for i, place in enumerate(_of_errors(rows, unknowns)):
+                gradient[place] += own[i]
+        beyond, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
+        scale = 1.0 + values.shared[keyframes.unit[k]]
+        c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
+        for i in range(0, m - 1, 2):
+            x, y = c * weighted[i] - s * weighted[i + 1], s * weighted[i] + c * weighted[i + 1]
+            if at[i] >= 0:
+                gradient[at[i]] += x
+                gradient[at[i] + 1] += y
+        if at[m - 1] >= 0:
+            gradient[at[m - 1]] += weighted[m - 1]
+        for i in range(NEWEST):
+            if at[m + i] >= 0:
+                gradient[at[m + i]] += beyond[i] + (keyframes.vector[k, i - 3] if i >= 3 else 0.0)
+    return total
 
 
-def _lowered(solver: Solver, error: float, values: Values, step: FloatArray) -> tuple[Values, float]:
-    """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
-    share = 1.0
-    for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
-        there = moved(values, solver.unknowns, share * step)
-        if solver.gradient(there)[1] <= error + 1e-9 * (1.0 + abs(error)):
-            break
-        share *= 0.5
-    return there, share
-
-
-def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How hard all keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2)
-    of that where only noise does.
-
-    Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
-    """
-    keyframe = np.repeat(np.arange(len(keyframes.y_AD)), np.diff(keyframes.offsets))
-    row, n = keyframes.rows, len(values.p_ML)
-    heading, scale = values.X_MN[keyframe, 2], 1.0 + values.shared[keyframes.unit[keyframe]]
-    c, s = np.cos(heading) / scale, np.sin(heading) / scale
-    by_error = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1) @ keyframes.on_error
-    own, force = places[:, :, :2], places[:, :, 2]
-    pull, variance = np.zeros((n, 2)), np.zeros((n, 2))
-    total, by_place = np.zeros((n, 2, 2)), np.zeros((n, 2, 2))
-    np.add.at(total, row, own)
-    np.add.at(by_place, row, own @ by_error)
-    np.add.at(pull, row, np.einsum("eji,ej->ei", by_error, force))
-    np.add.at(variance, row, np.einsum("eji,ejk,eki->ei", by_error, own, by_error))
-    seen = np.flatnonzero(np.bincount(row, minlength=n))
-    taken = np.einsum("nji,njk->nik", by_place[seen], np.linalg.solve(total[seen], by_place[seen]))
-    variance[seen] = np.maximum(variance[seen] - np.einsum("nii->ni", taken), 0.0)
-    return pull, variance
+@njit(cache=True)
+def _of_keyframe(k: int, rows: IntArray, unknowns: Unknowns) -> IntArray:
+    """The unknowns (2n + 14,) of keyframe k: those of its landmarks, in rows (n,), D's, A's and the parameters';
+    negative where one has none."""
+    n = len(rows)
+    at = np.empty(2 * n + 6 + SHARED, dtype=np.int64)
+    for i in range(n):
+        at[2 * i] = unknowns.landmark_at[rows[i]]
+        at[2 * i + 1] = at[2 * i] + 1
+    A, D = unknowns.node_at[k], unknowns.node_at[k + 1]
+    for i in range(3):
+        at[2 * n + i] = D + i
+        at[2 * n + 3 + i] = A + i if A >= 0 else -1
+    for i in range(SHARED):
+        at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
+    return at

@@ -11,10 +11,10 @@ from typing import Self
 
 import numpy as np
 
+from tfg_drake.datasets.least_squares import MOST_STEPS, Rows, minimise
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.least_squares import MOST_STEPS, Rows, minimise
 
 # Poses that a graph grows by before it is solved again.
 POSES_AT_ONCE = 50

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from tests.slam.conftest import RingDrive
 from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.batch_smoother import HUBER_SIGMAS, smooth
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, TagDetections, replace
-from tfg_drake.slam.batch_smoother import HUBER_SIGMAS, smooth
 from tfg_drake.slam.odometry_model import arc, predict_increment, random_walks
 from tfg_drake.slam.shared import calibration_sigma
+
+
+@pytest.fixture
+def drive():
+    """RingDrive, the class."""
+    return RingDrive
 
 
 def record(drive, noise, steps=640, seed=4):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tfg_drake.slam.least_squares import Rows, cost, minimise
+from tfg_drake.datasets.least_squares import Rows, cost, minimise
 
 POINTS = np.random.default_rng(3).uniform(-5.0, 5.0, (12, 2))
 PAIRS = np.array([(i, j) for i in range(12) for j in range(i) if (i + j) % 3])
