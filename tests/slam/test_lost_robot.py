@@ -18,6 +18,8 @@ from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.shared import exactly_known
 
+# An expected pose that says nothing of where the robot is.
+FAR_AWAY = Expected(np.array([1e4, 0.0, 0.0]), np.full(3, 0.05), np.ones(3))
 # A robot that was kidnapped maps on, and later sees what it had mapped before beside what it has mapped since.
 SEEN, X_AD = 5.5, np.array([0.01, -0.02, 0.1])
 PLACES = np.array([[0.0, 0.0, 0.3], [3.0, 0.0, -0.4], [14.0, 0.0, 1.0], [17.0, 0.0, 2.0], [8.5, 0.0, 0.5]])
@@ -47,7 +49,7 @@ def test_exact_without_noise(seed, theta, count):
     estimate = a_map(rng)
     X_MB = np.append(rng.uniform(-5.0, 5.0, 2), theta)
     rows = rng.choice(30, count, replace=False)
-    found = relocalize(estimate, sight(estimate, rows, X_MB))
+    found = relocalize(estimate, sight(estimate, rows, X_MB), FAR_AWAY)
     assert found is not None
     error = se2.between(X_MB, found.X_MB)
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
@@ -66,7 +68,7 @@ def test_wrong_ids_and_outliers_are_outvoted():
         ids, r = detections.ids.copy(), detections.range.copy()
         ids[0] = estimate.ids[np.setdiff1d(np.arange(30), rows)[0]]
         r[1] += 1.5
-        found = relocalize(estimate, dataclasses.replace(detections, ids=ids, range=r))
+        found = relocalize(estimate, dataclasses.replace(detections, ids=ids, range=r), FAR_AWAY)
         if found is None:
             continue
         error = se2.between(X_MB, found.X_MB)
@@ -80,7 +82,7 @@ def test_wrong_ids_and_outliers_are_outvoted():
 def test_too_few_tags_tell_nothing(rows):
     estimate = a_map(np.random.default_rng(0))
     rows = np.array(rows, dtype=np.int64)
-    assert relocalize(estimate, sight(estimate, rows, np.zeros(3))) is None
+    assert relocalize(estimate, sight(estimate, rows, np.zeros(3)), FAR_AWAY) is None
 
 
 def test_tags_that_do_not_agree_tell_nothing():
@@ -88,8 +90,8 @@ def test_tags_that_do_not_agree_tell_nothing():
     detections = sight(estimate, np.arange(6), np.zeros(3))
     scrambled = dataclasses.replace(detections, ids=np.roll(detections.ids, 2))
     unknown = dataclasses.replace(detections, ids=detections.ids + 1)
-    assert relocalize(estimate, scrambled) is None
-    assert relocalize(estimate, unknown) is None
+    assert relocalize(estimate, scrambled, FAR_AWAY) is None
+    assert relocalize(estimate, unknown, FAR_AWAY) is None
 
 
 def test_landmarks_that_hang_loose_tell_nothing():
@@ -98,8 +100,9 @@ def test_landmarks_that_hang_loose_tell_nothing():
     X_MB, rows = np.array([1.0, -2.0, 0.5]), np.arange(6)
     loose = estimate.landmark_covariance.copy()
     loose[rows[:4]] = 50.0**2 * np.eye(2)
-    assert relocalize(estimate, sight(estimate, rows, X_MB)) is not None
-    assert relocalize(dataclasses.replace(estimate, landmark_covariance=loose), sight(estimate, rows, X_MB)) is None
+    seen = sight(estimate, rows, X_MB)
+    assert relocalize(estimate, seen, FAR_AWAY) is not None
+    assert relocalize(dataclasses.replace(estimate, landmark_covariance=loose), seen, FAR_AWAY) is None
 
 
 def test_one_tag_says_near_the_expected_pose_what_it_can_and_two_say_all():

@@ -11,7 +11,7 @@ from tests.slam.oracle import HALF_VIEW, NOISE, PRIOR, REACH, SIGMA, WALKS, Driv
 from tfg_drake.messages import TagDetections
 from tfg_drake.slam import noise as learning
 from tfg_drake.slam.noise import CORRELATION, DISTANCE, HEADING, TAGS, Noise, as_told
-from tfg_drake.slam.odometry_model import arc, predict_increments
+from tfg_drake.slam.odometry_model import arc, predict_increment
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.turn import reduced
 
@@ -82,7 +82,8 @@ def test_a_misfit_is_the_logarithm_of_the_marginal_likelihood():
         misfits.append(sample.misfit(dataclasses.replace(NOISE, walks=walks)))
         solution = dense([seen], prior, walks)
         off = solution.shared - prior.mean
-        odometry = 0.5 * np.sum(np.linalg.slogdet(predict_increments(*increments(seen), np.zeros(3), walks)[2])[1])
+        motions = [predict_increment(u, dt, np.zeros(3), walks) for u, dt in zip(*increments(seen), strict=True)]
+        odometry = 0.5 * np.sum(np.linalg.slogdet([covariance for _, _, covariance in motions])[1])
         of_prior = 0.5 * off @ np.linalg.solve(prior.covariance, off)
         expected.append(solution.cost + of_prior + odometry + 0.5 * solution.log_information)
     np.testing.assert_allclose(np.diff(misfits), np.diff(expected), rtol=0.02)

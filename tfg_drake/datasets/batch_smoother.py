@@ -23,7 +23,7 @@ from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
     interpolate,
-    predict_increments,
+    predict_increment,
     random_walks,
     reckon,
 )
@@ -132,7 +132,7 @@ class _Batch:
         self._increment = np.array([arc(*pair) for pair in itertools.pairwise(X_OB)]).reshape(-1, 3)
         self._dt = np.diff(np.interp(self.stamps, at, by_clock))
         self.calibration_sigma = np.maximum(calibration_sigma(config), LEAST_SIGMA)
-        X_ij, _, covariance = predict_increments(self._increment, self._dt, np.zeros(3), random_walks(config))
+        X_ij, _, covariance = self._predicted(np.zeros(3), random_walks(config))
         # GTSAM has the error as it is seen from the measured pose.
         self._R_ji = np.array([se2.rotation(float(-angle)) for angle in X_ij[:, 2]]).reshape(-1, 2, 2)
         covariance[:, :2] = self._R_ji @ covariance[:, :2]
@@ -156,9 +156,16 @@ class _Batch:
         bearing, distance = self._z[:, 0], self._z[:, 1]
         self._p_BL = distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
 
+    def _predicted(self, calibration: FloatArray, walks: FloatArray) -> list[FloatArray]:
+        """`predict_increment` of all motions: (k - 1, 3), (k - 1, 3, 3) and (k - 1, 3, 3)."""
+        each = [predict_increment(*one, calibration, walks) for one in zip(self._increment, self._dt, strict=True)]
+        return [
+            np.array([one[i] for one in each]).reshape(-1, *shape) for i, shape in enumerate([(3,), (3, 3), (3, 3)])
+        ]
+
     def _motions(self, calibration: FloatArray) -> tuple[list[gtsam.BetweenFactorPose2], FloatArray]:
         """Those of the odometry with a calibration (3,), and how they depend on it, (k - 1, 3, 3)."""
-        X_ij, on_calibration, _ = predict_increments(self._increment, self._dt, calibration, np.zeros(3))
+        X_ij, on_calibration, _ = self._predicted(calibration, np.zeros(3))
         motions = [
             gtsam.BetweenFactorPose2(X(i), X(i + 1), gtsam.Pose2(*one), noise)
             for i, (one, noise) in enumerate(zip(X_ij, self._noise, strict=True))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
@@ -89,31 +91,31 @@ class EstimatorState:
     noise: LearntNoise
     sheet: Shared
     path_keyframe_period: float
-    newest: Odometry | None
-    odometry: tuple[DeadReckoning, ...]
-    pending: tuple[TagDetections, ...]
-    scans: tuple[LaserScan, ...]
-    ranges: ScanRanges
     offset: float
-    stamp: float
-    clock: float
-    X_OB: FloatArray
     localizer: Localizer
-    contradictions: int
-    agreed: float
-    suspect: OpenObservation | None
-    lost: bool
-    kidnapped: bool
-    turn: OpenObservation | None
-    piece: OpenObservation | None
-    way: tuple[tuple[Sighted, Source | None], ...]
     graph: KeyframeGraph
     solved: KeyframeGraph
-    map: MapEstimate | None
+    ranges: ScanRanges
     evidence: Evidence
     watch: TagWatch
-    rejected: IntArray
-    dropped: int
+    newest: Odometry | None = None
+    odometry: tuple[DeadReckoning, ...] = ()
+    pending: tuple[TagDetections, ...] = ()
+    scans: tuple[LaserScan, ...] = ()
+    stamp: float = -np.inf
+    clock: float = -np.inf
+    X_OB: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    contradictions: int = 0
+    agreed: float = -np.inf
+    suspect: OpenObservation | None = None
+    lost: bool = False
+    kidnapped: bool = False
+    turn: OpenObservation | None = None
+    piece: OpenObservation | None = None
+    way: tuple[tuple[Sighted, Source | None], ...] = ()
+    map: MapEstimate | None = None
+    rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    dropped: int = 0
     look: FirstLook | None = None
     sources: tuple[Source | None, ...] = ()
 
@@ -137,31 +139,13 @@ def initial_state(
         noise=as_told(random_walks(config)),
         sheet=prior,
         path_keyframe_period=path_keyframe_period,
-        newest=None,
-        odometry=(),
-        pending=(),
-        scans=(),
-        ranges=none_compared(),
         offset=float(prior.mean[CLOCK]),
-        stamp=-np.inf,
-        clock=-np.inf,
-        X_OB=np.zeros(3),
         localizer=start_localizer(empty_map(prior)),
-        contradictions=0,
-        agreed=-np.inf,
-        suspect=None,
-        lost=False,
-        kidnapped=False,
-        turn=None,
-        piece=None,
-        way=(),
         graph=graph,
         solved=graph,
-        map=None,
+        ranges=none_compared(),
         evidence=no_evidence(),
         watch=no_watch(),
-        rejected=np.empty(0, dtype=np.int64),
-        dropped=0,
     )
     return replace(state, look=FirstLook(state))
 

@@ -234,7 +234,7 @@ class _Seen(NamedTuple):
     information: FloatArray
 
 
-def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expected | None = None) -> Found | None:
+def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expected) -> Found | None:
     """The likeliest pose of a robot that has been moved, by a frame of tags; None where that says no more than that it
     has not."""
     row, mapped = _mapped(estimate, detections)
@@ -243,10 +243,8 @@ def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expec
     seen = _seen(estimate.p_ML[row[mapped]], detections, mapped)
     X, squared, cost, H = _refined(seen, _candidates(seen), expected)
     best = int(np.argmin(cost))
-    agrees, unmoved = squared[best] < GATE, len(mapped) * GATE
-    if expected is not None:
-        still = Expected(expected.X_MB, expected.still, expected.still)
-        unmoved = float(_refined(seen, expected.X_MB[None], still)[2][0]) - MOVED
+    agrees, still = squared[best] < GATE, expected._replace(sigma=expected.still)
+    unmoved = float(_refined(seen, expected.X_MB[None], still)[2][0]) - MOVED
     if cost[best] >= unmoved or agrees.sum() < LEAST_SHARE * len(mapped):
         return None
     off = X - X[best]
@@ -255,7 +253,7 @@ def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expec
     known = np.all(np.diag(covariance) < KNOWN**2) and not np.any(cost[other] < cost[best] + AHEAD)
     inliers = np.zeros(len(detections.ids), dtype=bool)
     inliers[mapped[agrees]] = True
-    near = expected is not None and bool(_distance(X[[best]], expected)[0] < ANYWHERE)
+    near = bool(_distance(X[[best]], expected)[0] < ANYWHERE)
     return Found(X[best].copy(), covariance, inliers, near, bool(known))
 
 
@@ -318,18 +316,14 @@ def _squared(seen: _Seen, X: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("kni,nij,knj->kn", error, seen.information, error))
 
 
-def _distance(X: FloatArray, expected: Expected | None) -> FloatArray:
-    """(k,) squared deviations of poses X (k, 3) from the expected one; anywhere without any."""
-    if expected is None:
-        return np.full(len(X), ANYWHERE)
+def _distance(X: FloatArray, expected: Expected) -> FloatArray:
+    """(k,) squared deviations of poses X (k, 3) from the expected one."""
     off = X - expected.X_MB
     off[:, 2] = se2.wrap_angle(off[:, 2])
     return np.asarray(np.minimum(np.square(off / expected.sigma).sum(axis=1), ANYWHERE))
 
 
-def _refined(
-    seen: _Seen, X: FloatArray, expected: Expected | None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _refined(seen: _Seen, X: FloatArray, expected: Expected) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Poses (k, 3) brought to the least squares of the tags that agree with them, the squared deviations (k, n) of all
     tags, their costs (k,) and the information (k, 3, 3) on them."""
     for _ in range(STEPS):
@@ -341,12 +335,11 @@ def _refined(
         weighted = agrees[:, :, None, None] * np.einsum("nij,knja->knia", seen.information, J)
         H = np.einsum("knia,knib->kab", J, weighted) + 1e-4 * np.eye(3)
         g = np.einsum("knia,kni->ka", weighted, q - seen.p_BL)
-        if expected is not None:
-            near = _distance(X, expected) < ANYWHERE
-            off = X - expected.X_MB
-            off[:, 2] = se2.wrap_angle(off[:, 2])
-            H += near[:, None, None] * np.diag(expected.sigma**-2)
-            g += near[:, None] * off / expected.sigma**2
+        near = _distance(X, expected) < ANYWHERE
+        off = X - expected.X_MB
+        off[:, 2] = se2.wrap_angle(off[:, 2])
+        H += near[:, None, None] * np.diag(expected.sigma**-2)
+        g += near[:, None] * off / expected.sigma**2
         X = X - np.linalg.solve(H, g[:, :, None])[:, :, 0]
         X[:, 2] = se2.wrap_angle(X[:, 2])
     squared = _squared(seen, X)

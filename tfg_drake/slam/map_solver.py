@@ -7,7 +7,6 @@ else is here, whichever it is.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def solve(
         others = np.sort(by_distance[joint:])
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
-    graph, local, covariance = solved(graph, solver_of(graph), local, node)
+    graph, covariance = solved(graph, solver_of(graph), local, node)
     return graph, estimate_of(graph, stamp, observation, graph.p_ML, graph.X_MN[node], local, covariance)
 
 
@@ -81,20 +80,9 @@ def known_jointly(graph: KeyframeGraph) -> int:
     return len(graph.ids) if len(graph.ids) <= MOST_JOINT else JOINT
 
 
-class Solution(NamedTuple):
-    """The graph at its maximum a posteriori values; local: (m,) rows of the landmarks known jointly, covariance: (2m +
-    11, 2m + 11) of these (row by row), of the node asked for and of the parameters."""
-
-    graph: KeyframeGraph
-    local: IntArray
-    covariance: FloatArray
-
-
-def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> Solution:
-    """The graph of one keyframe or more at its maximum a posteriori values, with what is known jointly.
-
-    local: (m,) rows of the landmarks whose joint covariance is asked for, with that of a node.
-    """
+def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
+    """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 11, 2m + 11):
+    of the landmarks in rows local (m,), of the pose of a node, and of the parameters."""
     nothing = np.zeros(graph.p_ML.shape)
     values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
     u, m = solver.unknowns, 2 * len(local)
@@ -133,7 +121,7 @@ def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> 
         shared=shared,
         tag_error=tag_error,
     )
-    return Solution(graph, local, covariance)
+    return graph, covariance
 
 
 def _converged(solver: Solver, values: Values) -> tuple[Values, System]:

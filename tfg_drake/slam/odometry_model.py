@@ -139,15 +139,3 @@ def predict_increment(
     covariance[1, 2] = covariance[2, 1] = coupling * direction_x
     covariance[2, 2] = heading
     return X, jacobian, covariance
-
-
-@njit(cache=True)
-def predict_increments(
-    increments: FloatArray, dt: FloatArray, calibration: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`predict_increment` of increments (m, 3) over dt (m,), s: (m, 3), (m, 3, 3) and (m, 3, 3)."""
-    m = len(dt)
-    X, jacobian, covariance = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3, 3))
-    for i in range(m):
-        X[i], jacobian[i], covariance[i] = predict_increment(increments[i], dt[i], calibration, noise)
-    return X, jacobian, covariance

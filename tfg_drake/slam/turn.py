@@ -58,6 +58,27 @@ class _Problem(NamedTuple):
     z: FloatArray
 
 
+class _Ties(NamedTuple):
+    """What ties t poses, m sightings and the parameters, by some noise.
+
+    X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (7,) and
+    information (7, 7) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range,
+    their sigmas, the robot's twist then and the clock's offset that its stamp was taken with, s. before: (m,) the
+    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much.
+    """
+
+    X_OB: FloatArray
+    dt: FloatArray
+    walks: FloatArray
+    prior: FloatArray
+    of_prior: FloatArray
+    node: IntArray
+    tag: IntArray
+    z: FloatArray
+    before: IntArray
+    left: FloatArray
+
+
 class _Solution(NamedTuple):
     """ids (n,) of the tags, how often each was seen, poses (t, 3), border (7 + 2n,), information (10 + 2n, 10 + 2n) and
     gradient (10 + 2n,) of (D, parameters, tags), and the squared error of each sighting, in sigmas; and the prior of
@@ -127,8 +148,8 @@ class Reduced:
 
 @message
 class Sample:
-    """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB (t, 3),
-    X_AB (t, 3); node, tag (m,) and z (m, 7) of its sightings; border, prior, of_prior: as `solved_chain` has them."""
+    """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB and
+    X_AB (t, 3), border (7 + 2n,). node, tag, z, prior, of_prior: as of `_Ties`, z with the sensor's sigmas."""
 
     clock: FloatArray
     X_OB: FloatArray
@@ -143,24 +164,9 @@ class Sample:
     def misfit(self, noise: Noise) -> float:
         """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
         marginalised out."""
-        before, left = _correlated(noise, self.node, self.tag)
-        z = self.z.copy()
-        z[:, 2:4] *= noise.tags
-        own = float(np.sum(np.log(z[:, 2] * z[:, 3] * (1.0 - left**2))))
-        return own + misfit_of_chain(
-            self.X_AB,
-            np.diff(self.clock),
-            self.X_OB,
-            noise.walks,
-            self.prior,
-            self.of_prior,
-            self.node,
-            self.tag,
-            z,
-            before,
-            left,
-            self.border,
-        )
+        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z)
+        own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
+        return own + misfit_of_chain(ties, self.X_AB, self.border)
 
 
 def reduced(
@@ -264,8 +270,17 @@ def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatA
     return np.asarray(each.reshape(-1, 2, 2) / np.maximum(solution.sightings, 1)[:, None, None])
 
 
-def _correlated(noise: Noise, node: IntArray, tag: IntArray) -> tuple[IntArray, FloatArray]:
-    """Which sighting (m,) of the same tag each is correlated with, the one before, or -1, and by how much."""
+def _ties(
+    noise: Noise,
+    clock: FloatArray,
+    X_OB: FloatArray,
+    prior: FloatArray,
+    of_prior: FloatArray,
+    node: IntArray,
+    tag: IntArray,
+    z: FloatArray,
+) -> _Ties:
+    """What ties poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
         order = np.lexsort([node, tag])
@@ -273,7 +288,9 @@ def _correlated(noise: Noise, node: IntArray, tag: IntArray) -> tuple[IntArray, 
         after = order[again + 1]
         before[after] = order[again]
         left[after] = noise.correlation ** (node[after] - node[order[again]])
-    return before, left
+    z = z.copy()
+    z[:, 2:4] *= noise.tags
+    return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left)
 
 
 def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
@@ -298,11 +315,8 @@ def _solved(
 ) -> _Solution:
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
     sigmas, for which all noise is white."""
-    node, X_AB = problem.node[kept], X_AB.copy()
+    node, z, X_AB = problem.node[kept], problem.z[kept], X_AB.copy()
     ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
-    z = problem.z[kept]
-    z[:, 2:4] *= noise.tags
-    before, left = _correlated(replace(noise, correlation=0.0) if math.isfinite(huber) else noise, node, tag)
     on = _by_shared(shared.mean, has_tags=bool(len(ids)))
     prior = shared.mean[:PARAMETERS].copy()
     prior[0] = (1.0 + prior[0]) / (1.0 + shared.mean[RANGE_SCALE]) - 1.0 if len(ids) else 0.0
@@ -314,21 +328,9 @@ def _solved(
     angle = X_AB[node, 2] + z[:, 0]
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
         border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
-    information, gradient, squared = solved_chain(
-        X_AB,
-        np.diff(problem.clock),
-        problem.X_OB,
-        noise.walks,
-        prior,
-        of_prior,
-        node,
-        tag,
-        z,
-        before,
-        left,
-        border,
-        huber,
-    )
+    noise = replace(noise, correlation=0.0) if math.isfinite(huber) else noise
+    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z)
+    information, gradient, squared = solved_chain(ties, X_AB, border, huber)
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
     return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior)
 
@@ -354,41 +356,24 @@ def _nodes(
 
 @njit(cache=True)
 def solved_chain(
-    X: FloatArray,
-    dt: FloatArray,
-    X_OB: FloatArray,
-    walks: FloatArray,
-    prior: FloatArray,
-    of_prior: FloatArray,
-    node: IntArray,
-    tag: IntArray,
-    z: FloatArray,
-    before: IntArray,
-    left: FloatArray,
-    border: FloatArray,
-    huber: float,
+    ties: _Ties, X: FloatArray, border: FloatArray, huber: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Bring the poses X (t, 3), the first of which is fixed, and the border (7 + 2n,), parameters and tags, to the
-    least squares, in place.
-
-    dt: (t - 1,) s between the poses. X_OB: (t, 3) odometry. walks: (3,) of `random_walks`. prior, of_prior: (7,) and
-    information (7, 7) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range,
-    their sigmas, the robot's twist then and the clock's offset that its stamp was taken with, s. before: (m,) the
-    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much. huber: threshold of a
-    robust solution, in sigmas, for which there must be none.
+    least squares, in place. huber: threshold of a robust solution, in sigmas, for which no noise may be correlated.
 
     Returns the information (10 + 2n, 10 + 2n) of the frames alone on (D, parameters, tags), the gradient (10 + 2n,)
     there, and the squared errors (m,) of the sightings, in sigmas.
     """
-    size, (increments, covariance) = 3 + len(border), _motions(X_OB, dt, walks)
+    size, (increments, covariance) = 3 + len(border), _motions(ties)
+    prior, of_prior = ties.prior, ties.of_prior
     chain, rest = _normal_equations(len(X), size)
-    squared, step_X, step = np.empty(len(node)), np.zeros((len(X), 3)), np.zeros(size)
+    squared, step_X, step = np.empty(len(ties.node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
         chain.fill(0.0)
         rest.fill(0.0)
-        new_cost = _add_odometry(X, border, increments, dt, walks, covariance, chain, rest)
-        new_cost += _add_sightings(X, border, node, tag, z, before, left, huber, chain, rest, squared)
+        new_cost = _add_odometry(ties, X, border, increments, covariance, chain, rest)
+        new_cost += _add_sightings(ties, X, border, huber, chain, rest, squared)
         for a in range(PARAMETERS):
             for b in range(PARAMETERS):
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -413,28 +398,15 @@ def solved_chain(
 
 
 @njit(cache=True)
-def misfit_of_chain(
-    X: FloatArray,
-    dt: FloatArray,
-    X_OB: FloatArray,
-    walks: FloatArray,
-    prior: FloatArray,
-    of_prior: FloatArray,
-    node: IntArray,
-    tag: IntArray,
-    z: FloatArray,
-    before: IntArray,
-    left: FloatArray,
-    border: FloatArray,
-) -> float:
+def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
     """The negative logarithm of the likelihood of odometry and sightings, linearised at X and border, of which it is
     the marginal; without what only the sightings' own deviations say. Arguments: as of `solved_chain`."""
-    increments, covariance = _motions(X_OB, dt, walks)
+    (increments, covariance), prior, of_prior = _motions(ties), ties.prior, ties.of_prior
     chain, rest = _normal_equations(len(X), 3 + len(border))
-    misfit = _add_odometry(X, border, increments, dt, walks, covariance, chain, rest)
+    misfit = _add_odometry(ties, X, border, increments, covariance, chain, rest)
     for one in covariance:
         misfit += 0.5 * math.log(np.linalg.det(one))
-    misfit += _add_sightings(X, border, node, tag, z, before, left, math.inf, chain, rest, np.empty(len(node)))
+    misfit += _add_sightings(ties, X, border, math.inf, chain, rest, np.empty(len(ties.node)))
     for a in range(PARAMETERS):
         for b in range(PARAMETERS):
             misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -450,12 +422,13 @@ def misfit_of_chain(
 
 
 @njit(cache=True)
-def _motions(X_OB: FloatArray, dt: FloatArray, walks: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Increments (t - 1, 3) of `arc` between odometry's poses (t, 3), and the covariance (t - 1, 3, 3) of each."""
+def _motions(ties: _Ties) -> tuple[FloatArray, FloatArray]:
+    """Increments (t - 1, 3) of `arc` between odometry's poses, and the covariance (t - 1, 3, 3) of each."""
+    X_OB, dt = ties.X_OB, ties.dt
     increments, covariance = np.empty((len(dt), 3)), np.empty((len(dt), 3, 3))
     for i in range(len(dt)):
         increments[i] = arc(X_OB[i], X_OB[i + 1])
-        covariance[i] = predict_increment(increments[i], dt[i], np.zeros(3), walks)[2]
+        covariance[i] = predict_increment(increments[i], dt[i], np.zeros(3), ties.walks)[2]
     return increments, covariance
 
 
@@ -482,24 +455,23 @@ def _move(X: FloatArray, border: FloatArray, step_X: FloatArray, step: FloatArra
 
 @njit(cache=True)
 def _add_odometry(
+    ties: _Ties,
     X: FloatArray,
     border: FloatArray,
     increments: FloatArray,
-    dt: FloatArray,
-    noise: FloatArray,
     covariance: FloatArray,
     chain: FloatArray,
     rest: FloatArray,
 ) -> float:
     """Add the normal equations of the odometry between poses (t, 3); returns the cost.
 
-    increments: (t - 1, 3) of `arc`, dt: (t - 1,) s, covariance: (t - 1, 3, 3).
+    increments, covariance: of `_motions`.
     """
     cost = 0.0
     # The covariance, to whiten by, beside the Jacobians on both poses and the calibration, and the error.
     rows, last = np.empty((3, 13)), 12
     for i in range(len(X) - 1):
-        ahead, on_calibration, _ = predict_increment(increments[i], dt[i], border[:3], noise)
+        ahead, on_calibration, _ = predict_increment(increments[i], ties.dt[i], border[:3], ties.walks)
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
         dx, dy = X[i + 1, 0] - X[i, 0], X[i + 1, 1] - X[i, 1]
         x, y = c * dx + s * dy, -s * dx + c * dy
@@ -545,13 +517,9 @@ def _add_odometry(
 
 @njit(cache=True)
 def _add_sightings(
+    ties: _Ties,
     X: FloatArray,
     border: FloatArray,
-    node: IntArray,
-    tag: IntArray,
-    z: FloatArray,
-    before: IntArray,
-    left: FloatArray,
     huber: float,
     chain: FloatArray,
     rest: FloatArray,
@@ -562,7 +530,7 @@ def _add_sightings(
     A sighting's noise less what is left in it of the noise before is white. The pose of the sighting before is taken to
     be off as the one before this is: they are the same, unless the tag was not seen for some frames.
     """
-    cost = 0.0
+    cost, node, tag, z, before, left = 0.0, ties.node, ties.tag, ties.z, ties.before, ties.left
     yaw, ahead, aside, clock = border[3], border[4], border[5], border[6]
     # Jacobians on pose, camera and tag, and the error, of bearing and range; and, with the pose before in front, those
     # of what the sighting before does not tell yet.
