@@ -29,7 +29,7 @@ from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.pictures import scene
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
-from tfg_drake.slam.noise import LearntNoise, as_told
+from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import random_walks
 from tfg_drake.slam.shared import Shared, exactly_known
 from tfg_drake.storage.port_recording import GOAL, PortWriter
@@ -237,7 +237,7 @@ class Mission:
     def noise(self) -> LearntNoise:
         """The noise as the estimator knows it; of a method without an estimator as the data sheet says."""
         state = self._estimator_state()
-        return as_told(random_walks(self.scenario.odometry)) if state is None else state.noise
+        return noise_by_data_sheet(random_walks(self.scenario.odometry)) if state is None else state.noise
 
     @property
     def X_WM(self) -> FloatArray:

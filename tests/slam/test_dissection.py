@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tfg_drake.slam.dissection import covariance, dissected, eliminated, leaves, solution
+from tfg_drake.slam.dissection import dissected, eliminated, leaves
 
 
 def system(seed, keyframes=40, landmarks=60, omitted=(), most=6):
@@ -45,12 +45,12 @@ def test_is_a_dense_solution(omitted, most):
     assert elimination.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-12)
     rng = np.random.default_rng(2)
     vector = rng.normal(size=len(whole))
-    x = solution(dissection, elimination, vector)
+    x = elimination.solution(vector)
     np.testing.assert_allclose(x, np.linalg.solve(whole, vector), atol=1e-9 * np.abs(x).max())
     for count in (0, 1, 30, len(whole)):
         at = rng.permutation(len(whole))[:count]
         expected = np.linalg.inv(whole)[np.ix_(at, at)]
-        np.testing.assert_allclose(covariance(dissection, elimination, at), expected, atol=1e-9 * np.abs(x).max())
+        np.testing.assert_allclose(elimination.covariance(at), expected, atol=1e-9 * np.abs(x).max())
 
 
 def test_what_no_keyframe_has_needs_damping():

@@ -9,7 +9,7 @@ from tfg_drake.slam.first_look import (
     Agreement,
     agreement,
     held_against_odometry,
-    told,
+    remedies,
     turn_between,
     turns_of_scans,
     turns_of_tags,
@@ -138,15 +138,15 @@ def test_where_nothing_is_told_nothing_is_wrong():
 
 def test_each_finding_is_a_line_with_the_key_to_set():
     right, against = Agreement(), Agreement(against=True)
-    assert told(right, right) == []
-    (line,) = told(right, against)
+    assert remedies(right, right) == []
+    (line,) = remedies(right, against)
     assert line.startswith("the scan turns against the robot")
     assert "hardware.scanner.flip" in line
-    (line,) = told(against, right)
+    (line,) = remedies(against, right)
     assert line.startswith("the tags turn against the robot")
-    (line,) = told(against, against)
+    (line,) = remedies(against, against)
     assert "odometry" in line
-    camera, scanner = told(Agreement(ahead=0.3), Agreement(ahead=-0.2))
+    camera, scanner = remedies(Agreement(ahead=0.3), Agreement(ahead=-0.2))
     assert "0.30 s ahead of the base's" in camera
     assert "hardware.camera.latency" in camera
     assert "0.20 s behind the base's" in scanner

@@ -10,7 +10,7 @@ import pytest
 from tests.slam.oracle import HALF_VIEW, NOISE, PRIOR, REACH, SIGMA, WALKS, Drive, dense, measured
 from tfg_drake.messages import TagDetections
 from tfg_drake.slam import noise as learning
-from tfg_drake.slam.noise import CORRELATION, DISTANCE, HEADING, TAGS, Noise, as_told
+from tfg_drake.slam.noise import CORRELATION, DISTANCE, HEADING, TAGS, Noise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import arc, predict_increment
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.turn import reduced
@@ -43,7 +43,7 @@ def robot_with(seed, factor, tags=1.0, correlation=0.0, gaps=0.05):
 
 def found(robot, pieces=16):
     """The noise after turns and pieces, in turn."""
-    known = as_told(WALKS)
+    known = noise_by_data_sheet(WALKS)
     for k in range(pieces):
         piece = robot.piece(0.0, 0.6, 8.0) if k % 2 == 0 else robot.piece(0.35, 0.15 * (-1) ** (k // 2), 5.0)
         known = known.with_sample(reduced(known.now, *piece, PRIOR).sample)
@@ -106,7 +106,7 @@ def test_exact_frames_do_not_make_the_noise_vanish():
 def test_it_is_learnt_as_samples_grow_threefold_and_slips_are_no_samples():
     robot = Drive(np.random.default_rng(6).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 6)
     sample = reduced(NOISE, *robot.piece(0.0, 0.6, 2.0), PRIOR).sample
-    known, learnt_at = as_told(WALKS).with_sample(None), []
+    known, learnt_at = noise_by_data_sheet(WALKS).with_sample(None), []
     assert known.seen == 0
     for k in range(1, 30):
         before = known.with_sample(sample)
@@ -131,7 +131,7 @@ def test_what_a_frame_in_a_row_is_worth():
 
 
 def test_values_are_those_of_the_summary():
-    known = dataclasses.replace(as_told(WALKS), level=np.zeros(4), sigma=np.full(4, 0.1))
+    known = dataclasses.replace(noise_by_data_sheet(WALKS), level=np.zeros(4), sigma=np.full(4, 0.1))
     values, deviations = known.values
     np.testing.assert_allclose(values, [WALKS[0], WALKS[1], 1.0, 0.0])
     np.testing.assert_allclose(deviations, [0.1 * WALKS[0], 0.1 * WALKS[1], 0.1, 0.1])

@@ -12,7 +12,7 @@ from tfg_drake.slam.scan_ranges import (
     compared,
     great_error,
     none_compared,
-    told_by_scan,
+    scan_information,
 )
 from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
 
@@ -72,7 +72,7 @@ class World:
 
 
 def posterior(ranges, prior=PRIOR):
-    information, gradient = told_by_scan(ranges, 1.0)
+    information, gradient = scan_information(ranges, 1.0)
     inverse = np.linalg.inv(prior.covariance)
     covariance = np.linalg.inv(inverse + information)
     return Shared(covariance @ (inverse @ prior.mean - gradient), covariance)
@@ -193,7 +193,7 @@ def test_without_a_pair_nothing_is_learnt():
     for scan in (nothing, free):
         ranges = compared(none_compared(), detections, scan, PRIOR)
         assert ranges.pairs == 0
-        information, gradient = told_by_scan(ranges, 1.0)
+        information, gradient = scan_information(ranges, 1.0)
         assert not information.any()
         assert not gradient.any()
 

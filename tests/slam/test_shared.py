@@ -19,7 +19,7 @@ from tfg_drake.slam.estimator import (
     process_scan,
 )
 from tfg_drake.slam.estimator_state import initial_state
-from tfg_drake.slam.scan_ranges import told_by_scan
+from tfg_drake.slam.scan_ranges import scan_information
 from tfg_drake.slam.shared import (
     CAMERA_YAW,
     CLOCK,
@@ -161,7 +161,7 @@ def test_a_scan_tells_the_scale_of_ranges_and_each_pair_counts_once(drive):
     assert found.sigma[RANGE_SCALE] < 0.005
     assert found.mean[RANGE_SCALE] == pytest.approx(0.015, abs=3.0 * found.sigma[RANGE_SCALE])
     told = np.linalg.inv(state.graph.prior.covariance) - np.linalg.inv(state.sheet.covariance)
-    information, _ = told_by_scan(compared, state.noise.now.worth)
+    information, _ = scan_information(compared, state.noise.now.worth)
     np.testing.assert_allclose(told, information, atol=1e-6 * np.abs(information).max())
 
 

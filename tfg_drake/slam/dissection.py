@@ -63,12 +63,63 @@ class Dissection:
 
 @dataclasses.dataclass(frozen=True)
 class Elimination:
-    """The Cholesky factor of the information. lower, below: of each front, (own, own) the factor and (f - own, own) its
-    rows for the boundary. log_determinant: of the information."""
+    """The Cholesky factor of the information. parts: each front, the (own, own) factor and (f - own, own) its rows for
+    the boundary. log_determinant: of the information."""
 
-    lower: tuple[FloatArray, ...]
-    below: tuple[FloatArray, ...]
+    parts: tuple[tuple[Front, FloatArray, FloatArray], ...]
     log_determinant: float
+
+    def solution(self, vector: FloatArray) -> FloatArray:
+        """(u,) what times the information is the vector (u,)."""
+        x = vector.copy()
+        for front, lower, below in self.parts:
+            if front.own:
+                x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated], lower=1)[0]
+                x[front.unknowns[front.own :]] -= below @ x[front.eliminated]
+        for front, lower, below in reversed(self.parts):
+            if front.own:
+                known = below.T @ x[front.unknowns[front.own :]]
+                x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated] - known, lower=1, trans=1)[0]
+        return x
+
+    def covariance(self, at: IntArray) -> FloatArray:
+        """(c, c) joint, of some unknowns (c,): the product with itself of what the Cholesky factor makes of their
+        columns of the identity. These are zero but in the fronts where the unknowns are eliminated, and above."""
+        order = np.argsort(at, kind="stable")
+        columns, joint = at[order], np.zeros((len(at), len(at)))
+        left: dict[int, FloatArray] = {}
+        done = 0
+        for p, (front, lower, below) in enumerate(self.parts):
+            # The columns of what is eliminated below a front, half by half, and those of its own follow each other.
+            halves = [(self.parts[half][0].above, left.pop(half)) for half in front.halves]
+            first, last = np.searchsorted(columns, [done, done + front.own])
+            begin = first - sum(part.shape[1] for _, part in halves)
+            right, column = np.zeros((len(front.unknowns), last - begin), order="F"), 0
+            for above, part in halves:
+                right[above, column : column + part.shape[1]] = part
+                column += part.shape[1]
+            right[columns[first:last] - done, np.arange(first, last) - begin] = 1.0
+            left[p] = right[front.own :]
+            if front.own and last > begin:
+                root_part = blas.dtrsm(1.0, lower, right[: front.own], lower=1)
+                joint[begin:last, begin:last] += root_part.T @ root_part
+                left[p] = left[p] - below @ root_part
+            done += front.own
+        back = np.argsort(order, kind="stable")
+        return np.asarray(joint[np.ix_(back, back)])
+
+
+@dataclasses.dataclass(frozen=True)
+class DissectedSystem(Elimination):
+    """See `solver.System`."""
+
+    gradient: FloatArray
+    error: float
+    places: FloatArray
+
+    def step(self, gradient: FloatArray) -> FloatArray:
+        """(u,) the step of Gauss and Newton for a gradient (u,)."""
+        return self.solution(-gradient)
 
 
 def leaves(points: FloatArray, variable: IntArray, keyframe: IntArray, most: int = LEAF) -> IntArray:
@@ -139,9 +190,9 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
     first, last = np.full(number, 2**depth), np.full(number, -1)
     np.minimum.at(first, variable, leaf[keyframe])
     np.maximum.at(last, variable, leaf[keyframe])
-    # What no keyframe has is told of by none: the first leaf has it.
-    alone = np.flatnonzero(last < 0)
-    first[alone] = last[alone] = 0
+    # What no keyframe has is put into the first leaf.
+    unseen = np.flatnonzero(last < 0)
+    first[unseen] = last[unseen] = 0
     # Up to the first front that has all of its keyframes.
     up = np.frexp((first ^ last).astype(float))[1]
     # A complete tree, each front after its halves: so many fronts are below one on a level.
@@ -164,7 +215,7 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
     for (level, i), p in place.items():
         parts: tuple[int, ...] = ()
         if level == 0:
-            some = np.unique(np.append(variable_of[i], alone) if i == 0 else variable_of[i])
+            some = np.unique(np.append(variable_of[i], unseen) if i == 0 else variable_of[i])
             some = some[width[some] > 0]
             each = np.repeat(at[some], width[some])
             has = np.sort(each + np.arange(len(each)) - np.repeat(np.cumsum(width[some]) - width[some], width[some]))
@@ -199,8 +250,7 @@ def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], dam
     block: the information (f, f) that the keyframes of a leaf have on its unknowns. damping: added to each unknown's.
     Raises numpy.linalg.LinAlgError where it is singular.
     """
-    lower: list[FloatArray] = []
-    below: list[FloatArray] = []
+    parts: list[tuple[Front, FloatArray, FloatArray]] = []
     left: dict[int, FloatArray] = {}
     log_determinant = 0.0
     for p, front in enumerate(dissection.fronts):
@@ -221,54 +271,9 @@ def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], dam
             left[p] = blas.dsyrk(-1.0, rest, beta=1.0, c=whole[own:, own:], lower=1)
         else:
             left[p] = np.asfortranarray(whole[own:, own:])
-        lower.append(root)
-        below.append(rest)
+        parts.append((front, root, rest))
         log_determinant += 2.0 * float(np.sum(np.log(np.diag(root))))
-    return Elimination(tuple(lower), tuple(below), log_determinant)
-
-
-def solution(dissection: Dissection, elimination: Elimination, vector: FloatArray) -> FloatArray:
-    """(u,) what times the information is the vector (u,)."""
-    x = vector.copy()
-    for front, lower, below in zip(dissection.fronts, elimination.lower, elimination.below, strict=True):
-        if front.own:
-            x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated], lower=1)[0]
-            x[front.unknowns[front.own :]] -= below @ x[front.eliminated]
-    for p in range(len(dissection.fronts) - 1, -1, -1):
-        front = dissection.fronts[p]
-        if front.own:
-            known = elimination.below[p].T @ x[front.unknowns[front.own :]]
-            x[front.eliminated] = lapack.dtrtrs(elimination.lower[p], x[front.eliminated] - known, lower=1, trans=1)[0]
-    return x
-
-
-def covariance(dissection: Dissection, elimination: Elimination, at: IntArray) -> FloatArray:
-    """(c, c) the joint covariance of some unknowns (c,): the product with itself of what the Cholesky factor makes of
-    their columns of the identity. These are zero but in the fronts where the unknowns are eliminated, and above."""
-    order = np.argsort(at, kind="stable")
-    columns, joint = at[order], np.zeros((len(at), len(at)))
-    left: dict[int, FloatArray] = {}
-    done = 0
-    for p, (front, lower, below) in enumerate(
-        zip(dissection.fronts, elimination.lower, elimination.below, strict=True)
-    ):
-        # The columns of the unknowns eliminated below a front, half by half, and those of its own follow each other.
-        halves = [(dissection.fronts[half].above, left.pop(half)) for half in front.halves]
-        first, last = np.searchsorted(columns, [done, done + front.own])
-        begin = first - sum(part.shape[1] for _, part in halves)
-        right, column = np.zeros((len(front.unknowns), last - begin), order="F"), 0
-        for above, part in halves:
-            right[above, column : column + part.shape[1]] = part
-            column += part.shape[1]
-        right[columns[first:last] - done, np.arange(first, last) - begin] = 1.0
-        left[p] = right[front.own :]
-        if front.own and last > begin:
-            root_part = blas.dtrsm(1.0, lower, right[: front.own], lower=1)
-            joint[begin:last, begin:last] += root_part.T @ root_part
-            left[p] = left[p] - below @ root_part
-        done += front.own
-    back = np.argsort(order, kind="stable")
-    return np.asarray(joint[np.ix_(back, back)])
+    return Elimination(tuple(parts), log_determinant)
 
 
 @njit(cache=True)
@@ -278,30 +283,6 @@ def extend_add(whole: FloatArray, part: FloatArray, at: IntArray) -> None:
         row = whole[at[i]]
         for j in range(i, len(at)):
             row[at[j]] += part[i, j]
-
-
-@dataclasses.dataclass(frozen=True)
-class DissectedSystem:
-    """See `solver.System`."""
-
-    dissection: Dissection
-    elimination: Elimination
-    gradient: FloatArray
-    error: float
-    places: FloatArray
-
-    @property
-    def log_determinant(self) -> float:
-        """Of the information on all unknowns."""
-        return self.elimination.log_determinant
-
-    def step(self, gradient: FloatArray) -> FloatArray:
-        """(u,) the step of Gauss and Newton for a gradient (u,)."""
-        return solution(self.dissection, self.elimination, -gradient)
-
-    def covariance(self, at: IntArray) -> FloatArray:
-        """(c, c) joint, of some unknowns (c,)."""
-        return covariance(self.dissection, self.elimination, at)
 
 
 class DissectionSolver:
@@ -357,7 +338,7 @@ class DissectionSolver:
         first = next(front for front in self._dissection.fronts if not front.halves)
         elimination = eliminated(self._dissection, block, damping)
         error += factors.priors(values, u, gradient)
-        return DissectedSystem(self._dissection, elimination, gradient, error, places)
+        return DissectedSystem(elimination.parts, elimination.log_determinant, gradient, error, places)
 
     def log_determinant_given_landmarks(self, values: Values) -> float:
         """See `solver.Solver`."""

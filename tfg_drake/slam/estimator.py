@@ -49,7 +49,7 @@ from tfg_drake.slam.evidence import (
     weighed,
     with_doubts,
 )
-from tfg_drake.slam.first_look import Message, held_against_odometry, told
+from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
@@ -64,7 +64,7 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
-from tfg_drake.slam.scan_ranges import compared, great_error, told_by_scan
+from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
 
@@ -258,7 +258,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     if look is None or turn is None:
         return state
     tags, scan = held_against_odometry(look.messages, look.start.offset)
-    for line in told(tags, scan):
+    for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
@@ -429,7 +429,9 @@ def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
 
 def _prior(state: EstimatorState) -> Shared:
     """What is known of the parameters without any keyframe: by the data sheets and by the scan."""
-    return state.sheet.told(*told_by_scan(state.ranges, state.noise.now.worth)) if state.ranges.pairs else state.sheet
+    if not state.ranges.pairs:
+        return state.sheet
+    return state.sheet.with_information(*scan_information(state.ranges, state.noise.now.worth))
 
 
 def _reduced_anew(
@@ -454,9 +456,9 @@ def _reduced_anew(
     return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
 
 
-def _with_scale_told(state: EstimatorState) -> EstimatorState:
+def _with_scale_reported(state: EstimatorState) -> EstimatorState:
     """The state once the operator knows of ranges that are so wrong that a setting must be."""
-    share = 0.0 if state.ranges.told else great_error(state.ranges, state.graph.shared)
+    share = 0.0 if state.ranges.reported else great_error(state.ranges, state.graph.shared)
     if not share:
         return state
     _remarks.warning(
@@ -466,14 +468,14 @@ def _with_scale_told(state: EstimatorState) -> EstimatorState:
         1.0 + share,
         1.0 / (1.0 + share),
     )
-    return replace(state, ranges=replace(state.ranges, told=True))
+    return replace(state, ranges=replace(state.ranges, reported=True))
 
 
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
     source = Source(turn, instant(state), state.graph.shared, state.noise.level)
-    state = _with_scale_told(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
+    state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
     keyframe = solution.keyframe
     way, view = state.way, Sighted(keyframe, solution.sightings)
     observation = Observation(keyframe.ids, solution.stamps, solution.X_AB)

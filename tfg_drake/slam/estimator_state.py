@@ -22,7 +22,7 @@ from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
-from tfg_drake.slam.noise import LearntNoise, as_told
+from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
@@ -136,7 +136,7 @@ def initial_state(
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
     state = EstimatorState(
-        noise=as_told(random_walks(config)),
+        noise=noise_by_data_sheet(random_walks(config)),
         sheet=prior,
         path_keyframe_period=path_keyframe_period,
         offset=float(prior.mean[CLOCK]),

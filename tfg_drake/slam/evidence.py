@@ -316,17 +316,12 @@ def watched(
     says nothing: the camera may see none at all.
     """
     seen_from, failed, widest, expected, seen = _watched(
-        watch.ids,
-        watch.seen_from,
-        watch.failed,
-        watch.widest,
+        (watch.ids, watch.seen_from, watch.failed, watch.widest),
         p_ML,
         X_MC,
         yaw,
-        frame.ids,
-        frame.bearing,
-        scan.angles,
-        scan.ranges,
+        (frame.ids, frame.bearing),
+        (scan.angles, scan.ranges),
     )
     return TagWatch(watch.ids, seen_from, failed, widest, watch.all_expected + expected, watch.all_seen + seen)
 
@@ -348,22 +343,17 @@ def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
 
 @njit(cache=True)
 def _watched(
-    ids: IntArray,
-    seen_from: FloatArray,
-    failed: IntArray,
-    widest: float,
+    watch: tuple[IntArray, FloatArray, IntArray, float],
     p_ML: FloatArray,
     X_MC: FloatArray,
     yaw: float,
-    frame_ids: IntArray,
-    bearing: FloatArray,
-    angles: FloatArray,
-    ranges: FloatArray,
+    frame: tuple[IntArray, FloatArray],
+    scan: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, IntArray, float, int, int]:
-    """What a watch has as seen_from, failed and widest after a frame, and how many tags of the map the frame should
-    have shown and has shown of these."""
-    shown = np.zeros(len(ids), dtype=np.bool_)
-    seen_from, failed = seen_from.copy(), failed.copy()
+    """What a watch (ids, seen_from, failed, widest) has as the last three after a frame (ids, bearings), by a scan
+    (angles, ranges), and how many tags of the map the frame should have shown and has shown of these."""
+    (frame_ids, bearing), ids, widest = frame, watch[0], watch[3]
+    shown, seen_from, failed = np.zeros(len(ids), dtype=np.bool_), watch[1].copy(), watch[2].copy()
     for row, one in zip(np.searchsorted(ids, frame_ids), frame_ids):  # noqa: B905 numba knows no strict
         if row < len(ids) and ids[row] == one:
             x, y = X_MC[0] - p_ML[row, 0], X_MC[1] - p_ML[row, 1]
@@ -376,7 +366,7 @@ def _watched(
     widest = max(widest, np.abs(bearing).max())
     expected, seen = 0, 0
     for i in range(len(ids)):
-        if _expected(p_ML[i], seen_from[i], X_MC, yaw, widest, angles, ranges):
+        if _expected(p_ML[i], seen_from[i], X_MC, yaw, widest, scan):
             expected += 1
             seen += shown[i]
             failed[i] += 1
@@ -392,8 +382,7 @@ def _expected(
     X_MC: FloatArray,
     yaw: float,
     widest: float,
-    angles: FloatArray,
-    ranges: FloatArray,
+    scan: tuple[FloatArray, FloatArray],
 ) -> bool:
     """Whether a frame should show a tag, at p_ML (2,) and seen from (2,)."""
     x, y = X_MC[0] - p_ML[0], X_MC[1] - p_ML[1]
@@ -405,6 +394,7 @@ def _expected(
     often = math.hypot(seen_from[0], seen_from[1])
     if abs(bearing) > widest - INSIDE or not seen_from[0] * x + seen_from[1] * y > NEAR_BY * often * distance:
         return False
+    angles, ranges = scan
     met, slant = surface(bearing + yaw, angles, ranges, math.inf)
     straight = X_MC[2] + bearing + math.atan(slant)
     side = -seen_from[0] * math.cos(straight) - seen_from[1] * math.sin(straight)

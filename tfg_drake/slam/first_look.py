@@ -70,7 +70,7 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
     return agreement(by_tags, stamps, heading), agreement(turns_of_scans(scans), stamps, heading)
 
 
-def told(tags: Agreement, scan: Agreement) -> list[str]:
+def remedies(tags: Agreement, scan: Agreement) -> list[str]:
     """What somebody can mend, a line each."""
     lines = [AGAINST[tags.against, scan.against]] if tags.against or scan.against else []
     if tags.ahead:

@@ -70,12 +70,12 @@ class Sample(Protocol):
 
 @message
 class LearntNoise:
-    """The noise as it is known, now: the most likely. told: (3,) walks of the data sheet. level, sigma: (4,) of what is
-    learnt and its standard deviations. samples: the newest, seen: how many there have been, due: how many there are
+    """The noise as it is known, now: the most likely. sheet: (3,) walks of the data sheet. level, sigma: (4,) of what
+    is learnt and its standard deviations. samples: the newest, seen: how many there have been, due: how many there are
     when it is learnt next."""
 
     now: Noise
-    told: FloatArray
+    sheet: FloatArray
     level: FloatArray
     sigma: FloatArray
     samples: tuple[Sample, ...] = ()
@@ -116,10 +116,10 @@ class LearntNoise:
                 level, cost = there, lower
             if small:
                 break
-        return replace(self, now=_at(self.told, level), level=level, sigma=sigma, due=GROWTH * self.seen)
+        return replace(self, now=_at(self.sheet, level), level=level, sigma=sigma, due=GROWTH * self.seen)
 
     def _cost(self, level: FloatArray) -> float:
-        noise = _at(self.told, level)
+        noise = _at(self.sheet, level)
         return sum(one.misfit(noise) for one in self.samples) + 0.5 * float(np.sum((level / PRIOR) ** 2))
 
     def _differences(self, level: FloatArray, cost: float) -> tuple[FloatArray, FloatArray]:
@@ -138,11 +138,12 @@ class LearntNoise:
         return (ahead - back) / (2.0 * DIFFERENCE), curvature
 
 
-def as_told(walks: FloatArray) -> LearntNoise:
+def noise_by_data_sheet(walks: FloatArray) -> LearntNoise:
     """As the data sheet says, walks (3,), before the first frame."""
     return LearntNoise(Noise(walks), walks, np.zeros(len(PRIOR)), PRIOR)
 
 
-def _at(told: FloatArray, level: FloatArray) -> Noise:
-    walks = told * np.array([math.exp(level[DISTANCE]), math.exp(level[HEADING]), 1.0])
+def _at(sheet: FloatArray, level: FloatArray) -> Noise:
+    """The noise at some levels (4,) beside walks (3,) of the data sheet."""
+    walks = sheet * np.array([math.exp(level[DISTANCE]), math.exp(level[HEADING]), 1.0])
     return Noise(walks, math.exp(level[TAGS]), math.tanh(level[CORRELATION]))

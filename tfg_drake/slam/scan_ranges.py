@@ -27,13 +27,13 @@ NUISANCE = (0.01, 0.005, 0.005, 0.02)
 TAG_SIGMA = 0.01
 # Pairs that differ by more than this many standard deviations are of two different things.
 GATE = 4.0
-# So large a share, where it is this many standard deviations from none, is told: tags are of another size, or the
+# So large a share, where it is this many standard deviations from none, is reported: tags are of another size, or the
 # calibration is of another camera. So many pairs must say so where they agree with no scale that may well be.
-TOLD, SIGNIFICANT = 0.03, 4.0
+REPORTED, SIGNIFICANT = 0.03, 4.0
 MANY = 100
 # They are counted by the logarithm of range over range, in bins this wide, up to as much more or less as MOST, a factor
 # of 50. Half of all pairs must lie this near together, whichever is the more: so many bins, or so large a share of what
-# is told.
+# is reported.
 BIN, MOST = 0.02, 3.92
 NEAR, NEARLY = 3, 0.25
 # Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
@@ -55,7 +55,7 @@ class ScanRanges:
     ids: (t,), ascending, of the tags compared. of_tag: (t, 7) the last row of the sum over each tag's pairs. total:
     (6, 6) the other rows and columns of the sum over all pairs. apart: (b,) how many of the pairs that do not agree
     have ranges whose logarithm is greater than that of the range to the surface by -MOST to -MOST + BIN, ... pairs: how
-    many agree. told: whether somebody was told of a `great_error`.
+    many agree. reported: whether somebody was told of a `great_error`.
     """
 
     ids: IntArray
@@ -63,7 +63,7 @@ class ScanRanges:
     total: FloatArray
     apart: IntArray
     pairs: int
-    told: bool = False
+    reported: bool = False
 
 
 def none_compared() -> ScanRanges:
@@ -91,7 +91,7 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
     return replace(before, of_tag=of_tag, total=total, apart=apart, pairs=before.pairs + pairs)
 
 
-def told_by_scan(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
+def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
     """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero. worth: the
     share of what it tells by the data sheet that one frame of many tells."""
     of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
@@ -192,11 +192,11 @@ def _with_pairs(
 
 
 def great_error(ranges: ScanRanges, shared: Shared) -> float:
-    """The share by which the tags' ranges are longer than the scan's where that is more than TOLD and beyond doubt,
+    """The share by which the tags' ranges are longer than the scan's where that is more than REPORTED and beyond doubt,
     else 0: one that is known, where most pairs agree, or one so great that most do not, and nearly alike."""
     r, sigma = float(shared.mean[RANGE_SCALE]), float(shared.sigma[RANGE_SCALE])
     apart = int(ranges.apart.sum())
-    if ranges.pairs > apart and abs(r) > TOLD + SIGNIFICANT * sigma:
+    if ranges.pairs > apart and abs(r) > REPORTED + SIGNIFICANT * sigma:
         return r
     most = max(MANY, (ranges.pairs + apart) // 2)
     counted = np.append(0, np.cumsum(ranges.apart))
@@ -205,4 +205,4 @@ def great_error(ranges: ScanRanges, shared: Shared) -> float:
     middle = BIN * (first + 0.5 * width[first]) - MOST
     says_so = counted[first] + most < counted[-1] and width[first] <= max(NEAR, NEARLY * abs(middle) / BIN)
     share = math.expm1(middle)
-    return share if says_so and abs(share) > TOLD else 0.0
+    return share if says_so and abs(share) > REPORTED else 0.0

@@ -33,7 +33,7 @@ class Shared:
         """(8,) standard deviations."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def told(self, information: FloatArray, gradient: FloatArray) -> Shared:
+    def with_information(self, information: FloatArray, gradient: FloatArray) -> Shared:
         """The Gaussian once something else tells of the parameters, too: information (8, 8) and gradient (8,) where
         they are zero."""
         before = np.linalg.inv(self.covariance)

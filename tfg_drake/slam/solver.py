@@ -267,7 +267,7 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
             own += force
             for i, place in enumerate(_of_errors(rows, unknowns)):
                 gradient[place] += own[i]
-        beyond, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
+        force_of_rest, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
         scale = 1.0 + values.shared[keyframes.unit[k]]
         c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
         for i in range(0, m - 1, 2):
@@ -279,7 +279,7 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
             gradient[at[m - 1]] += weighted[m - 1]
         for i in range(NEWEST):
             if at[m + i] >= 0:
-                gradient[at[m + i]] += beyond[i] + (keyframes.vector[k, i - 3] if i >= 3 else 0.0)
+                gradient[at[m + i]] += force_of_rest[i] + (keyframes.vector[k, i - 3] if i >= 3 else 0.0)
     return total
 
 

@@ -46,7 +46,7 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
 def learnt(tag_error: FloatArray, errors: FloatArray, variance: FloatArray) -> FloatArray:
     """The deviations (2,) by what the errors (n, 2) of tags are found to be, and with which variance (n, 2), where
     `tag_error` was taken for them."""
-    told = (1.0 - variance / tag_error**2).sum(axis=0)
+    known = (1.0 - variance / tag_error**2).sum(axis=0)
     squares = (errors**2).sum(axis=0) + FIRST_WORTH * np.square(FIRST)
-    found = np.sqrt(squares / (told + FIRST_WORTH))
+    found = np.sqrt(squares / (known + FIRST_WORTH))
     return np.zeros(2) if (found < LEAST).all() else found
