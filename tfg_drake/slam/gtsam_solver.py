@@ -111,25 +111,12 @@ class GtsamSystem:
         return self.newton
 
     def covariance(self, at: IntArray) -> FloatArray:
-        """(c, c) joint, of some unknowns (c,): what is left when all others are eliminated, inverted."""
-        asked = [key for key, where in self.at.items() if np.any((at >= where.start) & (at < where.stop))]
-        information = _left(self.system, asked)
+        """(c, c) joint, of some unknowns (c,)."""
+        asked = sorted(key for key, where in self.at.items() if np.any((at >= where.start) & (at < where.stop)))
+        joint = gtsam.Marginals(self.system, gtsam.Values()).jointMarginalCovariance(asked).fullMatrix()
         place = np.concatenate([np.arange(self.at[key].start, self.at[key].stop) for key in asked])
         rows = np.argsort(place)[np.searchsorted(np.sort(place), at)]
-        return np.asarray(np.linalg.inv(information)[np.ix_(rows, rows)])
-
-
-def _left(system: gtsam.GaussianFactorGraph, keys: list[int]) -> FloatArray:
-    """The information on some unknowns, in the order of their keys, when all others are eliminated."""
-    last = gtsam.Ordering()
-    for key in keys:
-        last.push_back(key)
-    everything = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(system, keys, False)
-    before = gtsam.Ordering()
-    for place in range(everything.size() - len(keys)):
-        before.push_back(everything.at(place))
-    left = system.eliminatePartialSequential(before)[1] if before.size() else system
-    return np.asarray(left.hessian(last)[0])
+        return np.asarray(joint[np.ix_(rows, rows)])
 
 
 class GtsamSolver:
