@@ -65,7 +65,7 @@ def run_seed(name: str, seed: int, period: float) -> tuple[int, list[float]]:
             state = initial_state(scenario.odometry, keyframes, by_data_sheet(scenario.odometry, scenario.tags))
             for step, given in steps:
                 state = getattr(estimator, step)(state, given)
-            estimate = estimator.map_estimate(state)
+            estimate = state.map
             maps.append((estimate.ids, estimate.p_ML))
         odometry = newest_only([given for step, given in steps if step == "process_odometry"])
         detections = newest_only([given for step, given in steps if step == "process_detections"])

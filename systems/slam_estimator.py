@@ -18,7 +18,6 @@ from tfg_drake.messages import (
 from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
-    map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
@@ -82,7 +81,7 @@ class SlamEstimator(LeafSystem):
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
-        self._state.declare_output(self, "map", lambda now: map_estimate(now) or nothing)
+        self._state.declare_output(self, "map", lambda now: now.map or nothing)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 

@@ -12,7 +12,6 @@ from tfg_drake.slam.estimator import (
     begin_turn,
     end_turn,
     finished_map,
-    map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
@@ -57,7 +56,7 @@ def test_exact_without_noise(drive):
         assert np.abs(error).max() < 1e-6
 
     robot, state = explore(drive, 1, 0.0, views=4, check=check)
-    estimate = map_estimate(state)
+    estimate = state.map
     assert estimate.stage == 4
     assert len(estimate.ids) > 60
     np.testing.assert_allclose(estimate.p_ML, robot.p_ML(estimate.ids), atol=1e-6)
@@ -89,7 +88,7 @@ def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(d
     for _ in range(TURN):
         for message in robot.step(0.0, 1.0):
             state = feed(state, message)
-    near, spread = (map_estimate(end_turn(state, robot.time, explored=explored)) for explored in (False, True))
+    near, spread = (end_turn(state, robot.time, explored=explored).map for explored in (False, True))
     assert len(near.local) < 55 <= len(spread.local) <= len(spread.ids)
 
 
@@ -105,7 +104,7 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
 
     for seed in range(6):
         robot, state = explore(drive, seed, 1.0, views=5, check=check)
-        estimate = map_estimate(state)
+        estimate = state.map
         assert len(state.rejected) == 0
         landmarks.append(nees((estimate.p_ML - robot.p_ML(estimate.ids)).ravel(), estimate.covariance[:-3, :-3]))
         error = estimate.X_MD - robot.X_MB
@@ -120,8 +119,8 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
 def test_the_order_of_arrival_does_not_matter(drive):
     _, one = explore(drive, 2, 1.0, views=2)
     _, other = explore(drive, 2, 1.0, views=2, order=lambda messages: messages[::-1])
-    np.testing.assert_array_equal(map_estimate(one).p_ML, map_estimate(other).p_ML)
-    np.testing.assert_array_equal(map_estimate(one).covariance, map_estimate(other).covariance)
+    np.testing.assert_array_equal(one.map.p_ML, other.map.p_ML)
+    np.testing.assert_array_equal(one.map.covariance, other.map.covariance)
 
 
 def test_old_messages_change_nothing_and_the_state_copies_for_free(drive):
@@ -144,7 +143,7 @@ def test_odometry_alone_keeps_the_buffers_short(drive):
 
 def test_before_and_out_of_turn():
     state = initial_state(OdometryConfig())
-    assert map_estimate(state) is None
+    assert state.map is None
     np.testing.assert_array_equal(pose_estimate(state).X_MB, np.zeros(3))
     with pytest.raises(ValueError, match="before the first odometry message"):
         begin_turn(state, 0.0)
@@ -197,13 +196,13 @@ def test_a_cameras_clock_that_is_far_off_is_found_in_the_first_turn(drive, caplo
     assert f"the camera's clock is {abs(ahead):.2f} s {'ahead of' if ahead > 0.0 else 'behind'} the base's" in line
     assert state.look is None
     assert state.offset == pytest.approx(ahead, abs=0.02)
-    estimate = map_estimate(state)
+    estimate = state.map
     assert len(estimate.ids) > 30
     assert np.hypot(*(estimate.p_ML - robot.p_ML(estimate.ids)).T).mean() < 0.05
     caplog.clear()
     _, knew = first_look(drive, ahead, ahead)
     assert not caplog.records
-    np.testing.assert_allclose(map_estimate(knew).p_ML, estimate.p_ML, atol=1e-9)
+    np.testing.assert_allclose(knew.map.p_ML, estimate.p_ML, atol=1e-9)
     assert knew.stamp == state.stamp
 
 

@@ -12,7 +12,6 @@ from tfg_drake.slam.estimator import (
     begin_turn,
     close_piece,
     end_turn,
-    map_estimate,
     pose_estimate,
     process_detections,
     process_odometry,
@@ -60,7 +59,7 @@ class Tour:
         return np.hypot(*error[:2]), abs(error[2])
 
     def map_rmse(self):
-        estimate = map_estimate(self.state)
+        estimate = self.state.map
         return np.sqrt(np.mean(np.sum((estimate.p_ML - self.robot.p_ML(estimate.ids)) ** 2, axis=1)))
 
 
@@ -129,7 +128,7 @@ def test_a_moved_tag_is_mapped_anew(drive, caplog):
     tour.turn_round()
     tour.leg()
     tour.turn_round()
-    tag = int(map_estimate(tour.state).ids[np.argmin(np.hypot(*tour.robot.tags[map_estimate(tour.state).ids - 100].T))])
+    tag = int(tour.state.map.ids[np.argmin(np.hypot(*tour.robot.tags[tour.state.map.ids - 100].T))])
     tour.robot.tags[tag - 100] += [1.0, 0.5]
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
         tour.leg()
@@ -139,7 +138,7 @@ def test_a_moved_tag_is_mapped_anew(drive, caplog):
         tour.turn_round()
     assert f"mapped anew, for more was seen of them elsewhere: tags {tag}" in caplog.text
     assert tag not in tour.state.rejected
-    estimate = map_estimate(tour.state)
+    estimate = tour.state.map
     np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.1)
     assert tour.map_rmse() < 0.05
 
@@ -167,12 +166,12 @@ def test_an_id_misread_before_its_tag_is_seen_puts_it_nowhere_wrong(drive, caplo
     tour.leg(64)
     tour.turn_round()
     tag = misread[0]
-    assert (tag in map_estimate(tour.state).ids) == (frames >= 3)
+    assert (tag in tour.state.map.ids) == (frames >= 3)
     with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
         for _ in range(4):
             tour.leg()
             tour.turn_round()
-    estimate = map_estimate(tour.state)
+    estimate = tour.state.map
     np.testing.assert_allclose(estimate.p_ML[estimate.ids == tag][0], tour.robot.p_ML(np.array([tag]))[0], atol=0.15)
     assert len(estimate.doubtful) == 0
     assert (f"more was seen of them elsewhere: tags {tag}" in caplog.text) == (frames >= 3)
@@ -219,7 +218,7 @@ def test_mapping_the_way_sharpens_the_map(drive):
                 tour.leg()
             tour.turn_round()
             values.append(tour.map_rmse())
-            assert map_estimate(tour.state).stage == 6
+            assert tour.state.map.stage == 6
     assert np.mean(rmse[1.0]) < np.mean(rmse[0.0])
 
 
@@ -228,7 +227,7 @@ def test_a_drive_without_turns_is_mapped_piece_by_piece(drive):
     for _ in range(6):
         tour.leg(64)
         tour.state = close_piece(tour.state, tour.robot.time)
-    assert map_estimate(tour.state).stage == 6
+    assert tour.state.map.stage == 6
     assert tour.map_rmse() < 1e-5
     assert tour.error()[0] < 1e-5
 

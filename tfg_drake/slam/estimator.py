@@ -213,11 +213,6 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     )
 
 
-def map_estimate(state: EstimatorState) -> MapEstimate | None:
-    """The map after the newest view, None before the first."""
-    return state.map
-
-
 def finished_map(state: EstimatorState) -> EstimatorState:
     """The state at the end of a mission: its map is solved and known jointly as a whole, as far as memory allows.
 
@@ -531,7 +526,6 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids),
         rejected=rejected,
-        dropped=solution.dropped,
         sources=sources,
     )
     return replace(state, piece=opened(state))

@@ -70,22 +70,23 @@ class FirstLook:
 
 @message
 class EstimatorState:
-    """All the estimator knows.
+    """All the estimator knows; the defaults are before any message.
 
     noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way
-    that are mapped as one piece; 0 where only its motion is. newest: the last odometry message. odometry: dead
-    reckoning from the localiser's instant on. pending: frames that wait for it. scans: the newest scans. ranges:
-    how the tags' ranges compare with theirs. offset: s, the camera's clock is taken to be so much ahead. stamp (s),
-    clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions: frames that
-    contradict the pose, less those that agree since. agreed: s, when the last one agreed. suspect: what was seen
-    since the first that contradicts it, None where none does. lost: where the robot is since then is a guess.
-    kidnapped: the robot was moved since the last view by something else than its wheels. turn, piece: the open turn
-    and piece of the way, way: those before it since the last view. graph: its landmarks as they lay at its last
-    solve or when they were first seen, solved: the graph at that solve. map: what has become of it since, None
-    before the first view. rejected: (r,) ids of known tags left out of the newest view, dropped: sightings left out
-    of its turn. evidence: for the places where it has its tags, and against them. watch: which of them should have
-    been seen since. look: the first look, None once it is over. sources: of the newest keyframes, None of one that
-    has none.
+    that are mapped as one piece; 0 where only its motion is. offset: s, the camera's clock is taken to be so much
+    ahead. graph: its landmarks as they lay at its last solve or when they were first seen, solved: the graph at that
+    solve. ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags,
+    and against them. watch: which of them should have been seen since.
+
+    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames that
+    wait for it. scans: the newest scans. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
+    reckoning then. contradictions: frames that contradict the pose, less those that agree since. agreed: s, when the
+    last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost: where the
+    robot is since then is a guess. kidnapped: the robot was moved since the last view by something else than its
+    wheels. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what has
+    become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of the
+    newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
+    none.
     """
 
     noise: LearntNoise
@@ -115,7 +116,6 @@ class EstimatorState:
     way: tuple[tuple[Sighted, Source | None], ...] = ()
     map: MapEstimate | None = None
     rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    dropped: int = 0
     look: FirstLook | None = None
     sources: tuple[Source | None, ...] = ()
 

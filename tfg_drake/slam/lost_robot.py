@@ -237,10 +237,9 @@ class _Seen(NamedTuple):
 def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expected) -> Found | None:
     """The likeliest pose of a robot that has been moved, by a frame of tags; None where that says no more than that it
     has not."""
-    row, mapped = _mapped(estimate, detections)
+    seen, mapped = _mapped(estimate, detections)
     if not len(mapped):
         return None
-    seen = _seen(estimate.p_ML[row[mapped]], detections, mapped)
     X, squared, cost, H = _refined(seen, _candidates(seen), expected)
     best = int(np.argmin(cost))
     agrees, still = squared[best] < GATE, expected._replace(sigma=expected.still)
@@ -259,20 +258,16 @@ def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expec
 
 def disagreeing(estimate: MapEstimate, detections: TagDetections, X_MB: FloatArray) -> int:
     """How many mapped tags of a frame are not where they should be, seen from a pose (3,)."""
-    row, mapped = _mapped(estimate, detections)
-    seen = _seen(estimate.p_ML[row[mapped]], detections, mapped)
+    seen, _ = _mapped(estimate, detections)
     return int(np.count_nonzero(_squared(seen, X_MB[None]) >= GATE))
 
 
-def _mapped(estimate: MapEstimate, detections: TagDetections) -> tuple[IntArray, IntArray]:
-    """The rows (n,) of a frame's tags in the map, and which of them (m,) are mapped."""
+def _mapped(estimate: MapEstimate, detections: TagDetections) -> tuple[_Seen, IntArray]:
+    """The mapped tags of a frame, and which of its tags (m,) these are."""
     row, known = rows_of(detections.ids, estimate.ids)
     mapped = np.flatnonzero(known)
     # Landmarks of a part that nothing ties tell nothing of the rest of the map.
-    return row, mapped[np.trace(estimate.landmark_covariance[row[mapped]], axis1=1, axis2=2) < LOOSE**2]
-
-
-def _seen(p_ML: FloatArray, detections: TagDetections, mapped: IntArray) -> _Seen:
+    mapped = mapped[np.trace(estimate.landmark_covariance[row[mapped]], axis1=1, axis2=2) < LOOSE**2]
     r, b = detections.range[mapped], detections.bearing[mapped]
     direction = np.stack([np.cos(b), np.sin(b)], axis=1)
     across = direction[:, ::-1] * (-1.0, 1.0)
@@ -280,7 +275,7 @@ def _seen(p_ML: FloatArray, detections: TagDetections, mapped: IntArray) -> _See
     across_information = 1.0 / ((r * detections.sigma_bearing[mapped]) ** 2 + MAP_SIGMA**2)
     information = along_information[:, None, None] * direction[:, :, None] * direction[:, None, :]
     information = information + across_information[:, None, None] * across[:, :, None] * across[:, None, :]
-    return _Seen(p_ML, r[:, None] * direction, information)
+    return _Seen(estimate.p_ML[row[mapped]], r[:, None] * direction, information), mapped
 
 
 def _candidates(seen: _Seen) -> FloatArray:
