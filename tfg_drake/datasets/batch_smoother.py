@@ -9,13 +9,13 @@ does.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, X
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDetections, message
@@ -45,9 +45,6 @@ POSES_AT_ONCE = 50
 LONGEST_GAP = 0.5
 # The first pose is held this firmly, m and rad: nothing pulls at it.
 HELD = 1e-3
-
-# Called with the share of the work done, 0 to 1.
-OnProgress = Callable[[float], None]
 
 
 @message

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from tfg_drake.datasets.recording import Recording
+from tfg_drake.datasets.recording import OnProgress, Recording
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Odometry, message
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
@@ -16,9 +15,6 @@ from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 PIECE_LENGTH = 1.0
 # Without frames the pose is noted at least this often while the robot moves, s.
 LONGEST_GAP = 0.5
-
-# Called with the share of the work done, 0 to 1.
-OnProgress = Callable[[float], None]
 
 
 @message

@@ -5,22 +5,19 @@ The unknowns are one vector: the poses (x, y, theta) and the landmarks (x, y).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 
 from tfg_drake.datasets.least_squares import MOST_STEPS, Rows, minimise
+from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import FloatArray, IntArray
 
 # Poses that a graph grows by before it is solved again.
 POSES_AT_ONCE = 50
-
-# Called with the share of the work done, 0 to 1.
-OnProgress = Callable[[float], None]
 
 
 @dataclass(frozen=True)

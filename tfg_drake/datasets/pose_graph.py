@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.datasets.least_squares import cost
-from tfg_drake.datasets.planar_graph import Motions, OnProgress, PlanarGraph, Sightings
+from tfg_drake.datasets.planar_graph import Motions, PlanarGraph, Sightings
+from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.config import OdometryConfig
 from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
+
+# Called with the share of the work done, 0 to 1.
+OnProgress = Callable[[float], None]
 
 
 class DatasetError(BadInput):

@@ -50,6 +50,11 @@ class Front:
         """The unknowns that are."""
         return slice(int(self.unknowns[0]), int(self.unknowns[0]) + self.own) if self.own else slice(0, 0)
 
+    @property
+    def boundary(self) -> IntArray:
+        """(f - own,) the unknowns that are not."""
+        return self.unknowns[self.own :]
+
 
 @dataclasses.dataclass(frozen=True)
 class Dissection:
@@ -75,10 +80,10 @@ class Elimination:
         for front, lower, below in self.parts:
             if front.own:
                 x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated], lower=1)[0]
-                x[front.unknowns[front.own :]] -= below @ x[front.eliminated]
+                x[front.boundary] -= below @ x[front.eliminated]
         for front, lower, below in reversed(self.parts):
             if front.own:
-                known = below.T @ x[front.unknowns[front.own :]]
+                known = below.T @ x[front.boundary]
                 x[front.eliminated] = lapack.dtrtrs(lower, x[front.eliminated] - known, lower=1, trans=1)[0]
         return x
 
@@ -208,33 +213,23 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
 
     by_leaf = np.argsort(leaf[keyframe], kind="stable")
     variable_of = np.split(variable[by_leaf], np.searchsorted(leaf[keyframe][by_leaf], np.arange(1, 2**depth)))
-    keyframes_of = [np.flatnonzero(leaf == i) for i in range(2**depth)]
-    unknowns: list[IntArray] = []
-    own: list[int] = []
-    halves: list[tuple[int, ...]] = []
+    nothing = np.empty(0, dtype=np.int64)
+    fronts: list[Front] = []
     for (level, i), p in place.items():
-        parts: tuple[int, ...] = ()
+        halves: tuple[int, ...] = ()
         if level == 0:
             some = np.unique(np.append(variable_of[i], unseen) if i == 0 else variable_of[i])
             some = some[width[some] > 0]
             each = np.repeat(at[some], width[some])
             has = np.sort(each + np.arange(len(each)) - np.repeat(np.cumsum(width[some]) - width[some], width[some]))
         else:
-            parts = (place[level - 1, 2 * i], place[level - 1, 2 * i + 1])
-            has = np.union1d(*(unknowns[half][own[half] :] for half in parts))
-        unknowns.append(has)
-        halves.append(parts)
-        mine = np.flatnonzero(of == p)
-        own.append(int(width[mine].sum()))
-    above: list[IntArray] = [np.empty(0, dtype=np.int64)] * len(place)
-    for p, parts in enumerate(halves):
-        for half in parts:
-            above[half] = np.searchsorted(unknowns[p], unknowns[half][own[half] :])
-    fronts = tuple(
-        Front(unknowns[p], own[p], halves[p], keyframes_of[i] if level == 0 else np.empty(0, dtype=np.int64), above[p])
-        for (level, i), p in place.items()
-    )
-    return Dissection(fronts, at, int(width.sum()))
+            halves = (place[level - 1, 2 * i], place[level - 1, 2 * i + 1])
+            has = np.union1d(*(fronts[half].boundary for half in halves))
+        for half in halves:
+            fronts[half] = dataclasses.replace(fronts[half], above=np.searchsorted(has, fronts[half].boundary))
+        keyframes = nothing if halves else np.flatnonzero(leaf == i)
+        fronts.append(Front(has, int(width[of == p].sum()), halves, keyframes, nothing))
+    return Dissection(tuple(fronts), at, int(width.sum()))
 
 
 def _in_order(level: int, i: int) -> list[tuple[int, int]]:
