@@ -13,6 +13,7 @@ from tfg_drake.slam.scan_ranges import (
     great_error,
     none_compared,
     scan_information,
+    surface,
 )
 from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
 
@@ -184,6 +185,25 @@ def test_what_a_few_tags_err_by_in_all_frames_alike_is_no_scale():
     assert np.abs(scales).max() < 3.0
     assert np.mean(scales**2) < 2.2
     assert np.mean(few) < 1.2 * np.mean([one.sigma[RANGE_SCALE] for one in many])
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.5, -1.2])
+def test_a_straight_surface_is_read_exactly(slant):
+    """A wall 3 m away along the bearing of 0.2 rad, looked at by this tangent of the incidence."""
+    normal = 0.2 + np.arctan(slant)
+    ranges = 3.0 * np.cos(0.2 - normal) / np.cos(ANGLES - normal)
+    distance, found = surface(0.2, ANGLES, ranges, 0.015)
+    assert distance == pytest.approx(3.0, abs=3e-4)
+    assert found == pytest.approx(slant, abs=0.01)
+
+
+def test_rays_round_a_corner_are_no_surface():
+    """From the middle of a room, to its corner; to a scanner so bad that they may be straight they are one."""
+    ranges = cast_rays(WALLS, np.zeros(2), ANGLES + 0.7, 12.0)
+    corner = float(ANGLES[np.argmax(ranges)])
+    assert np.isnan(surface(corner, ANGLES, ranges, 0.015)[0])
+    assert np.isfinite(surface(corner, ANGLES, ranges, 0.5)[0])
+    assert np.isfinite(surface(corner + 0.2, ANGLES, ranges, 0.015)[0])
 
 
 def test_without_a_pair_nothing_is_learnt():

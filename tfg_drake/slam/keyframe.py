@@ -19,7 +19,7 @@ from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED
 
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
-SMALL_STEP = 1e-9
+SMALL_STEP = 1e-6
 MOST_STEPS = 5
 
 
@@ -153,28 +153,37 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
     y_AL[rows[1]] = se2.transform(B, y_2)
     y_AL[rows[0]] = y_1
-    # Tags, D, the parameters, the tags' errors, B; A is fixed.
-    m, size = 2 * n + 3, 4 * n + 3 + SHARED + 3
-    at = [_places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)]
-    free = np.append(np.arange(m), np.arange(size - 3, size))
-    for _ in range(MOST_STEPS):
+    m, e, i = 2 * n + 3, 2 * n + 3 + SHARED, np.arange(n)
+
+    def joined(errors: int) -> tuple[FloatArray, FloatArray]:
+        """Hessian and gradient of both costs by tags, D, the parameters, so many of the tags' errors, B; A is fixed."""
+        size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
+        at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
             H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, W, v, begin, end, shared)
-            error, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
-            H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
+            if errors:
+                error, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
+                H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
+            place = place[: len(g_k)]
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
+        return H[:size, :size], g[:size]
+
+    free = np.append(np.arange(m), np.arange(e, e + 3))
+    for _ in range(MOST_STEPS):
+        H, g = joined(0)
         step = np.linalg.solve(H[np.ix_(free, free)], -g[free])
         y_AL += step[: 2 * n].reshape(-1, 2)
         D, B = D + step[2 * n : m], B + step[m:]
         if np.max(np.abs(step)) < SMALL_STEP:
             break
     covariance = np.linalg.inv(H[np.ix_(free, free)])
-    k, across, of_B = size - 3, H[: size - 3, size - 3 : size], np.linalg.inv(H[size - 3 : size, size - 3 : size])
-    W, gradient = H[:k, :k] - across @ of_B @ across.T, g[:k] - across @ of_B @ g[k:size]
-    W, e, i = 0.5 * (W + W.T), m + SHARED, np.arange(n)
+    H, g = joined(2 * n)
+    across, of_B = H[:-3, -3:], np.linalg.inv(H[-3:, -3:])
+    W, gradient = H[:-3, :-3] - across @ of_B @ across.T, g[:-3] - across @ of_B @ g[-3:]
+    W = 0.5 * (W + W.T)
     moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
     both = keyframe(ids, y, shared, RANGE_SCALE, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))

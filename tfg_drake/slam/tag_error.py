@@ -9,14 +9,14 @@ they pull at the errors, and found from then on by what the errors come to (MacK
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import gammaincc
 
 from tfg_drake.messages import FloatArray
 
-# Tags are taken to have errors where the keyframes' squared pull at them is so many times what noise alone does, in the
-# mean over so many of which the keyframes say more than a share of what they say of one.
-SUSPICIOUS = 1.5
-LEAST_ERRORS = 60
-LEAST_SHARE = 1e-3
+# Tags are taken to have errors where the keyframes pull at them so hard as noise alone does with this chance; from so
+# many tags on.
+LEAST_CHANCE = 1e-4
+LEAST_TAGS = 40
 # The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
 # are none.
 FIRST = (0.01, 0.003)
@@ -37,8 +37,12 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
     pull: (n, 2) gradient of half the squared error on each tag's errors where they are taken to be zero, information:
     (n, 2) its variance by noise.
     """
-    some = information > LEAST_SHARE * np.max(information, initial=0.0)
-    if np.count_nonzero(some) < LEAST_ERRORS or np.mean(pull[some] ** 2 / information[some]) < SUSPICIOUS:
+    if np.count_nonzero(information) < 2 * LEAST_TAGS:
+        return np.zeros(2)
+    # The most powerful sum is that of the squares each in the first deviation, about chi squared (Satterthwaite 1946).
+    by_noise, squared = np.square(FIRST) * information, np.square(FIRST) * pull**2
+    freedoms = np.sum(by_noise) ** 2 / np.sum(by_noise**2)
+    if gammaincc(0.5 * freedoms, 0.5 * freedoms * np.sum(squared) / np.sum(by_noise)) > LEAST_CHANCE:
         return np.zeros(2)
     return np.array(FIRST)
 
