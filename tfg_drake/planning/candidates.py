@@ -149,9 +149,12 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    done = cKDTree(np.append(tfg.star_centers[turned], p_MD[None], axis=0))
-    looks = cKDTree(tfg.star_centers).query_ball_point(points, APART, return_length=True)
-    return np.asarray((done.query(points)[0] >= APART) & (looks < MOST_LOOKS))
+    is_done, before = np.append(turned, True), cKDTree(np.append(tfg.star_centers, p_MD[None], axis=0))
+    near = before.sparse_distance_matrix(cKDTree(points), APART, output_type="ndarray")
+    done, looked = near["j"][is_done[near["i"]]], near["j"][near["i"] < len(turned)]
+    apart = np.bincount(looked, minlength=len(points)) < MOST_LOOKS
+    apart[done] = False
+    return apart
 
 
 def _found_again(gains: Gains, known: BoolArray) -> Gains:
@@ -183,6 +186,7 @@ def _each_seen(
 ) -> tuple[FloatArray, FloatArray]:
     """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
-    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    d = tfg.frontiers.take(frontiers.index, axis=0) - points.take(point, axis=0)
+    distance = np.hypot(d[:, 0], d[:, 1])
     seen = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
     return seen, np.bincount(point, weights=seen, minlength=len(points)).astype(np.float64)

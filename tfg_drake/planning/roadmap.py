@@ -101,9 +101,9 @@ class Edges:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def of(self, rows: IntArray | BoolArray) -> Edges:
+    def of(self, rows: IntArray) -> Edges:
         """Some of the edges, in this order."""
-        return Edges(*(column[rows] for column in self._columns()))
+        return Edges(*(column.take(rows, axis=0) for column in self._columns()))
 
     def and_those_of(self, *others: Edges) -> Edges:
         """These edges and the others behind them."""
@@ -639,7 +639,7 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
     """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
-    X = X_MA[anchor]
+    X = X_MA.take(anchor, axis=0)
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)
 

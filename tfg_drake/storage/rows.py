@@ -71,7 +71,7 @@ class StandingRows:
         keys = None if table.keys is None else table.keys[there]
         before = np.zeros((0, values.shape[1])) if self._values is None else self._values
         told = near.holds(self._places)
-        if keys is not None and self._keys is not None:
+        if keys is not None and self._keys is not None and not told.all():
             told |= np.isin(self._keys, keys)
         old = np.flatnonzero(told)
         old_keys = None if keys is None or self._keys is None else self._keys[old]
