@@ -122,11 +122,6 @@ def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:
     return {"index": which, "count": np.array([len(star) for star in some], dtype=np.int64), "points": points}
 
 
-def roadmap_lines(roadmap: Roadmap) -> Layer:
-    """points: (n, 2). edges: (e, 2) rows of points."""
-    return {"points": roadmap.points, "edges": roadmap.edges}
-
-
 def gains(choice: GoalChoice, roadmap: Roadmap) -> Layer:
     """points: (c, 2) candidates. share: (c,) of the most gain, in [0, 1]."""
     rows = roadmap.nodes(choice.candidates)

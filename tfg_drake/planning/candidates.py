@@ -96,7 +96,7 @@ def judged(now: Situation) -> Candidates:
     sees = Visibility(roadmap.frontier_offsets, roadmap.frontier_index)
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     nodes = thin_candidates(nodes, sees.count[nodes], explorer.samples)
-    points, time, frontiers_seen = roadmap.points[nodes], roadmap.travel_time[nodes], sees.of(nodes)
+    points, time, frontiers_seen = roadmap.points.take(nodes, axis=0), roadmap.travel_time[nodes], sees.of(nodes)
     judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
     arrival = judge.arrival(points, roadmap.travel_length[nodes], time)
     grid = segment_grid(tfg.segments)
@@ -149,12 +149,10 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    is_done, before = np.append(turned, True), cKDTree(np.append(tfg.star_centers, p_MD[None], axis=0))
+    looks = np.where(np.append(turned, True), MOST_LOOKS, 1)
+    before = cKDTree(np.append(tfg.star_centers, p_MD[None], axis=0))
     near = before.sparse_distance_matrix(cKDTree(points), APART, output_type="ndarray")
-    done, looked = near["j"][is_done[near["i"]]], near["j"][near["i"] < len(turned)]
-    apart = np.bincount(looked, minlength=len(points)) < MOST_LOOKS
-    apart[done] = False
-    return apart
+    return np.asarray(np.bincount(near["j"], looks[near["i"]], len(points)) < MOST_LOOKS)
 
 
 def _found_again(gains: Gains, known: BoolArray) -> Gains:

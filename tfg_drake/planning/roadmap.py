@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -103,26 +102,21 @@ class Edges:
 
     def of(self, rows: IntArray) -> Edges:
         """Some of the edges, in this order."""
-        return Edges(*(column.take(rows, axis=0) for column in self._columns()))
+        return Edges(*(column.take(rows, axis=0) for column in vars(self).values()))
 
     def and_those_of(self, *others: Edges) -> Edges:
         """These edges and the others behind them."""
-        tables = (self, *others)
-        return Edges(
-            *(np.concatenate(columns) for columns in zip(*(table._columns() for table in tables), strict=True))
-        )
+        tables = (vars(edges).values() for edges in (self, *others))
+        return Edges(*map(np.concatenate, zip(*tables, strict=True)))
 
     def changed(self, rows: IntArray, to: Edges, added: Edges) -> Edges:
         """These edges with some of them as others are, and those added behind them."""
-        tables = zip(self._columns(), to._columns(), added._columns(), strict=True)
+        tables = zip(vars(self).values(), vars(to).values(), vars(added).values(), strict=True)
         columns = []
         for mine, changed, new in tables:
             columns.append(np.concatenate([mine, new]))
             columns[-1][rows] = changed
         return Edges(*columns)
-
-    def _columns(self) -> tuple[Any, ...]:
-        return (self.nodes, self.travelled, self.free, self.clearance, self.required, self.usable)
 
 
 @message
