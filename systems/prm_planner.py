@@ -100,10 +100,13 @@ class PrmPlanner(LeafSystem):
             self._parameters,
         )
         seen = after = looked(before, now)
-        for due in (self._Extend, self._Plan, self._Watch):
-            after = due(seen, now)
-            if after is not seen:
-                break
+        # What is not due is not metered: that would cost more than to find it out.
+        if now.tfg.stage > seen.nodes.stage:
+            after = self._Extend(seen, now)
+        elif now.mission.phase == "plan":
+            after = self._Plan(seen, now)
+        if after is seen:
+            after = self._Watch(seen, now)
         if after is before:
             return EventStatus.DidNothing()
         self._state.set(state, after)

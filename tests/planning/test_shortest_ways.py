@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from tfg_drake.planning.shortest_ways import Ways, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -17,7 +17,7 @@ def test_the_cheapest_ways_are_scipys(seed):
     weight = rng.uniform(0.1, 2.0, len(edges))
     weight[::7] = np.inf
     sources, start = np.array([3, 17, 3]), np.array([0.5, 0.0, 2.0])
-    ways = Ways(*shortest_ways(edges, n, weight, sources, start))
+    ways = Ways(*shortest_ways(*neighbours(edges, n), weight, sources, start))
 
     is_open = np.isfinite(weight)
     a, b = np.vstack([edges[is_open], [[3, n], [17, n]]]).T
@@ -37,6 +37,6 @@ def test_the_cheapest_ways_are_scipys(seed):
 
 
 def test_without_a_source_nothing_is_reached():
-    ways = Ways(*shortest_ways(np.array([[0, 1]]), 2, np.ones(1), np.zeros(0, dtype=int), np.zeros(0)))
+    ways = Ways(*shortest_ways(*neighbours(np.array([[0, 1]]), 2), np.ones(1), np.zeros(0, dtype=int), np.zeros(0)))
     assert np.isinf(ways.cost).all()
     assert ways.predecessor.tolist() == [-1, -1]

@@ -80,7 +80,7 @@ def scan_coverage(
     share = np.empty(len(rows))
     for k, (pose, (first, end)) in enumerate(zip(X_WB[rows], strips.tolist(), strict=True)):
         near = first + np.flatnonzero(unseen[first:end])
-        unseen[near] = ~_seen(pose, cells[near], walls, scan_range, field_of_view)
+        unseen[near] = ~_seen(pose, cells.take(near, axis=0), walls, scan_range, field_of_view)
         share[k] = 1.0 - np.count_nonzero(unseen) / len(cells)
     return rows, share
 
@@ -127,5 +127,5 @@ def _seen(X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: flo
     bearing = wrap_angle(np.arctan2(offset[seen, 1], offset[seen, 0]) - X_WB[2])
     seen[seen] = np.abs(bearing) <= 0.5 * field_of_view
     rows = np.flatnonzero(seen)
-    seen[rows] = line_of_sight(walls, X_WB[:2].copy(), np.ascontiguousarray(p_WC[rows]))
+    seen[rows] = line_of_sight(walls, X_WB[:2].copy(), p_WC.take(rows, axis=0))
     return seen

@@ -7,6 +7,7 @@ the robot knows, W of what is true. `tfg_drake.systems.visualizer` turns layers 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -96,11 +97,9 @@ def frontiers(tfg: TfgMap) -> Layer:
 
 def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
     """The star polygons (v, 2) seen from each view, its own place (v[0]) first."""
-    offsets = tfg.star_offsets
-    return tuple(
-        np.vstack([tfg.star_centers[i], tfg.star_vertices[offsets[i] : offsets[i + 1]]])
-        for i in range(len(tfg.star_centers))
-    )
+    points = np.insert(tfg.star_vertices, tfg.star_offsets[:-1], tfg.star_centers, axis=0)
+    ends = (tfg.star_offsets + np.arange(len(tfg.star_offsets))).tolist()
+    return tuple(points[begin:end].copy() for begin, end in itertools.pairwise(ends))
 
 
 def changed_stars(before: tuple[FloatArray, ...], now: tuple[FloatArray, ...]) -> IntArray:
@@ -120,11 +119,6 @@ def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:
     some = [stars[i] for i in which]
     points = np.vstack(some) if some else np.zeros((0, 2))
     return {"index": which, "count": np.array([len(star) for star in some], dtype=np.int64), "points": points}
-
-
-def roadmap_lines(roadmap: Roadmap) -> Layer:
-    """points: (n, 2). edges: (e, 2) rows of points."""
-    return {"points": roadmap.points, "edges": roadmap.edges}
 
 
 def gains(choice: GoalChoice, roadmap: Roadmap) -> Layer:

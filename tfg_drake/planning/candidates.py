@@ -96,7 +96,7 @@ def judged(now: Situation) -> Candidates:
     sees = Visibility(roadmap.frontier_offsets, roadmap.frontier_index)
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     nodes = thin_candidates(nodes, sees.count[nodes], explorer.samples)
-    points, time, frontiers_seen = roadmap.points[nodes], roadmap.travel_time[nodes], sees.of(nodes)
+    points, time, frontiers_seen = roadmap.points.take(nodes, axis=0), roadmap.travel_time[nodes], sees.of(nodes)
     judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
     arrival = judge.arrival(points, roadmap.travel_length[nodes], time)
     grid = segment_grid(tfg.segments)
@@ -149,9 +149,10 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
     """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
     nor its own (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
-    done = cKDTree(np.append(tfg.star_centers[turned], p_MD[None], axis=0))
-    looks = cKDTree(tfg.star_centers).query_ball_point(points, APART, return_length=True)
-    return np.asarray((done.query(points)[0] >= APART) & (looks < MOST_LOOKS))
+    looks = np.where(np.append(turned, True), MOST_LOOKS, 1)
+    before = cKDTree(np.append(tfg.star_centers, p_MD[None], axis=0))
+    near = before.sparse_distance_matrix(cKDTree(points), APART, output_type="ndarray")
+    return np.asarray(np.bincount(near["j"], looks[near["i"]], len(points)) < MOST_LOOKS)
 
 
 def _found_again(gains: Gains, known: BoolArray) -> Gains:
@@ -183,6 +184,7 @@ def _each_seen(
 ) -> tuple[FloatArray, FloatArray]:
     """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
-    distance = np.hypot(*(tfg.frontiers[frontiers.index] - points[point]).T)
+    d = tfg.frontiers.take(frontiers.index, axis=0) - points.take(point, axis=0)
+    distance = np.hypot(d[:, 0], d[:, 1])
     seen = tfg.frontier_length[frontiers.index] * share_seen(distance, frontier_reach(sensor))
     return seen, np.bincount(point, weights=seen, minlength=len(points)).astype(np.float64)

@@ -87,8 +87,7 @@ def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate
     edges, rows = replace(part.edges, nodes=names[part.edges.nodes]), _rows_between(near, nodes.edges)
     # The part's edges are in the order of the nodes, and those that it had are among them.
     at = np.searchsorted(_pairs(edges.nodes, count), _pairs(nodes.edges.nodes[rows], count))
-    is_new = np.ones(len(edges), dtype=np.bool_)
-    is_new[at] = False
+    added = np.setdiff1d(np.arange(len(edges)), at, assume_unique=True)
     sigma = nodes.sigma.copy()
     sigma[old] = part.sigma[:first]
     anchor, p_AN = np.append(nodes.anchor, part.anchor[first:]), np.vstack([nodes.p_AN, part.p_AN[first:]])
@@ -99,7 +98,7 @@ def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate
         p_AN=p_AN,
         points=place_in_map(anchor, p_AN, estimate.X_MA),
         sigma=np.append(sigma, part.sigma[first:]),
-        edges=nodes.edges.changed(rows, edges.of(at), edges.of(is_new)),
+        edges=nodes.edges.changed(rows, edges.of(at), edges.of(added)),
     )
 
 

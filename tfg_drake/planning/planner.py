@@ -275,7 +275,7 @@ def with_frontiers(
 ) -> Roadmap:
     """The roadmap with what its nodes see of the live frontiers, not nearer than least_range (m)."""
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_views(roadmap.points, tfg, estimate.X_MD[:2])
-    visible = expected_frontiers(roadmap.points[asked], tfg, sensor, least_range)
+    visible = expected_frontiers(roadmap.points.compress(asked, axis=0), tfg, sensor, least_range)
     visible = visible.spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=visible.offsets, frontier_index=visible.index)
 

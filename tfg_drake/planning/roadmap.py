@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -101,28 +100,23 @@ class Edges:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def of(self, rows: IntArray | BoolArray) -> Edges:
+    def of(self, rows: IntArray) -> Edges:
         """Some of the edges, in this order."""
-        return Edges(*(column[rows] for column in self._columns()))
+        return Edges(*(column.take(rows, axis=0) for column in vars(self).values()))
 
     def and_those_of(self, *others: Edges) -> Edges:
         """These edges and the others behind them."""
-        tables = (self, *others)
-        return Edges(
-            *(np.concatenate(columns) for columns in zip(*(table._columns() for table in tables), strict=True))
-        )
+        tables = (vars(edges).values() for edges in (self, *others))
+        return Edges(*map(np.concatenate, zip(*tables, strict=True)))
 
     def changed(self, rows: IntArray, to: Edges, added: Edges) -> Edges:
         """These edges with some of them as others are, and those added behind them."""
-        tables = zip(self._columns(), to._columns(), added._columns(), strict=True)
+        tables = zip(vars(self).values(), vars(to).values(), vars(added).values(), strict=True)
         columns = []
         for mine, changed, new in tables:
             columns.append(np.concatenate([mine, new]))
             columns[-1][rows] = changed
         return Edges(*columns)
-
-    def _columns(self) -> tuple[Any, ...]:
-        return (self.nodes, self.travelled, self.free, self.clearance, self.required, self.usable)
 
 
 @message
@@ -639,7 +633,7 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
     """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
-    X = X_MA[anchor]
+    X = X_MA.take(anchor, axis=0)
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)
 

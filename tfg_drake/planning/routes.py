@@ -25,7 +25,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     room_needed,
 )
-from tfg_drake.planning.shortest_ways import Ways, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
 # the building that is too narrow.
@@ -76,8 +76,7 @@ def routes(
         room = np.full(len(edges), np.inf)
         room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
         has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
-    ends = state.points[edges.nodes]
-    length = np.hypot(*(ends[:, 0] - ends[:, 1]).T)
+    length = edge_lengths(state.points, edges.nodes)
     weight = np.where(is_open, _weight(length, has), np.inf)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
@@ -90,12 +89,18 @@ def routes(
         risk[forced] = 0.0
         ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
-        ways = Ways(*shortest_ways(edges.nodes, n, weight, links, links_weight))
+        ways = Ways(*shortest_ways(*neighbours(edges.nodes, n), weight, links, links_weight))
     stop = robot.max_speed / robot.max_acceleration
     speed = robot.max_speed, robot.max_turn_rate
     length, time = _travel(state.points, X_MB, ways.predecessor, ways.order, *speed, stop)
     time[ways.order] += stop
     return Routes(ways.cost, ways.predecessor, length, time)
+
+
+def edge_lengths(points: FloatArray, edges: IntArray) -> FloatArray:
+    """Length (e,), m, of edges (e, 2) between points (n, 2), m."""
+    d = points.take(edges[:, 0], axis=0) - points.take(edges[:, 1], axis=0)
+    return np.asarray(np.hypot(d[:, 0], d[:, 1]))
 
 
 def _weight(length: FloatArray, gap: FloatArray) -> FloatArray:
@@ -117,11 +122,11 @@ def _cheapest_within(
 
     A tree of ways weighs all risks alike, so the one that reaches most is taken, of equals the one of least detour.
     """
-    most = -1
+    most, beside = -1, neighbours(edges, n)
     for detour in RISK_LENGTHS:
         costs = detour * risk / probability
         weights = weight + costs[: len(edges)], links, links_weight + costs[len(edges) :]
-        ways = Ways(*shortest_ways(edges, n, *weights))
+        ways = Ways(*shortest_ways(*beside, *weights))
         kept = _risk_to(ways, risk) <= probability
         if kept.sum() > most:
             cost, predecessor = np.where(kept, ways.cost, np.inf), np.where(kept, ways.predecessor, -1)
@@ -232,10 +237,11 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
     fits = _fitting(state, robot, planner, FAIR_DEVIATION, 0.0) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
-        nodes = state.edges.nodes[fits & beyond[state.edges.nodes].any(axis=1)]
+        a, b = state.edges.nodes.T
+        nodes = state.edges.nodes.compress(fits & (beyond[a] | beyond[b]), axis=0)
         doors = np.unique(nodes[reachable[nodes]])
-        length = np.hypot(*(state.points[nodes[:, 0]] - state.points[nodes[:, 1]]).T)
-        from_doors = Ways(*shortest_ways(nodes, len(entry), length, doors, np.zeros(len(doors))))
+        length = edge_lengths(state.points, nodes)
+        from_doors = Ways(*shortest_ways(*neighbours(nodes, len(entry)), length, doors, np.zeros(len(doors))))
         for i in from_doors.order:
             if beyond[i]:
                 entry[i] = entry[from_doors.predecessor[i]]
@@ -261,7 +267,7 @@ def roadmap_message(
     return Roadmap(
         stage=state.stage,
         points=state.points,
-        edges=state.edges.nodes[state.edges.usable],
+        edges=state.edges.nodes.compress(state.edges.usable, axis=0),
         reachable=np.isfinite(ways.cost),
         enterable=_joined(state, fits, np.isfinite(ways.cost)),
         entry=_entries(state, ways, robot, planner),

@@ -26,8 +26,9 @@ class Ways(NamedTuple):
     order: IntArray
 
 
+@read_only_arguments
 @njit(cache=True)
-def _neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+def neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
     """What edges (e, 2) join each of count nodes to: (offsets (count + 1,), nodes (2e,), edges (2e,)), node i by the
     edges[offsets[i]:offsets[i + 1]] to the nodes row for row."""
     offsets = np.zeros(count + 1, dtype=np.int64)
@@ -51,11 +52,11 @@ def _neighbours(edges: IntArray, count: int) -> tuple[IntArray, IntArray, IntArr
 @read_only_arguments
 @njit(cache=True)
 def shortest_ways(
-    edges: IntArray, count: int, weight: FloatArray, sources: IntArray, start: FloatArray
+    offsets: IntArray, beside: IntArray, by: IntArray, weight: FloatArray, sources: IntArray, start: FloatArray
 ) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    """The Ways to count nodes along edges (e, 2), either way, of positive weight (e,), inf for those that are closed,
-    from sources (s,), each of which it costs start (s,) to begin at."""
-    offsets, beside, by = _neighbours(edges, count)
+    """The Ways to all nodes along edges, either way, of positive weight (e,), inf for those that are closed, from
+    sources (s,), each of which it costs start (s,) to begin at. offsets, beside, by: the `neighbours`."""
+    count = len(offsets) - 1
     cost, predecessor, step = np.full(count, np.inf), np.full(count, -1), np.full(count, -1)
     order, reached = np.empty(count, dtype=np.int64), 0
     # Every node once for each time that its cost fell.

@@ -70,10 +70,10 @@ def remembered(space: SeenSpace, scan: LaserScan, X_OB: FloatArray, radius: floa
     """The memory with a scan taken at X_OB (3,) by a round robot of this radius (m), which stands on free ground."""
     angles, ranges = _all_round(scan)
     ranges = _without_noise(ranges)
-    cells = np.nonzero(space.met)
-    age, stands = scan.stamp - space.seen[cells], space.met.copy()
-    p_BM = transform(inverse(X_OB), space.p_OM[cells])
-    stands[cells] = may_stand(p_BM, age, angles, ranges) & (age <= MEMORY)
+    cells, stands = np.flatnonzero(space.met), np.zeros((CELLS, CELLS), dtype=np.bool_)
+    age = scan.stamp - space.seen.take(cells)
+    p_BM = transform(inverse(X_OB), space.p_OM.reshape(-1, 2).take(cells, axis=0))
+    stands.put(cells, may_stand(p_BM, age, angles, ranges) & (age <= MEMORY))
     return SeenSpace(
         *_remembered(space.corner, space.seen, space.met, space.p_OM, stands, angles, ranges, scan.stamp, X_OB, radius)
     )

@@ -67,23 +67,23 @@ class StandingRows:
             The rows of the table that have to be written, and the numbers of those that no longer stand.
         """
         there = np.flatnonzero(near.holds(table.places))
-        values = table.values[there]
+        values = table.values.take(there, axis=0)
         keys = None if table.keys is None else table.keys[there]
         before = np.zeros((0, values.shape[1])) if self._values is None else self._values
         told = near.holds(self._places)
-        if keys is not None and self._keys is not None:
+        if keys is not None and self._keys is not None and not told.all():
             told |= np.isin(self._keys, keys)
         old = np.flatnonzero(told)
         old_keys = None if keys is None or self._keys is None else self._keys[old]
-        same = _alike(before[old], values, old_keys, keys)
+        same = _alike(before.take(old, axis=0), values, old_keys, keys)
         stays = ~told
         stays[old[same[same >= 0]]] = True
         new = same < 0
         gone, added = self._numbers[~stays], there[new]
         self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
         self._count += len(added)
-        self._places = np.vstack([self._places[stays], table.places[added]])
-        self._values = np.vstack([before[stays], values[new]])
+        self._places = np.vstack([self._places.compress(stays, axis=0), table.places.take(added, axis=0)])
+        self._values = np.vstack([before.compress(stays, axis=0), values.compress(new, axis=0)])
         if keys is not None:
             self._keys = keys[new] if self._keys is None else np.append(self._keys[stays], keys[new])
         return added, gone
@@ -99,5 +99,5 @@ def _alike(before: FloatArray, values: FloatArray, old_keys: IntArray | None, ke
         return np.where(rows < len(before), rows, -1)
     order = np.argsort(old_keys)
     rows = order[np.searchsorted(old_keys, keys, sorter=order).clip(max=len(order) - 1)]
-    known = (old_keys[rows] == keys) & (np.abs(before[rows] - values) <= 1.0).all(axis=1)
+    known = (old_keys[rows] == keys) & (np.abs(before.take(rows, axis=0) - values) <= 1.0).all(axis=1)
     return np.where(known, rows, -1)

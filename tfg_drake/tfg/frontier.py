@@ -93,7 +93,7 @@ def points_of(
 
 def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
     """The points to keep (f,)."""
-    return FrontierPoints(*(column[keep] for column in vars(points).values()))
+    return FrontierPoints(*(column.compress(keep, axis=0) for column in vars(points).values()))
 
 
 def join(*parts: FrontierPoints) -> FrontierPoints:

@@ -33,7 +33,7 @@ def segments_of(offsets: IntArray, vertices: FloatArray) -> tuple[FloatArray, In
     """All pieces (m, 4) of packed polylines, in order, and the polyline each belongs to (m,)."""
     owner = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     inner = owner[1:] == owner[:-1]
-    return np.concatenate([vertices[:-1], vertices[1:]], axis=1)[inner], owner[:-1][inner]
+    return np.concatenate([vertices[:-1], vertices[1:]], axis=1).compress(inner, axis=0), owner[:-1][inner]
 
 
 def arc_length(polyline: FloatArray) -> FloatArray:
@@ -218,4 +218,4 @@ def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArr
     count = offsets[1:][rows] - offsets[:-1][rows]
     starts = np.zeros(len(rows) + 1, dtype=np.int64)
     np.cumsum(count, out=starts[1:])
-    return starts, packed[np.repeat(offsets[:-1][rows] - starts[:-1], count) + np.arange(starts[-1])]
+    return starts, packed.take(np.repeat(offsets[:-1][rows] - starts[:-1], count) + np.arange(starts[-1]), axis=0)

@@ -51,7 +51,7 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
 def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> BoolArray:
     """Which of k star polygons, packed as in `tfg_drake.geometry.star`, show a look all round, (k,)."""
     star = np.repeat(np.arange(len(star_centers)), np.diff(star_offsets))
-    d = star_vertices - star_centers[star]
+    d = star_vertices - star_centers.take(star, axis=0)
     all_round = np.ones(len(star_centers), dtype=np.bool_)
     all_round[star[np.hypot(d[:, 0], d[:, 1]) <= 1.5 * UNSEEN]] = False
     return all_round

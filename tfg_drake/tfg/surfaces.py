@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
@@ -451,7 +452,7 @@ def _seen_past(points: FloatArray, normals: FloatArray, ranges: FloatArray, rang
     distance = np.hypot(x, y)
     cosine = np.abs(x * normals[:, 0] + y * normals[:, 1]) / np.maximum(distance, 1e-9)
     b = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
-    least = reach[(b[:, None] + np.arange(-REFUTED_BINS, REFUTED_BINS + 1)) % bins].min(axis=1)
+    least = minimum_filter1d(reach, 2 * REFUTED_BINS + 1, mode="wrap")[b]
     judged = (distance < range_max) & (cosine >= math.cos(REFUTED_INCIDENCE))
     return np.where(judged, np.maximum(0.0, cosine * (least - REFUTED_DEPTH - distance)), 0.0)
 
