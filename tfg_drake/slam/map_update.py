@@ -20,7 +20,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import RANGE_SCALE, SHARED, Shared
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
-# misread, has been moved or is tied to the wrong place. What comes of that, `doubt` says.
+# misread, has been moved or is tied to the wrong place. What comes of that, `evidence` says.
 REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
