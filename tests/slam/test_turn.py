@@ -280,17 +280,3 @@ def test_standing_tells_the_heading_that_turning_does_not(drive):
     short, long, turning = (sigma_of_heading(drive, *how) for how in ((4, 1), (16, 1), (4, 3)))
     assert long < 0.65 * short
     assert turning > 0.95 * short
-
-
-def test_the_noise_that_a_piece_shares_with_the_one_before_tells_nothing_anew():
-    """Of two halves of a look at the same tags, the second is told which tags the first has seen last."""
-    noise = dataclasses.replace(NOISE, correlation=0.9)
-    robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 4)
-    seen = robot.piece(0.0, 0.0, 2.0)
-    first, again = (reduced(noise, *seen, KNOWN, before).keyframe for before in (None, seen[1][0].detections.ids))
-    sure, less = (np.diag(one.given(KNOWN.mean)[2])[:-3] for one in (first, again))
-    # n frames in a row tell 1 + (n - 1) w as much as one, n w where one was seen before them, too. The heading wanders
-    # meanwhile, which makes the first count for more.
-    w, n = noise.frame_worth, len(seen[1])
-    least = (1.0 + (n - 1) * w) / (n * w)
-    assert np.all((less / sure > 0.99 * least) & (less / sure < 1.3 * least))

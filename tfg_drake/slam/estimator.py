@@ -353,7 +353,6 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
         localizer=localizer,
         contradictions=contradictions,
         agreed=agreed,
-        seen=frame.ids if len(frame.ids) else state.seen,
         turn=turn,
         piece=piece,
     )
@@ -420,7 +419,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     """A turn or piece solved by itself."""
-    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared, turn.before)
+    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared)
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -443,8 +442,7 @@ def _reduced_anew(
             and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
         ):
             continue
-        seen = source.seen
-        anew = reduced(noise.now, seen.begin, seen.frames, source.end, shared, seen.before)
+        anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared)
         one = without_tags(anew.keyframe, np.setdiff1d(anew.keyframe.ids, keyframes[at].ids))
         if np.array_equal(one.ids, keyframes[at].ids):
             keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level)

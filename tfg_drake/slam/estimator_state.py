@@ -39,7 +39,7 @@ class OpenObservation:
     """An observation under way: a turn, or a piece of the way that is mapped like one.
 
     begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
-    seen since. unwatched: s before it in which no tag confirmed the pose. before: (b,) tags seen just before it.
+    seen since. unwatched: s before it in which no tag confirmed the pose.
     """
 
     begin: TurnFrame
@@ -47,7 +47,6 @@ class OpenObservation:
     sigma: FloatArray
     frames: tuple[TurnFrame, ...]
     unwatched: float = 0.0
-    before: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @message
@@ -86,8 +85,8 @@ class EstimatorState:
     robot is since then is a guess. kidnapped: the robot was moved since the last view by something else than its
     wheels. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what has
     become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of the
-    newest view. seen: (s,) tags in the newest frame that has any. look: the first look, None once it is over.
-    sources: of the newest keyframes, None of one that has none.
+    newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
+    none.
     """
 
     noise: LearntNoise
@@ -109,7 +108,6 @@ class EstimatorState:
     X_OB: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
     contradictions: int = 0
     agreed: float = -np.inf
-    seen: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
     suspect: OpenObservation | None = None
     lost: bool = False
     kidnapped: bool = False
@@ -160,8 +158,7 @@ def instant(state: EstimatorState) -> TurnFrame:
 def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
     X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
-    sigma = np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2))
-    return OpenObservation(instant(state), X_MB, sigma, (), before=state.seen)
+    return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:

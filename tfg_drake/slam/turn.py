@@ -31,8 +31,6 @@ SLIPPING = np.array([0.2, 0.1, 0.2])
 # It did if that explains at least so many sightings that are outliers else, and leaves at most this share of them.
 SLIP_EXPLAINS = 3
 SLIP_LEAVES = 1 / 3
-# A tag seen by one of so many poses after the first is seen without a gap, where it was seen before.
-FIRST_POSES = 3
 # Instants closer than this are one, s.
 SAME_INSTANT = 1e-6
 # Information that holds a parameter of which a piece without tags says nothing.
@@ -51,15 +49,13 @@ LEAST_PIVOT = 1e-30
 
 
 class _Problem(NamedTuple):
-    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,), and
-    whether its tag was seen just before the first pose, too, and is seen for the first time since."""
+    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,)."""
 
     clock: FloatArray
     X_OB: FloatArray
     node: IntArray
     ids: IntArray
     z: FloatArray
-    again: BoolArray
 
 
 class _Ties(NamedTuple):
@@ -68,8 +64,7 @@ class _Ties(NamedTuple):
     X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (7,) and
     information (7, 7) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range,
     their sigmas, the robot's twist then and the clock's offset that its stamp was taken with, s. before: (m,) the
-    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much; where it is -1, with one
-    that is not among these.
+    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much.
     """
 
     X_OB: FloatArray
@@ -169,8 +164,7 @@ class Sample:
     def misfit(self, noise: Noise) -> float:
         """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
         marginalised out."""
-        none = np.zeros(len(self.node), dtype=bool)
-        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z, none)
+        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z)
         own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
         return own + misfit_of_chain(ties, self.X_AB, self.border)
 
@@ -181,13 +175,11 @@ def reduced(
     frames: tuple[TurnFrame, ...],
     end: TurnFrame,
     shared: Shared,
-    before: IntArray | None = None,
 ) -> Reduced:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. shared: what is known
-    of the parameters, which the solution is linearised at. before: (b,) tags seen just before, whose noise the first
-    frame shares. Where the sightings agree with each other but not with the
+    of the parameters, which the solution is linearised at. Where the sightings agree with each other but not with the
     odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
@@ -202,9 +194,7 @@ def reduced(
     z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
     ids = np.concatenate([detections.ids for detections in seen])
 
-    of_pose = np.repeat(node, counts)
-    again = _seen_again(ids, of_pose, np.empty(0, dtype=np.int64) if before is None else before)
-    problem = _Problem(clock, X_OB, of_pose, ids, z, again)
+    problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z)
     X_AB = se2.between(X_OB[0], X_OB)
     kept, slipped = np.ones(len(ids), dtype=bool), False
     solution = _solved(noise, shared, problem, X_AB, kept)
@@ -228,13 +218,6 @@ def reduced(
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
         sample=_sample(problem, solution, kept) if kept.any() and not slipped else None,
     )
-
-
-def _seen_again(ids: IntArray, node: IntArray, before: IntArray) -> BoolArray:
-    """Which sightings (m,) are the first of tags that were seen (b,) just before the first pose."""
-    first = np.zeros(len(ids), dtype=bool)
-    first[np.unique(ids, return_index=True)[1]] = True
-    return first & np.isin(ids, before) & (node <= FIRST_POSES)
 
 
 def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
@@ -296,17 +279,15 @@ def _ties(
     node: IntArray,
     tag: IntArray,
     z: FloatArray,
-    again: BoolArray,
 ) -> _Ties:
-    """What ties poses at a clock (t,), by some noise; z: with the sensor's sigmas. again: (m,) sightings of tags that
-    were seen just before the first pose."""
-    before, left = np.full(len(node), -1), np.where(again, noise.correlation, 0.0)
+    """What ties poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
+    before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
         order = np.lexsort([node, tag])
-        repeated = np.flatnonzero(np.diff(tag[order]) == 0)
-        after = order[repeated + 1]
-        before[after] = order[repeated]
-        left[after] = noise.correlation ** (node[after] - node[order[repeated]])
+        again = np.flatnonzero(np.diff(tag[order]) == 0)
+        after = order[again + 1]
+        before[after] = order[again]
+        left[after] = noise.correlation ** (node[after] - node[order[again]])
     z = z.copy()
     z[:, 2:4] *= noise.tags
     return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left)
@@ -348,7 +329,7 @@ def _solved(
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
         border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     noise = replace(noise, correlation=0.0) if math.isfinite(huber) else noise
-    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z, problem.again[kept])
+    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z)
     information, gradient, squared = solved_chain(ties, X_AB, border, huber)
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
     return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior)
@@ -590,9 +571,6 @@ def _add_sightings(
             fresh[:, :3] = -left[j] * whitener * rows_before[:, :3]
             fresh[:, 3:6] = whitener * rows[:, :3]
             fresh[:, 6:] = whitener * (rows[:, 3:] - left[j] * rows_before[:, 3:])
-        elif left[j] > 0.0:
-            # The noise before is not known here: what is left when it is taken off tells so much.
-            fresh *= math.sqrt((1.0 - left[j]) / (1.0 + left[j]))
         cost += 0.5 * _dot(fresh, last, last)
         # D's rows are the rest's first; the border's columns follow D's there, and itself and the next in the chain.
         of_pose, begin = (rest[:3], 3) if i == len(X) - 1 else (chain[i], 6)
