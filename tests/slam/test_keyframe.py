@@ -145,8 +145,8 @@ def test_without_tags_is_their_marginal():
 
 
 def test_two_keyframes_fused_say_what_both_say():
-    """Of tags, the end and the parameters, jointly, as a dense solution of both; in the pose between they are
-    linearised."""
+    """The fused keyframe's joint Gaussian of tags, end and parameters is that of a dense solution of both, linearised
+    at the pose between."""
     rng = np.random.default_rng(5)
     p_ML = rng.uniform(-4.0, 4.0, (12, 2))
     X_AB = np.array([0.9, 0.05, 0.4])

@@ -48,7 +48,7 @@ def test_a_fused_graph_says_of_the_map_what_the_whole_one_says():
 
 
 def test_a_fused_graph_says_of_the_parameters_what_the_whole_one_says():
-    """Of a drive with all parameters off, piece by piece."""
+    """The drive has all parameters off; its pieces are keyframes."""
     rng = np.random.default_rng(3)
     robot = Drive(rng.uniform(-6.0, 6.0, (20, 2)), SIGMA * rng.normal(size=8), 3)
     pieces = [robot.piece(0.3, 0.4 * (-1) ** (k // 4), 2.0) for k in range(12)]

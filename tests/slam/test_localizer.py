@@ -79,7 +79,7 @@ class Joint:
 
     @property
     def shared(self):
-        """Where the parameters begin."""
+        """First column of the parameters."""
         return 3 + 2 * len(self.local)
 
     def predict(self, increment, dt):

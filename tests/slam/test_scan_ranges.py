@@ -65,7 +65,7 @@ class World:
         return TagDetections(stamp, seen, z, b, sigma, np.full(len(r), 0.01 * exact)), scan
 
     def told(self, frames, prior=PRIOR, **how):
-        """What so many frames tell: all pairs, and the parameters by these and their prior."""
+        """All pairs of so many frames, and the posterior of the parameters."""
         ranges = none_compared()
         for _ in range(frames):
             ranges = compared(ranges, *self.frame(**how), prior)
@@ -115,7 +115,7 @@ def test_what_is_told_is_not_counted_from_what_was_believed():
 
 
 def test_the_camera_is_measured_against_the_scanner():
-    """Where both are mounted alike, nothing is between them; where only the scanner is off, the camera seems so."""
+    """Mounted alike, the two differ by nothing; a scanner that is off by itself makes the camera seem off."""
     exact = np.maximum(SIGMA, 1e-6)
     exact[[CAMERA_YAW, LEVER_X, LEVER_Y]] = 0.1
     prior = Shared(np.zeros(SHARED), np.diag(exact**2))
