@@ -89,7 +89,8 @@ def wait_for_enter() -> None:
             input("The scene stays open; press Enter to close it. ")
         else:
             print("The scene stays open until Ctrl-C.", flush=True)
-            threading.Event().wait()
+            while True:
+                time.sleep(0.1)
     except (EOFError, KeyboardInterrupt):
         print()
 

@@ -7,7 +7,6 @@ import json
 import math
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
@@ -141,7 +140,9 @@ def emulate(
                             print(answer, flush=True)
                     except ValueError as error:
                         print(f"tfg-drake: {error}", file=sys.stderr, flush=True)
-            threading.Event().wait()
+            # Not an event's wait: interrupted just as it begins, that leaves its lock and says so (RuntimeError).
+            while True:
+                time.sleep(0.1)
         finally:
             print(json.dumps(emulator.report()), flush=True)
 
