@@ -23,11 +23,14 @@ def touch_distance(x: float, y: float, curvature: float, radius: float, corridor
             return np.inf
         return x - math.sqrt(max(0.0, radius * radius - y * y))
     # Polar coordinates about the centre of the turn, the angle counted from the robot onwards.
-    inward = turn_radius - (y if curvature > 0.0 else -y)
+    aside = y if curvature > 0.0 else -y
+    inward = turn_radius - aside
     from_centre = math.hypot(x, inward)
-    if abs(from_centre - turn_radius) >= corridor:
+    # As differences of what may be large, these would be rounding of a hardly curved arc.
+    off = (x * x - aside * (inward + turn_radius)) / (from_centre + turn_radius)
+    if abs(off) >= corridor:
         return np.inf
     # The outline touches the point this much before the robot's centre is level with it.
-    cos_early = (turn_radius**2 + from_centre**2 - radius**2) / (2.0 * turn_radius * from_centre)
-    early = math.acos(max(-1.0, cos_early)) if cos_early < 1.0 else 0.0
+    squared = (radius * radius - off * off) / (4.0 * turn_radius * from_centre)
+    early = 2.0 * math.asin(math.sqrt(min(max(squared, 0.0), 1.0)))
     return turn_radius * (math.atan2(x, inward) - early)
