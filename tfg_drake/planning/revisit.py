@@ -26,11 +26,12 @@ SAMPLE = 400
 
 
 def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
-    """The share of the landmarks' expected squared error that a turn at each of the nodes (v,) of the roadmap removes,
+    """The share of the landmarks' expected RMS error that a turn at each of the nodes (v,) of the roadmap removes,
     over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
 
-    Measuring everything all over again is worth 1: variance times time stays. Above that their product falls. Of a
-    large map the landmarks that are known jointly speak for all. What is seen on the way is not counted.
+    Above 1 the product of error and time falls. By the squared error measuring everything all over again would stay
+    worth 1, and the mission never end where errors of tags are independent. Of a large map the landmarks that are known
+    jointly speak for all. What is seen on the way is not counted.
     """
     estimate, roadmap, parameters = now.estimate, now.roadmap, now.parameters
     value = np.zeros(len(nodes))
@@ -56,7 +57,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
 
     def share_of_error(rows: IntArray, seen: Visibility) -> FloatArray:
         removed = error_removed(points[rows], Q[rows], seen, p_ML, estimate.X_MD, covariance, squared, noise)
-        return np.asarray(removed / error)
+        return np.asarray(1.0 - np.sqrt(np.maximum(1.0 - removed / error, 0.0)))
 
     share_of_time = time / (estimate.stamp + time)
     worth = share_of_error(np.arange(len(nodes)), tags.thinned(SCREENING_TAGS)) / share_of_time
