@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -24,26 +25,27 @@ import results
 
 from tfg_drake.io.files import write_atomic
 
-# Scenario, row of reality.py, and how many seeds. All missions together take some 40 minutes of CPU.
-ROWS = {
-    "house": ("house", reality.BELIEVED, 30),
-    "house_real": ("house_real", reality.BELIEVED, 30),
-    "paper": ("paper", reality.BELIEVED, 20),
-    "paper_real": ("paper_real", reality.BELIEVED, 8),
-    "house, poor odometry": ("house", "poor odometry", 10),
-    "paper, correlated noise": ("paper", "correlated noise", 10),
+# Arguments, row of reality.py, and how many seeds. All missions together take some 40 minutes of CPU.
+Rows = dict[str, tuple[list[str], str, int]]
+ROWS: Rows = {
+    "house": (["house"], reality.BELIEVED, 30),
+    "house_real": (["house_real"], reality.BELIEVED, 30),
+    "paper": (["paper"], reality.BELIEVED, 20),
+    "paper_real": (["paper_real"], reality.BELIEVED, 8),
+    "house, poor odometry": (["house"], "poor odometry", 10),
+    "paper, correlated noise": (["paper"], "correlated noise", 10),
 }
 # The columns that are NEES.
 GROUPS = ("online_pose_anees", "pose_anees", "landmark_nees")
 # Kept of a summary, under its own name.
-FIELDS = (*GROUPS, "landmark_rmse_m", "contacts", "cpu_time_s", "sim_time_s")
+FIELDS = (*GROUPS, "landmark_rmse_m", "surface_coverage", "surface_phantom_m", "contacts", "cpu_time_s", "sim_time_s")
 
 
-def run(key: tuple[str, int], version: str) -> dict | None:
+def run(key: tuple[str, int], rows: Rows, version: str) -> dict | None:
     """The figures of one mission, key: world and seed; None of one that left none."""
     world, seed = key
-    scenario, deviation, _ = ROWS[world]
-    arguments = [scenario, "--max-time", "3600"]
+    arguments, deviation, _ = rows[world]
+    arguments = [*arguments, "--max-time", "3600"]
     for setting in reality.settings(deviation, seed):
         arguments += ["--set", setting]
     with tempfile.TemporaryDirectory() as folder:
@@ -53,7 +55,7 @@ def run(key: tuple[str, int], version: str) -> dict | None:
         return None
     figures = {"world": world, "seed": seed, "version": version, "outcome": summary["outcome"]}
     figures["position_error_mean_m"] = summary["position_error_m"]["mean"]
-    return figures | {name: summary[name] for name in FIELDS}
+    return figures | {name: summary.get(name) for name in FIELDS}
 
 
 def line(world: str, runs: list[dict]) -> str:
@@ -66,26 +68,37 @@ def line(world: str, runs: list[dict]) -> str:
     cells = [f"{world:24s} {len(runs):3d} {complete:8d}"]
     for name in GROUPS:
         cells += [f" {reduce(values(name)):6.2f}" for reduce in (np.nanmean, np.nanmedian, np.nanmax)]
-    rmse, position = np.nanmean(values("landmark_rmse_m")), np.nanmean(values("position_error_mean_m"))
-    return "".join(cells) + f" {rmse:7.4f} {position:9.4f} {int(values('contacts').sum()):8d}"
+    rmse, position, seen, phantom, time, cpu = (
+        f"{np.nanmean(values(name)) if np.isfinite(values(name)).any() else math.nan:.4g}"
+        for name in (
+            "landmark_rmse_m",
+            "position_error_mean_m",
+            "surface_coverage",
+            "surface_phantom_m",
+            "sim_time_s",
+            "cpu_time_s",
+        )
+    )
+    cells += [f" {rmse:>8s} {position:>8s} {seen:>8s} {phantom:>8s} {time:>6s} {cpu:>6s}"]
+    return "".join(cells) + f" {int(values('contacts').sum()):8d}"
 
 
-def main() -> None:
+def main(described: str | None = __doc__, rows_of: Rows = ROWS, out: Path = Path("runs/consistency.jsonl")) -> None:
     """Run what is missing, then print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS))
+    parser = argparse.ArgumentParser(description=described, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", nargs="+", choices=list(rows_of), default=list(rows_of))
     parser.add_argument("--seeds", type=int, help="Of each row at most, instead of its own number.")
     parser.add_argument("--processes", type=int, default=1, help="Missions at a time.")
-    parser.add_argument("--out", type=Path, default=Path("runs/consistency.jsonl"))
+    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args()
 
     version = results.version()
     rows = [json.loads(text) for text in options.out.read_text().splitlines()] if options.out.exists() else []
     options.out.parent.mkdir(parents=True, exist_ok=True)
     done = {(row["world"], row["seed"]) for row in rows if row["version"] == version}
-    wanted = [(world, seed) for world in options.rows for seed in range(ROWS[world][2])[: options.seeds]]
+    wanted = [(world, seed) for world in options.rows for seed in range(rows_of[world][2])[: options.seeds]]
     with ThreadPoolExecutor(options.processes) as pool:
-        for row in pool.map(lambda key: run(key, version), [key for key in wanted if key not in done]):
+        for row in pool.map(lambda key: run(key, rows_of, version), [key for key in wanted if key not in done]):
             if row is not None:
                 rows.append(row)
                 write_atomic(options.out, "".join(json.dumps(each) + "\n" for each in rows))
@@ -93,7 +106,9 @@ def main() -> None:
 
     print(f"\nVersion {version}")
     print(f"{'':37s}{'NEES: online pose':>21s}{'departures':>21s}{'landmarks, jointly':>21s}")
-    print(f"{'':24s}   n complete{3 * '   mean median  worst'}    rmse  position contacts")
+    print(
+        f"{'':24s}   n complete{3 * '   mean median  worst'}     rmse position  surface  phantom   time    cpu contacts"
+    )
     counted = [row for row in rows if (row["world"], row["seed"]) in wanted and row["version"] == version]
     for world in options.rows:
         runs = [row for row in counted if row["world"] == world]
