@@ -75,7 +75,12 @@ World = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
 ]
 TagSpacing = Annotated[
-    float | None, typer.Option(metavar="M", help="Place tags along every reachable surface, this far apart.")
+    float | None,
+    typer.Option(
+        metavar="M|none",
+        parser=lambda text: math.inf if text == "none" else float(text),
+        help="Place tags along every reachable surface, this far apart, or none at all.",
+    ),
 ]
 Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start in W, m and rad.")]
 MaxTime = Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")]
@@ -203,7 +208,7 @@ def explore(
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
-        if robot == "sim" and not loaded.world.tags:
+        if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
 
         from tfg_drake.diagrams.missions import run
@@ -610,7 +615,8 @@ def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
 
 
 def _check_spacing(tag_spacing: float | None) -> None:
-    _check_positive("--tag-spacing", tag_spacing, "m")
+    if tag_spacing != math.inf:
+        _check_positive("--tag-spacing", tag_spacing, "m")
     if tag_spacing is not None and tag_spacing < LEAST_SPACING:
         _bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
 

@@ -110,7 +110,7 @@ def MakeTfgExplorer(
         "slam_estimator",
         "estimator",
         estimator,
-        lambda _: SlamEstimator(scenario.odometry, tags, explorer.path_keyframe_period, explorer.solver),
+        lambda _: SlamEstimator(scenario.odometry, tags, scenario.scan, explorer),
     )
     tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
     selector = add(
@@ -218,14 +218,15 @@ def MapOfExplorer(
     Returns None before the first view is in the map and its surfaces are.
     """
     state, tfg = final or StateOfExplorer(explorer, context), explorer.GetOutputPort("tfg").Eval(context)
-    if state.map is None or state.map.stage == 0 or tfg.stage == 0:
+    estimate = state.published or state.map
+    if estimate is None or estimate.stage == 0 or tfg.stage == 0:
         return None
     if not explorer.HasOutputPort("tfg_graph"):
-        return None, state.map, tfg
+        return None, estimate, tfg
     tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
-    if final is not None and scenario is not None and tfg_graph.stage == state.map.stage:
-        tfg = resolve(tfg_graph, state.map, scenario.robot, scenario.explorer)
-    return saved_map(map_frame(X_WS), state, tfg_graph, tfg), state.map, tfg
+    if final is not None and scenario is not None and tfg_graph.stage == estimate.stage:
+        tfg = resolve(tfg_graph, estimate, scenario.robot, scenario.explorer)
+    return saved_map(map_frame(X_WS), state, tfg_graph, tfg), estimate, tfg
 
 
 def map_frame(X_WS: FloatArray | None) -> FloatArray:

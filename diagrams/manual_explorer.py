@@ -34,7 +34,7 @@ def MakeManualExplorer(
     wiring = Wiring()
     estimator = wiring.Add(
         "slam_estimator",
-        SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period, explorer.solver),
+        SlamEstimator(scenario.odometry, scenario.tags, scenario.scan, explorer),
     )
     tfg_builder = wiring.Add("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
     driver = wiring.Add("manual_driver", ManualDriver(robot, keys, drive, explorer.glance_period > 0.0))

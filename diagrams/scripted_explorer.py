@@ -25,7 +25,7 @@ def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
     wiring = Wiring()
     estimator = wiring.Add(
         "slam_estimator",
-        SlamEstimator(scenario.odometry, scenario.tags, explorer.path_keyframe_period, explorer.solver),
+        SlamEstimator(scenario.odometry, scenario.tags, scenario.scan, explorer),
     )
     tfg_builder = wiring.Add("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
     driver = wiring.Add("scripted_driver", ScriptedDriver(p_MG))

@@ -6,7 +6,7 @@ import math
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
@@ -63,11 +63,11 @@ class SlamEstimator(LeafSystem):
         self,
         odometry_config: OdometryConfig,
         sensor: TagSensorConfig,
-        path_keyframe_period: float,
-        solver: str = "dissection",
+        scanner: ScanConfig,
+        explorer: ExplorerConfig,
     ) -> None:
-        """odometry_config, sensor: what the estimator believes of odometry and camera. path_keyframe_period (s),
-        solver: see `tfg_drake.slam.estimator_state.initial_state`."""
+        """odometry_config, sensor, scanner: what the estimator believes of odometry, camera and scanner. explorer: its
+        path_keyframe_period, solver and landmarks, see `tfg_drake.slam.estimator_state.initial_state`."""
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
@@ -76,12 +76,15 @@ class SlamEstimator(LeafSystem):
         self._scan = declare_message_input(self, "scan")
         self._mission = declare_message_input(self, "mission")
         self._goal = declare_message_input(self, "goal")
-        prior = by_data_sheet(odometry_config, sensor)
-        self._state = MessageState(self, initial_state(odometry_config, path_keyframe_period, prior, solver))
+        prior = by_data_sheet(odometry_config, sensor, scanner)
+        self._state = MessageState(
+            self,
+            initial_state(odometry_config, explorer.path_keyframe_period, prior, explorer.solver, explorer.landmarks),
+        )
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
-        self._state.declare_output(self, "map", lambda now: now.map or nothing)
+        self._state.declare_output(self, "map", lambda now: now.published or nothing)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 

@@ -18,6 +18,8 @@ GAINS = ("exact", "limit", "paper", "authors")
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
 # What solves the estimator's keyframe graph: nested dissection, or GTSAM alone.
 SOLVERS = ("dissection", "gtsam")
+# What the map may be made of.
+LANDMARKS = ("both", "tags", "walls")
 # The real robots, by what their base speaks.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
 # What a simulated robot sees tags and walls with: sensors as the paper's, or a camera whose images are rendered.
@@ -109,6 +111,12 @@ class ScanConfig:
     rate: float = 10.0
     # Range noise, m.
     noise: float = 0.015
+    # How far it may look aside, rad, sit from its place, ahead and to the side, m, its clock be off the base's, s, and
+    # its rays be taken one after the other, s/rad, as standard deviations. All are learnt with the map.
+    yaw_deviation: float = 0.01
+    mount_deviation: float = 0.005
+    clock_deviation: float = 0.02
+    sweep_deviation: float = 0.02
 
 
 @dataclasses.dataclass
@@ -422,6 +430,8 @@ class ExplorerConfig:
     path_keyframe_period: float = 5.0
     # What solves the estimator's keyframe graph, one of SOLVERS. GTSAM is slower and knows no constant errors of tags.
     solver: str = "dissection"
+    # What the map is made of, one of LANDMARKS: tags, walls as the scan sees them, or both.
+    landmarks: str = "both"
 
 
 @dataclasses.dataclass

@@ -151,6 +151,15 @@ class Observation:
     X_AB: FloatArray
 
 
+# Landmarks with lower ids are points of walls.
+WALLS_BELOW = -(1 << 40)
+
+
+def is_tag(ids: IntArray) -> BoolArray:
+    """Which landmarks (n,) are tags, not points of walls."""
+    return np.asarray(ids >= WALLS_BELOW)
+
+
 @message
 class MapEstimate:
     """The Gaussian of landmarks and departure pose after a view (MAP and its marginal covariance).
@@ -192,6 +201,11 @@ class MapEstimate:
         return np.isin(self.ids, self.doubtful)
 
     @property
+    def of_tags(self) -> MapEstimate:
+        """The map without its walls."""
+        return self.of_landmarks(is_tag(self.ids))
+
+    @property
     def is_joint(self) -> bool:
         """Whether all landmarks are known jointly."""
         return len(self.local) == len(self.ids)
@@ -215,6 +229,21 @@ class MapEstimate:
         joint = np.empty((m + len(self.shared), m + len(self.shared)))
         joint[:m, :m], joint[:, m:], joint[m:, :m] = self.covariance, self.with_shared, self.with_shared[:m].T
         return joint
+
+    def of_landmarks(self, keep: BoolArray) -> MapEstimate:
+        """The map with some of its landmarks (n,) only, and with all its views."""
+        joint = keep[self.local]
+        rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
+        with_parameters = np.append(rows, np.ones(len(self.shared), dtype=np.bool_))
+        return replace(
+            self,
+            ids=self.ids[keep],
+            p_ML=self.p_ML[keep],
+            local=(np.cumsum(keep) - 1)[self.local[joint]],
+            covariance=self.covariance if joint.all() else self.covariance[np.ix_(rows, rows)],
+            landmark_covariance=self.landmark_covariance[keep],
+            with_shared=self.with_shared[with_parameters] if len(self.shared) else self.with_shared,
+        )
 
     def given_shared(self) -> MapEstimate:
         """The map as uncertain as it is if the shared parameters were known, for planning: a look has the same errors

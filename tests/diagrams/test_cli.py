@@ -276,7 +276,8 @@ def test_a_second_signal_leaves_at_once(room, tmp_path, number, name):
 def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("def MakeExplorer(scenario):\n    raise ValueError('no way\\nmore')\n")
-    code, out, err = call("explore", room, "--method", str(broken), "--headless", "--out", str(tmp_path))
+    only_tags = ("--set", "explorer.landmarks=tags")
+    code, out, err = call("explore", room, "--method", str(broken), "--headless", "--out", str(tmp_path), *only_tags)
     remark, outcome = out.splitlines()[:2]
     assert remark == "There is no tag in this world, so no landmark to map; --tag-spacing places some"
     assert (code, outcome) == (3, "outcome     fault: ValueError at 0.00 s: no way")

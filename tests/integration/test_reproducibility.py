@@ -31,7 +31,7 @@ def test_two_processes_give_the_same_run(tmp_path):
 
 
 # In the first turn, and later; at no instant of an event, since a new Simulator publishes what is due at its beginning.
-@pytest.mark.parametrize("time", [6.7, 26.3])
+@pytest.mark.parametrize("time", [6.7, 16.3])
 def test_a_copy_of_the_context_goes_on_as_the_original_does(time):
     scenario = tagged(DIVIDED + QUICK_LOOK)
     diagram, *logs = MakeMissionDiagram(scenario, MakeWorld(scenario.world))

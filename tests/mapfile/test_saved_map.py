@@ -33,7 +33,7 @@ from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
-from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.shared import SHARED, exactly_known
 
 DAMAGED = "FILE is damaged or not a map of tfg-drake"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
@@ -128,7 +128,7 @@ def test_an_estimator_may_tell_its_map_only(tmp_path, small_map):
     assert (again.stage, again.stamp) == (2, 20.25)
     assert again.entropy == pytest.approx(estimate.entropy, abs=1e-3)
     # It has said nothing of the sensors.
-    np.testing.assert_array_equal(loaded.graph.shared.mean, np.zeros(8))
+    np.testing.assert_array_equal(loaded.graph.shared.mean, np.zeros(SHARED))
 
 
 def test_landmarks_that_are_not_known_jointly_count_as_independent(small_map):
@@ -259,8 +259,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(10)}, "FILE has map schema 10; this version reads schema 9: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 9: make the map anew"),
+        ({"schema": np.int64(11)}, "FILE has map schema 11; this version reads schema 10: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 10: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),

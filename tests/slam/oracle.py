@@ -26,7 +26,7 @@ WALKS = random_walks(OdometryConfig())
 WALKS.flags.writeable = False
 NOISE = Noise(WALKS)
 # Standard deviations of the parameters, in their order.
-SIGMA = np.array([0.015, 0.001, 0.01, 0.0175, 0.005, 0.005, 0.05, 0.01])
+SIGMA = np.array([0.015, 0.001, 0.01, 0.0175, 0.005, 0.005, 0.05, 0.01, 0.005, 0.005, 0.02, 0.02, 0.01])
 PRIOR = Shared(np.zeros(SHARED), np.diag(SIGMA**2))
 # Half the field of view, rad, the longest range, m, and the time between two frames, s.
 HALF_VIEW, REACH, PERIOD = 1.08, 10.0, 0.1
@@ -36,7 +36,7 @@ STEP = 1e-6
 
 def measured(X, p, shared, twist):
     """Range and bearing (m, 2) of points p (m, 2) by the camera of a robot at poses X (m, 3) and twists (m, 2)."""
-    _, _, _, yaw, ahead, aside, clock, range_scale = shared
+    yaw, ahead, aside, clock, range_scale = shared[[3, 4, 5, 6, 12]]
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     lever = ahead - clock * twist[:, 0]
     dx, dy = p[:, 0] - X[:, 0] - c * lever + s * aside, p[:, 1] - X[:, 1] - s * lever - c * aside
@@ -45,7 +45,7 @@ def measured(X, p, shared, twist):
 
 
 class Drive:
-    """A robot among tags (n, 2) whose parameters are `shared` (8,). noise scales every random error: 0 is none.
+    """A robot among tags (n, 2) whose parameters are `shared` (13,). noise scales every random error: 0 is none.
 
     X_WB: where it is. begins: X_WA of each piece.
     """
@@ -102,7 +102,7 @@ class Drive:
 
 @dataclasses.dataclass
 class Dense:
-    """The optimum. ids (n,), p_ML (n, 2), X_MN (k + 1, 3) between k pieces, shared (8,), covariance: of (p_ML row by
+    """The optimum. ids (n,), p_ML (n, 2), X_MN (k + 1, 3) between k pieces, shared (13,), covariance: of (p_ML row by
     row, X_MN[1:], shared), cost: half the squared errors of the frames, in sigmas, there, and log_information: the
     logarithm of the determinant of all unknowns' information."""
 
@@ -121,7 +121,7 @@ class Dense:
         return np.append(np.arange(2 * len(self.ids)), np.arange(size - SHARED - 3, size))
 
     def off(self, p_ML, X_MD, shared):
-        """How far other values are off, (2n + 11,), and the covariance of those."""
+        """How far other values are off, (2n + 16,), and the covariance of those."""
         x = np.concatenate([p_ML.ravel(), X_MD, shared])
         error = x - np.concatenate([self.p_ML.ravel(), self.X_MN[-1], self.shared])
         error[2 * len(self.ids) + 2] = se2.wrap_angle(error[2 * len(self.ids) + 2])

@@ -28,7 +28,7 @@ def gaussian(ids, y_AL, y_AD, covariance, by_shared=None, on_error=None):
 
 def observed(rng, p_ML, X_MA, X_AD, seen, noise=1.0, tag_errors=None, shared=None):
     """What a turn sees of the landmarks in rows seen (n,): errors that tags and the turn's end share, and those (t, 2)
-    of range and bearing that each tag always has. shared: (8,) the true parameters; without them it tells nothing of
+    of range and bearing that each tag always has. shared: (13,) the true parameters; without them it tells nothing of
     any."""
     size = 2 * len(seen) + 3
     root = 0.001 * rng.normal(size=(size, size)) + 0.01 * np.eye(size)
@@ -61,7 +61,7 @@ def _with_errors(rng, ids, p_AL, X_AD, covariance, error, on_error, shared):
 def ring(seed, noise=1.0, views=24, radius=12.0, tags=120, reach=5.0, laps=1.0, tag_error=None, shared=None):
     """Keyframes in the order of the way, turns and the ways between them; landmarks (n, 2), poses (2k, 3) in M.
 
-    tag_error: (2,) standard deviations of the errors of range and bearing that each tag always has. shared: (8,) the
+    tag_error: (2,) standard deviations of the errors of range and bearing that each tag always has. shared: (13,) the
     true parameters, where keyframes depend on them.
     """
     rng = np.random.default_rng(seed)
@@ -115,7 +115,7 @@ def reckoned(keyframes, prior=None):
 
 
 def dense_solution(graph):
-    """X_MN (k + 1, 3), p_ML (n, 2), shared (8,) of the least cost, and the covariance of (p_ML row by row, all poses
+    """X_MN (k + 1, 3), p_ML (n, 2), shared (13,) of the least cost, and the covariance of (p_ML row by row, all poses
     but the origin, the tags' errors if they have any, shared): Gauss-Newton on the dense system, its Jacobian by
     complex steps."""
     n, k, has_errors = len(graph.ids), len(graph.keyframes), graph.tag_error.any()

@@ -9,6 +9,7 @@ from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.gtsam_solver import GtsamSolver, map_graph
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.map_solver import solved
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import Values
 
 
@@ -53,7 +54,7 @@ def test_the_map_is_the_optimum_of_the_graph_that_a_user_gets(graph):
     np.testing.assert_array_equal(values.atVector(X(len(best.keyframes))), best.X_MN[-1])
     np.testing.assert_array_equal(values.atVector(S(0)), best.shared.mean)
     at_best = factors.error(values)
-    for key, size in ((L(3), 2), (X(5), 3), (S(0), 8)):
+    for key, size in ((L(3), 2), (X(5), 3), (S(0), SHARED)):
         moved = gtsam.Values(values)
         moved.update(key, values.atVector(key) + 1e-3 * np.ones(size))
         assert factors.error(moved) > at_best

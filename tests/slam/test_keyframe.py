@@ -14,7 +14,7 @@ from tfg_drake.slam.turn import reduced
 
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
 X_MA, X_AD = np.array([0.3, -0.2, 0.4]), np.array([0.1, 0.0, 0.2])
-TRUTH = SIGMA * np.array([1.0, -0.5, 0.7, -1.2, 0.3, 0.8, -0.4, 1.5])
+TRUTH = SIGMA * np.array([1.0, -0.5, 0.7, -1.2, 0.3, 0.8, -0.4, 0.6, -0.9, 0.2, 1.1, -0.7, 1.5])
 
 
 def seen(seed=0, tags=4, shared=TRUTH):
@@ -34,7 +34,7 @@ def cost(one, p_ML, A, D, shared):
 def test_the_linearisation_is_that_of_its_cost():
     """Gradient and, where the error vanishes, Hessian by differences; in the order of tags, D, A and parameters."""
     one = seen()
-    one = replace(one, vector=np.arange(8.0))
+    one = replace(one, vector=np.arange(float(SHARED)))
     x = np.concatenate([P_ML.ravel(), se2.compose(X_MA, X_AD), X_MA, TRUTH])
     x += 0.01 * np.random.default_rng(1).normal(size=len(x))
 
@@ -78,8 +78,8 @@ def test_what_it_says_given_the_parameters_is_where_its_cost_is_least():
 def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
     """`keyframe` of a gradient and a Hessian at some point is the same parabola."""
     rng = np.random.default_rng(3)
-    root = rng.normal(size=(19, 19))
-    W, g, y, shared = root @ root.T, rng.normal(size=19), rng.normal(size=11), TRUTH
+    root = rng.normal(size=(24, 24))
+    W, g, y, shared = root @ root.T, rng.normal(size=24), rng.normal(size=11), TRUTH
     one = keyframe(np.arange(4), y, shared, RANGE_SCALE, W, g, np.zeros((4, 2, 2)))
 
     def by_keyframe(x):
@@ -92,7 +92,7 @@ def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
 
     base = np.append(y, shared)
     for _ in range(5):
-        x = base + rng.normal(size=19)
+        x = base + rng.normal(size=24)
         assert by_keyframe(x) - by_keyframe(base) == pytest.approx(by_parabola(x), rel=1e-9)
     # With the best y for each, it is a parabola in the parameters.
     information, gradient = one.alone()
@@ -117,20 +117,20 @@ def test_it_costs_what_its_frames_cost():
         p_AL, there, covariance = one.given(shared)
         deviation = np.sqrt(np.diag(covariance))
         off, expected = held.off(p_AL, there, shared)
-        assert np.abs(off[:-8] / deviation).max() < 0.03
-        np.testing.assert_allclose(np.sqrt(np.diag(expected))[:-8], deviation, rtol=0.01)
+        assert np.abs(off[:-SHARED] / deviation).max() < 0.03
+        np.testing.assert_allclose(np.sqrt(np.diag(expected))[:-SHARED], deviation, rtol=0.01)
         costs.append(held.cost)
         own.append(0.5 * shared @ information @ shared + gradient @ shared)
     np.testing.assert_allclose(np.diff(own), np.diff(costs), atol=0.02 * np.ptp(costs))
 
 
 def test_without_tags_is_their_marginal():
-    one = replace(seen(), vector=np.arange(8.0))
+    one = replace(seen(), vector=np.arange(float(SHARED)))
     fewer = without_tags(one, np.array([101, 103, 999]))
     np.testing.assert_array_equal(fewer.ids, [100, 102])
-    keep = np.append([0, 1, 4, 5], np.arange(8, 19))
+    keep = np.append([0, 1, 4, 5], np.arange(8, 11 + SHARED))
     # By brute force: what prior makes proper, inverted, and the prior taken away again.
-    prior = np.diag(np.append(np.zeros(11), np.full(8, 1e3)))
+    prior = np.diag(np.append(np.zeros(11), np.full(SHARED, 1e3)))
     marginal = np.linalg.inv(np.linalg.inv(one.information + prior)[np.ix_(keep, keep)])
     marginal -= prior[np.ix_(keep, keep)]
     np.testing.assert_allclose(fewer.information, marginal, rtol=1e-6, atol=1e-6 * np.abs(marginal).max())
@@ -152,12 +152,12 @@ def test_two_keyframes_fused_say_what_both_say():
     X_AB = np.array([0.9, 0.05, 0.4])
     first = observed(rng, p_ML, np.zeros(3), X_AB, np.arange(9), shared=TRUTH)
     second = observed(rng, p_ML, X_AB, X_AD, np.arange(3, 12), shared=TRUTH)
-    first, second = replace(first, vector=np.arange(8.0)), replace(second, vector=np.full(8, -2.0))
+    first, second = replace(first, vector=np.arange(float(SHARED))), replace(second, vector=np.full(SHARED, -2.0))
     graph = reckoned([first, second], PRIOR)
     X_MN, p, shared, covariance = dense_solution(graph)
     both, between, deviation = fusion(first, second, shared)
     X_few, p_few, shared_few, covariance_few = dense_solution(reckoned([both], PRIOR))
-    at = np.concatenate([np.arange(24), 27 + np.arange(11)])
+    at = np.concatenate([np.arange(24), 27 + np.arange(3 + SHARED)])
     expected = covariance[np.ix_(at, at)]
     sigma = np.sqrt(np.diag(expected))
     off = np.concatenate([(p_few - p).ravel(), X_few[-1] - X_MN[-1], shared_few - shared]) / sigma
@@ -188,14 +188,14 @@ def test_two_keyframes_fused_say_of_the_errors_of_tags_what_both_say():
     assert np.abs((X_few[-1] - X_MN[-1]) / sigma[24:27]).max() < 0.1
     # Without one of its tags: as if that had never been seen.
     fewer = without_tags(both, both.ids[:1])
-    assert fewer.by_errors().shape == (4 * 11 + 11, 2 * 11 + 1)
+    assert fewer.by_errors().shape == (4 * 11 + 3 + SHARED, 2 * 11 + 1)
     one, other = without_tags(first, first.ids[:1]), second
     np.testing.assert_allclose(fewer.by_errors(), fusion(one, other, shared)[0].by_errors(), rtol=1e-3, atol=1.0)
 
 
 def test_a_way_is_in_the_unit_of_odometry():
     one = way(np.array([2.0, 0.0, 0.5]), np.diag([0.1, 0.2, 0.3]) ** 2)
-    shared = np.zeros(8)
+    shared = np.zeros(SHARED)
     shared[[DISTANCE_SCALE, RANGE_SCALE]] = 0.25, 0.5
     p_AL, X_AD, covariance = one.given(shared)
     assert p_AL.shape == (0, 2)

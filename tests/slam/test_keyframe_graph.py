@@ -7,6 +7,7 @@ from tfg_drake.messages import replace
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import decoupled, empty_graph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.turn import reduced
 
 
@@ -32,7 +33,7 @@ def test_what_is_fused_is_exact_without_noise():
     for one, X_MA in zip(graph.keyframes, graph.X_MN, strict=False):
         assert np.all(np.diff(one.ids) > 0)
         rows = np.searchsorted(graph.ids, one.ids)
-        np.testing.assert_allclose(se2.transform(X_MA, one.given(np.zeros(8))[0]), graph.p_ML[rows], atol=1e-9)
+        np.testing.assert_allclose(se2.transform(X_MA, one.given(np.zeros(SHARED))[0]), graph.p_ML[rows], atol=1e-9)
 
 
 def test_a_fused_graph_says_of_the_map_what_the_whole_one_says():
@@ -50,14 +51,14 @@ def test_a_fused_graph_says_of_the_map_what_the_whole_one_says():
 def test_a_fused_graph_says_of_the_parameters_what_the_whole_one_says():
     """The drive has all parameters off; its pieces are keyframes."""
     rng = np.random.default_rng(3)
-    robot = Drive(rng.uniform(-6.0, 6.0, (20, 2)), SIGMA * rng.normal(size=8), 3)
+    robot = Drive(rng.uniform(-6.0, 6.0, (20, 2)), SIGMA * rng.normal(size=SHARED), 3)
     pieces = [robot.piece(0.3, 0.4 * (-1) ** (k // 4), 2.0) for k in range(12)]
     graph = reckoned([reduced(NOISE, *one, PRIOR).keyframe for one in pieces], PRIOR)
     fewer = fused(graph)
     assert len(fewer.keyframes) < 0.7 * len(pieces)
     (X_MN, p_ML, shared, P), (X_few, p_few, shared_few, P_few) = dense_solution(graph), dense_solution(fewer)
     n = 2 * len(graph.ids)
-    sigma, few = (np.sqrt(np.diag(one)[np.append(np.arange(n), np.arange(-11, 0))]) for one in (P, P_few))
+    sigma, few = (np.sqrt(np.diag(one)[np.append(np.arange(n), np.arange(-3 - SHARED, 0))]) for one in (P, P_few))
     off = np.concatenate([(p_few - p_ML).ravel(), X_few[-1] - X_MN[-1], shared_few - shared])
     assert np.abs(off / sigma).max() < 0.1
     np.testing.assert_allclose(few, sigma, rtol=0.02)
@@ -83,7 +84,7 @@ def test_ways_that_only_odometry_speaks_for_are_decoupled():
     freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     expected = [ODOMETRY, loose, loose]
     for j, covariance in zip((1, 3, 5), expected, strict=True):
-        np.testing.assert_allclose(freed.keyframes[j].given(np.zeros(8))[2], covariance)
+        np.testing.assert_allclose(freed.keyframes[j].given(np.zeros(SHARED))[2], covariance)
     together, _ = drive(7)
     graph = reckoned(together)
     assert decoupled(graph, loose, np.empty(0, dtype=np.int64)) is graph
@@ -95,7 +96,7 @@ def test_a_joint_that_only_odometry_speaks_for_becomes_a_loose_way():
     graph, loose = reckoned(strange), 100.0 * np.eye(3)
     freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
     assert [len(one.ids) == 0 for one in freed.keyframes] == [False, False, False, True, False]
-    np.testing.assert_allclose(freed.keyframes[3].given(np.zeros(8))[2], loose)
+    np.testing.assert_allclose(freed.keyframes[3].given(np.zeros(SHARED))[2], loose)
     np.testing.assert_allclose(freed.X_MA, graph.X_MA)
 
 
@@ -107,7 +108,7 @@ def test_a_forgotten_landmark_leaves_what_it_told():
     assert not np.isin(gone, after.ids).any()
     for one, left in zip(graph.keyframes, after.keyframes, strict=True):
         keep = np.append(np.repeat(~np.isin(one.ids, gone), 2), np.ones(3, dtype=bool))
-        before, after_it = one.given(np.zeros(8))[2], left.given(np.zeros(8))[2]
+        before, after_it = one.given(np.zeros(SHARED))[2], left.given(np.zeros(SHARED))[2]
         np.testing.assert_allclose(after_it, before[np.ix_(keep, keep)], rtol=1e-6, atol=1e-12)
 
 

@@ -9,6 +9,7 @@ from tfg_drake.slam import map_solver
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import fused
 from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.turn import reduced
 
 # Standard deviations of the tags' constant errors, m and rad.
@@ -24,15 +25,15 @@ def assert_dense(graph, solved, estimate, node=None):
     assert np.abs(solved.X_MN[:, :2] - X_MN[:, :2]).max() < 1e-6 * size
     node = len(graph.keyframes) if node is None else node
     first = 2 * len(graph.ids) + 3 * (node - 1)
-    of_shared = len(covariance) - 8 + np.arange(8)
+    of_shared = len(covariance) - SHARED + np.arange(SHARED)
     at = np.concatenate([(2 * estimate.local[:, None] + [0, 1]).ravel(), np.arange(first, first + 3), of_shared])
     expected, found = covariance[np.ix_(at, at)], estimate.joint_covariance
     assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)
     deviation = np.sqrt(np.diag(expected))
     assert np.abs((found - expected) / np.outer(deviation, deviation)).max() < 1e-6
-    assert np.abs((solved.shared.mean - shared) / deviation[-8:]).max() < 1e-4
+    assert np.abs((solved.shared.mean - shared) / deviation[-SHARED:]).max() < 1e-4
     np.testing.assert_array_equal(estimate.shared, solved.shared.mean)
-    np.testing.assert_array_equal(solved.shared.covariance, found[-8:, -8:])
+    np.testing.assert_array_equal(solved.shared.covariance, found[-SHARED:, -SHARED:])
     assert estimate.entropy == solved.entropy
     landmarks = covariance[: 2 * len(graph.ids), : 2 * len(graph.ids)]
     entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * landmarks)[1]
@@ -93,14 +94,15 @@ def test_a_graph_whose_keyframes_are_fused_is_a_dense_solution_too():
 @pytest.mark.parametrize("joint", [400, 30])
 def test_the_parameters_are_known_with_the_map(joint, nees):
     """Each keyframe depends on all of them, which no two keyframes do alike."""
-    truth = SIGMA * np.random.default_rng(6).normal(size=8)
+    truth = SIGMA * np.random.default_rng(6).normal(size=SHARED)
     keyframes, p_ML, _ = ring(6, views=12, tags=60, laps=1.05, shared=truth)
     graph = reckoned(keyframes, PRIOR)
     solved, estimate = solve(graph, 0.0, NOTHING, joint=joint)
     assert_dense(graph, solved, estimate)
     local = estimate.ids[estimate.local]
     error = np.concatenate([(estimate.local_p_ML - p_ML[local - 100]).ravel(), estimate.shared - truth])
-    covariance = np.delete(np.delete(estimate.joint_covariance, np.s_[-11:-8], 0), np.s_[-11:-8], 1)
+    pose = np.s_[-3 - SHARED : -SHARED]
+    covariance = np.delete(np.delete(estimate.joint_covariance, pose, 0), pose, 1)
     assert 0.7 < nees(error, covariance) < 1.4
 
 
@@ -111,7 +113,7 @@ PIECES = [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0)
 def drive_of(seed, pieces):
     """The pieces of a drive with all parameters off."""
     rng = np.random.default_rng(seed)
-    robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=8), seed)
+    robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=SHARED), seed)
     return [robot.piece(*one) for one in pieces]
 
 

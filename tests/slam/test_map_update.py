@@ -7,7 +7,7 @@ from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import finished, needs_solve, updated
-from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.shared import SHARED, exactly_known
 from tfg_drake.slam.turn import reduced
 
 
@@ -28,7 +28,7 @@ def test_one_update_is_a_dense_solution_of_both():
     graph, estimate = finished(graph, estimate, 1.0, NOTHING)
     X_MN, p_ML, _, P = dense_solution(graph)
     n = 2 * len(graph.ids)
-    at = np.append(np.arange(n), np.arange(len(P) - 11, len(P) - 8))
+    at = np.append(np.arange(n), np.arange(len(P) - 3 - SHARED, len(P) - SHARED))
     expected = P[np.ix_(at, at)]
     deviation = np.sqrt(np.diag(expected))
     assert np.abs((estimate.p_ML - p_ML).ravel() / deviation[:-3]).max() < 1e-3
@@ -96,7 +96,7 @@ def test_a_tag_seen_for_the_first_time_is_known_as_its_keyframe_knows_it():
     p_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0]])
     first = observed(rng, p_ML, np.zeros(3), np.array([0.1, 0.0, 0.2]), np.arange(3))
     _, estimate, _ = updated(empty_graph(exactly_known()), empty_map(exactly_known()), first)
-    p_AL, X_AD, covariance = first.given(np.zeros(8))
+    p_AL, X_AD, covariance = first.given(np.zeros(SHARED))
     np.testing.assert_allclose(estimate.p_ML, p_AL)
     np.testing.assert_allclose(estimate.X_MD, X_AD)
     # The parameters that are known to be zero are so to a millionth.
@@ -107,7 +107,7 @@ def test_after_each_update_of_a_drive_all_is_as_a_solve_would_have_it():
     """Parameters and map, jointly: the parameters are as far off as their data sheets let them be."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=8), seed)
+        robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=SHARED), seed)
         graph, estimate = empty_graph(PRIOR), empty_map(PRIOR)
         for one in [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0), (0.0, -0.6, 8.0)]:
             seen = reduced(NOISE, *robot.piece(*one), graph.shared).keyframe
@@ -131,5 +131,5 @@ def test_ways_in_another_unit_are_taken_in_as_a_solve_would():
     graph, estimate = built(keyframes, PRIOR)
     whole, exact = solve(replace(graph, p_ML=estimate.p_ML), 0.0, NOTHING)
     deviation = np.sqrt(np.diag(exact.joint_covariance))
-    assert np.abs((estimate.shared - whole.shared.mean) / deviation[-8:]).max() < 0.05
-    assert np.abs((estimate.p_ML - exact.p_ML).ravel() / deviation[:-11]).max() < 0.05
+    assert np.abs((estimate.shared - whole.shared.mean) / deviation[-SHARED:]).max() < 0.05
+    assert np.abs((estimate.p_ML - exact.p_ML).ravel() / deviation[: -3 - SHARED]).max() < 0.05

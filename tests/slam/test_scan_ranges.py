@@ -7,7 +7,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, TagDetections, replace
 from tfg_drake.slam.scan_ranges import (
-    NUISANCE,
+    BEFORE_SURFACE,
     TAG_SIGMA,
     compared,
     great_error,
@@ -15,7 +15,17 @@ from tfg_drake.slam.scan_ranges import (
     scan_information,
     surface,
 )
-from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import (
+    CAMERA_YAW,
+    LEVER_X,
+    LEVER_Y,
+    RANGE_SCALE,
+    SCANNER_X,
+    SCANNER_Y,
+    SCANNER_YAW,
+    SHARED,
+    Shared,
+)
 
 CORNERS = np.array([[4.0, -6.0], [5.0, 6.0], [-6.0, 5.0], [-5.0, -5.5]])
 WALLS = np.hstack([CORNERS, np.roll(CORNERS, -1, axis=0)])
@@ -24,6 +34,8 @@ ANGLES = np.linspace(-1.08, 1.08, 249)
 COLUMNS = np.arctan(np.linspace(np.tan(-1.08), np.tan(1.08), 249))
 SIGMA = np.zeros(SHARED)
 SIGMA[[CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE]] = 0.0175, 0.005, 0.005, 0.01
+SCANNER = np.array([0.01, 0.005, 0.005])
+SIGMA[[SCANNER_YAW, SCANNER_X, SCANNER_Y]] = SCANNER
 PRIOR = Shared(np.zeros(SHARED), np.diag(np.maximum(SIGMA, 1e-6) ** 2))
 AT = [RANGE_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y]
 
@@ -132,7 +144,7 @@ def test_its_covariance_is_honest(exact):
     for seed in range(200):
         rng = np.random.default_rng(1000 + seed)
         truth = SIGMA * rng.normal(size=SHARED)
-        nuisance = NUISANCE * rng.normal(size=4)
+        nuisance = np.append(SCANNER, BEFORE_SURFACE) * rng.normal(size=4)
         world = World(seed, truth, nuisance[:3], before=nuisance[3], errors=TAG_SIGMA, tags=30)
         _, found = world.told(12, exact=exact)
         error = (found.mean - truth)[AT]

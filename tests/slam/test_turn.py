@@ -154,7 +154,7 @@ def test_where_noise_is_correlated_frames_count_for_less():
     robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 4)
     seen, correlated = robot.piece(0.0, 0.6, 10.5), dataclasses.replace(NOISE, correlation=0.8)
     independent, solution = reduced(NOISE, *seen, KNOWN), reduced(correlated, *seen, KNOWN)
-    sure, less = (np.sqrt(np.diag(one.keyframe.given(np.zeros(8))[2]))[:-3] for one in (independent, solution))
+    sure, less = (np.sqrt(np.diag(one.keyframe.given(np.zeros(SHARED))[2]))[:-3] for one in (independent, solution))
     assert 1.5 < np.median(less / sure) < correlated.frame_worth**-0.5
 
 

@@ -5,11 +5,12 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.systems.slam_estimator import PERIOD, SlamEstimator
 
+ONLY_GOALS = ExplorerConfig(path_keyframe_period=0.0)
 TURN_TIME = 6.5
 POINTS = np.array([[3.0, 0.5], [1.0, 4.0], [-3.0, 2.0], [-2.0, -3.0], [2.5, -2.0]])
 
@@ -46,7 +47,7 @@ class Script(LeafSystem):
 def build():
     builder = DiagramBuilder()
     script = builder.AddSystem(Script())
-    estimator = builder.AddSystem(SlamEstimator(OdometryConfig(), TagSensorConfig(), 0.0))
+    estimator = builder.AddSystem(SlamEstimator(OdometryConfig(), TagSensorConfig(), ScanConfig(), ONLY_GOALS))
     for name in ("odometry", "detections", "scan", "mission"):
         builder.Connect(script.GetOutputPort(name), estimator.GetInputPort(name))
     return builder.Build(), estimator
@@ -95,7 +96,7 @@ def test_a_second_run_and_a_cloned_context_repeat_to_the_bit():
 
 
 def test_nothing_happens_without_new_messages():
-    estimator = SlamEstimator(OdometryConfig(), TagSensorConfig(), 0.0)
+    estimator = SlamEstimator(OdometryConfig(), TagSensorConfig(), ScanConfig(), ONLY_GOALS)
     context = estimator.CreateDefaultContext()
     script = Script()
     source = script.CreateDefaultContext()

@@ -21,7 +21,7 @@ def g2o_text(saved: SavedMap) -> str:
 
 def landmark_base(saved: SavedMap) -> int:
     """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses."""
-    least = len(saved.graph.X_MN) - min(int(np.min(saved.ids, initial=0)), 0)
+    least = len(saved.graph.X_MN) - min(int(np.min(saved.graph.ids, initial=0)), 0)
     base = 10
     while base < least:
         base *= 10

@@ -16,7 +16,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.keyframe import Keyframe, of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
@@ -28,7 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 9
+SCHEMA = 10
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -58,9 +58,14 @@ class SavedMap:
     tfg: TfgMap
 
     @property
+    def is_tag(self) -> BoolArray:
+        """Which of the graph's landmarks are tags, not points of walls."""
+        return is_tag(self.graph.ids)
+
+    @property
     def ids(self) -> IntArray:
         """(n,) ids of the landmarks, ascending."""
-        return self.graph.ids
+        return self.graph.ids[self.is_tag]
 
     @property
     def is_doubtful(self) -> BoolArray:
@@ -70,12 +75,12 @@ class SavedMap:
     @property
     def p_ML(self) -> FloatArray:
         """(n, 2) positions of the landmarks in M, m."""
-        return self.graph.p_ML
+        return self.graph.p_ML[self.is_tag]
 
     @property
     def landmark_covariance(self) -> FloatArray:
         """(n, 2, 2) marginal covariances of the landmarks in M, m^2."""
-        return self.graph.landmark_covariance
+        return self.graph.landmark_covariance[self.is_tag]
 
     @property
     def entropy(self) -> float:
@@ -219,7 +224,7 @@ def restored_estimate(saved: SavedMap) -> MapEstimate:
     """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
     round the last view. Its observation is empty: what the newest view saw is in the keyframes."""
     estimate = solve(saved.graph, saved.stamp, no_observation(), joint=known_jointly(saved.graph))[1]
-    return replace(estimate, doubtful=saved.doubtful)
+    return replace(estimate.of_tags, doubtful=saved.doubtful)
 
 
 def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
@@ -277,7 +282,7 @@ def _read(path: Path) -> dict[str, Array]:
 def _contradiction(saved: SavedMap) -> str:
     """The first inconsistency of a map, in words; "" without any, and then all indices are within bounds."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
-    landmarks, known = len(graph.ids), graph.ids
+    known = graph.ids
     if not 1 <= stage == len(graph.view_keyframe):
         return "graph.view_keyframe does not fit stage"
     if len(graph.keyframes) != len(graph.X_MN) - 1:
@@ -297,7 +302,7 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"
-    if tfg.stage == stage and len(tfg.facing) != landmarks:
+    if tfg.stage == stage and len(tfg.facing) != len(saved.ids):
         return "tfg.facing does not fit graph.ids"
     if len(tfg_graph.tried_count) != len(tfg_graph.tried.view):
         return "tfg_graph.tried_count does not fit tfg_graph.tried"

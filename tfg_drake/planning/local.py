@@ -16,7 +16,7 @@ from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
-from tfg_drake.tfg.near import of_landmarks, radius_of, within
+from tfg_drake.tfg.near import radius_of, within
 from tfg_drake.tfg.polyline import taken
 
 # Rules that look for the next goal in the whole map at every stage.
@@ -54,7 +54,7 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
     columns: dict[str, Any] = {name: getattr(tfg, name)[rows] for names, rows in near.items() for name in names}
     part = replace(tfg, star_offsets=star_offsets, star_vertices=star_vertices, **columns)
-    return of_landmarks(estimate, landmarks), part
+    return estimate.of_landmarks(landmarks), part
 
 
 def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:

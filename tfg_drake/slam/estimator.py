@@ -28,6 +28,7 @@ from tfg_drake.messages import (
     Odometry,
     PoseEstimate,
     TagDetections,
+    is_tag,
     replace,
 )
 from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
@@ -64,9 +65,11 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
+from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
-from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
+from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, LEAST_SIGMA, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.turn import SAME_INSTANT, Reduced, TurnFrame, no_detections, reduced
+from tfg_drake.slam.walls import Walls, identified, named, no_lines
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
@@ -80,6 +83,8 @@ CONTRADICTIONS = 3
 LONGEST_DOUBT = 60.0
 # A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
 REDUCED_WITHIN = 0.5
+# But not where a wall in it would move by more than this, m: by other parameters a turn's walls may be others.
+SAME_WALL = 0.3
 # And where the level of some noise has, by this.
 LEVEL_WITHIN = 0.2
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
@@ -93,8 +98,10 @@ SAME_PLACE = 0.004
 NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
-# Messages of the first look that are kept, at most: two minutes of them.
+# Messages of the first look, and scans that wait for odometry, that are kept, at most: two minutes of them.
 MOST_KEPT = 5000
+
+_NO_LINES = no_lines()
 
 _log = logging.getLogger("tfg_drake.slam")
 # What somebody can mend is told on the screen, too.
@@ -126,7 +133,7 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
     ignored."""
     state = _kept(state, detections)
     detections = replace(detections, stamp=detections.stamp - state.offset)
-    if not detections.stamp >= state.stamp:
+    if not detections.stamp >= state.stamp or state.landmarks == "walls":
         return state
     detections, impossible = sanitized(detections)
     if impossible:
@@ -141,7 +148,8 @@ def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
     """The state with one more scan to compare the frame of its instant with."""
     if not math.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
         return state
-    return replace(_kept(state, scan), scans=(*state.scans, scan)[-SCANS:])
+    state = replace(_kept(state, scan), scans=(*state.scans, scan)[-SCANS:])
+    return state if state.landmarks == "tags" else replace(state, unread=(*state.unread, scan)[-MOST_KEPT:])
 
 
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
@@ -235,7 +243,8 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         graph, evidence = taken_back(graph, *wrong), disputed(evidence, np.array(wrong[:1]))
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
     estimate = with_doubts(estimate, evidence, graph)
-    return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
+    published = estimate.of_tags
+    return replace(state, graph=graph, solved=graph, map=estimate, published=published, evidence=evidence)
 
 
 def _kept(state: EstimatorState, message: Message) -> EstimatorState:
@@ -255,10 +264,15 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     tags, scan = held_against_odometry(look.messages, look.start.offset)
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
+    landmarks = state.landmarks
+    if scan.against or scan.ahead:
+        # Walls of such a scanner would bend the map.
+        frames = tuple(replace(frame, lines=_NO_LINES) for frame in turn.frames)
+        landmarks, state = "tags", replace(state, landmarks="tags", turn=replace(turn, frames=frames), unread=())
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        state = _with_clock(replace(look.start, look=None), tags.ahead)
+        state = _with_clock(replace(look.start, look=None, landmarks=landmarks), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
             if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
@@ -283,9 +297,22 @@ def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
     """The state after all waiting frames that odometry has passed."""
-    while state.pending and state.odometry and state.pending[0].stamp < state.odometry[-1].stamp:
-        frame, pending = state.pending[0], state.pending[1:]
-        state = _step(state, frame, pending) if frame.stamp >= state.stamp else replace(state, pending=pending)
+    while state.odometry:
+        scan = state.unread[0].stamp if state.unread else math.inf
+        frame = state.pending[0].stamp if state.pending else math.inf
+        if not min(scan, frame) < state.odometry[-1].stamp:
+            break
+        first, pending = no_detections(scan), state.pending
+        if frame <= scan + SAME_INSTANT:
+            first, pending = pending[0], pending[1:]
+        lines = no_lines()
+        if scan <= frame + SAME_INSTANT:
+            lines = scan_lines(state.unread[0]).lines
+            state = replace(state, unread=state.unread[1:])
+        if first.stamp >= state.stamp:
+            state = _step(state, first, pending, lines, only_scan=scan < frame - SAME_INSTANT)
+        else:
+            state = replace(state, pending=pending)
     return state
 
 
@@ -300,8 +327,15 @@ def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
     return _step(state, no_detections(stamp), state.pending) if stamp > state.stamp else state
 
 
-def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetections, ...]) -> EstimatorState:
-    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame.
+def _step(
+    state: EstimatorState,
+    frame: TagDetections,
+    pending: tuple[TagDetections, ...],
+    lines: FloatArray = _NO_LINES,
+    *,
+    only_scan: bool = False,
+) -> EstimatorState:
+    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame and a scan's lines.
 
     The stamp lies within the odometry at hand; `pending` are the frames that wait after it.
     """
@@ -319,7 +353,7 @@ def _step(state: EstimatorState, frame: TagDetections, pending: tuple[TagDetecti
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.offset)
+    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.offset, lines, only_scan)
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:
@@ -381,7 +415,7 @@ def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> 
         return state.watch
     yaw = float(state.graph.shared.mean[CAMERA_YAW])
     X_MC = state.localizer.X_MB + np.array([0.0, 0.0, yaw])
-    return watched(state.watch, state.map.p_ML, X_MC, yaw, frame, scan)
+    return watched(state.watch, state.map.p_ML[is_tag(state.map.ids)], X_MC, yaw, frame, scan)
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
@@ -425,7 +459,12 @@ def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
 def _prior(state: EstimatorState) -> Shared:
     """What is known of the parameters without any keyframe: by the data sheets and by the scan."""
     if not state.ranges.pairs:
-        return state.sheet
+        if not len(state.walls.first):
+            return state.sheet
+        # All lengths are the scanner's.
+        of_scale = np.zeros((SHARED, SHARED))
+        of_scale[RANGE_SCALE, RANGE_SCALE] = LEAST_SIGMA**-2
+        return state.sheet.with_information(of_scale, np.zeros(SHARED))
     return state.sheet.with_information(*scan_information(state.ranges, state.noise.now.worth))
 
 
@@ -443,8 +482,14 @@ def _reduced_anew(
         ):
             continue
         anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared)
-        one = without_tags(anew.keyframe, np.setdiff1d(anew.keyframe.ids, keyframes[at].ids))
-        if np.array_equal(one.ids, keyframes[at].ids):
+        one = anew.keyframe
+        if source.names is not None:
+            one = named(one, source.names, 1.0 + float(shared.mean[RANGE_SCALE]))
+        one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))
+        walls = ~is_tag(one.ids)
+        if np.array_equal(one.ids, keyframes[at].ids) and np.all(
+            np.abs(one.y_AL - keyframes[at].y_AL)[walls] < SAME_WALL
+        ):
             keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level)
     if tuple(kept) == sources:
         return graph, sources
@@ -473,19 +518,23 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
     keyframe = solution.keyframe
     way, view = state.way, Sighted(keyframe, solution.sightings)
-    observation = Observation(keyframe.ids, solution.stamps, solution.X_AB)
+    observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = realigned(state.graph, state.map or state.localizer.map, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources: tuple[Source | None, ...] = state.sources
+    walls = state.walls
     for seen, of in (*way, (view, source)):
         is_view = seen is view
+        if of is not None:
+            seen, of, walls = _with_names(seen, of, walls, graph, estimate)
         sources = (*sources, of)[-UNFUSED:]
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
         if len(anew):
             _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
             moved = True
+    rejected = rejected[is_tag(rejected)]
     if len(rejected):
         _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
     gone = np.setdiff1d(state.watch.ids[missing(state.watch)], doubtful(evidence))
@@ -502,11 +551,12 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         or needs_solve(graph, solved, estimate)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
-        graph = fused(replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(state)))
+        graph = fused(replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(replace(state, walls=walls))))
         graph, estimate = solve(graph, state.stamp, observation, spread=spread)
         solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, observation)
+    whole = with_doubts(replace(estimate, frame_worth=min(state.noise.now.frame_worth, 1.0)), evidence, graph)
     later = state.offset - float(graph.shared.mean[CLOCK])
     state = replace(
         state,
@@ -521,14 +571,29 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         lost=False,
         graph=graph,
         solved=solved,
-        map=with_doubts(replace(estimate, frame_worth=min(state.noise.now.frame_worth, 1.0)), evidence, graph),
+        map=whole,
+        walls=walls,
+        published=whole.of_tags,
         localizer=start_localizer(estimate),
         evidence=evidence,
-        watch=renewed(state.watch, estimate.ids),
+        watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
         sources=sources,
     )
     return replace(state, piece=opened(state))
+
+
+def _with_names(
+    seen: Sighted, source: Source, walls: Walls, graph: KeyframeGraph, estimate: MapEstimate
+) -> tuple[Sighted, Source, Walls]:
+    """A keyframe that begins at the map's newest pose with its walls by the names that the map has for them."""
+    one, tags = seen.keyframe, is_tag(seen.keyframe.ids)
+    if tags.all():
+        return seen, source, walls
+    names, walls = identified(one, seen.frames, walls, estimate)
+    one = named(one, names, 1.0 + float(graph.shared.mean[RANGE_SCALE]))
+    of_walls = np.zeros(np.count_nonzero(~is_tag(one.ids)), dtype=np.int64)
+    return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls
 
 
 def _with_keyframe(
@@ -540,17 +605,19 @@ def _with_keyframe(
     is_view: whether it is a turn or glance, not a piece of the way.
     """
     ids = seen.keyframe.ids
+    tags = is_tag(ids)
     far = ids[~jointly_known(estimate, ids)]
     if len(far):
         graph = replace(graph, p_ML=estimate.p_ML)
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
     known = rows_of(ids, graph.ids)[1]
-    believed = only(seen, known | believable(evidence, seen, estimate.X_MD, graph))
+    believed = only(seen, ~tags | known | believable(evidence, seen, estimate.X_MD, graph))
     longer, after, rejected = updated(graph, estimate, believed.keyframe, is_view=is_view)
-    agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected)), seen
+    agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected))[tags], only(seen, tags)
+    known, rejected = known[tags], rejected[is_tag(rejected)]
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
         # It may be the robot that is elsewhere.
-        counted, agrees = only(seen, agrees), agrees[agrees]
+        counted, agrees = only(counted, agrees), agrees[agrees]
     weighed_up = weighed(evidence, counted, agrees, longer)
     anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected
     if not len(anew):

@@ -27,6 +27,7 @@ from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
 from tfg_drake.slam.turn import TurnFrame, no_detections
+from tfg_drake.slam.walls import Names, Walls, no_walls
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
@@ -52,12 +53,13 @@ class OpenObservation:
 @message
 class Source:
     """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
-    it was reduced, level: (4,) of the noise likewise."""
+    it was reduced, level: (4,) of the noise likewise. names: of its walls."""
 
     seen: OpenObservation
     end: TurnFrame
     at: Shared
     level: FloatArray
+    names: Names | None = None
 
 
 @message
@@ -86,7 +88,8 @@ class EstimatorState:
     wheels. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what has
     become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of the
     newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
-    none.
+    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait
+    for odometry. published: the map without its walls, which all others get.
     """
 
     noise: LearntNoise
@@ -118,6 +121,10 @@ class EstimatorState:
     rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
     look: FirstLook | None = None
     sources: tuple[Source | None, ...] = ()
+    walls: Walls = dataclasses.field(default_factory=no_walls)
+    landmarks: str = "both"
+    unread: tuple[LaserScan, ...] = ()
+    published: MapEstimate | None = None
 
 
 def initial_state(
@@ -125,13 +132,15 @@ def initial_state(
     path_keyframe_period: float = 0.0,
     prior: Shared | None = None,
     solver: str = "dissection",
+    landmarks: str = "both",
 ) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
     prior: what is known of the shared parameters beforehand; none: what the odometry's data sheet says, and of the
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
-    localise (the paper's Sec. III). solver: what solves the keyframe graph, one of `config.SOLVERS`.
+    localise (the paper's Sec. III). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
+    the map is made of, one of `config.LANDMARKS`.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
@@ -146,6 +155,7 @@ def initial_state(
         ranges=none_compared(),
         evidence=no_evidence(),
         watch=no_watch(),
+        landmarks=landmarks,
     )
     return replace(state, look=FirstLook(state))
 

@@ -20,7 +20,17 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    MapEstimate,
+    TagDetections,
+    is_tag,
+    message,
+    replace,
+)
 from tfg_drake.slam.keyframe import Keyframe, linearised, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import REJECTED
@@ -211,7 +221,7 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)
         spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)
-        falls = (apart * np.linalg.solve(spread, apart)).sum(axis=(1, 2))
+        falls = (apart * np.linalg.solve(spread, apart)).sum(axis=(1, 2)) * is_tag(one.ids)
         if np.max(falls, initial=0.0) > most:
             most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
     return found

@@ -19,7 +19,7 @@ from tfg_drake.slam.solver import Keyframes, Solver, System, Unknowns, Values
 from tfg_drake.slam.tag_error import learnt, suspected
 
 # Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
-JOINT = 400
+JOINT = 500
 SPREAD = 600
 # At the end of a mission those of the whole map are, if they are no more than this: their covariance has 200 MB then.
 MOST_JOINT = 2500

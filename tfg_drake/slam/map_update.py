@@ -14,7 +14,7 @@ import scipy.linalg
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
 from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import RANGE_SCALE, SHARED, Shared
@@ -82,7 +82,10 @@ def updated(
         distance = _distances(update, len(kept))
         if np.max(distance, initial=0.0) <= REJECTED:
             break
-        kept = np.delete(kept, np.argmax(distance))
+        worst = one.ids[seen[kept[np.argmax(distance)]]]
+        # A wall goes with both of its points.
+        pair = one.ids[seen[kept]] // 2 == worst // 2
+        kept = np.delete(kept, np.argmax(distance)) if is_tag(worst) else kept[~pair]
     rejected = np.delete(one.ids[seen], kept)
     if len(rejected):
         one = without_tags(one, rejected)

@@ -16,13 +16,24 @@ from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
 from tfg_drake.slam.keyframe import rows_of
-from tfg_drake.slam.shared import CAMERA_YAW, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import (
+    CAMERA_YAW,
+    LEVER_X,
+    LEVER_Y,
+    RANGE_SCALE,
+    SCANNER_X,
+    SCANNER_Y,
+    SCANNER_YAW,
+    SHARED,
+    Shared,
+)
 
 # The parameters that a comparison is linear in: those of the camera less those of the scanner, and the distance of tags
 # before their surfaces, m.
 COMPARED = (RANGE_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y)
-# Prior standard deviations of the scanner's yaw (rad), of its lever arm (m, twice) and of that distance.
-NUISANCE = (0.01, 0.005, 0.005, 0.02)
+OF_SCANNER = (SCANNER_YAW, SCANNER_X, SCANNER_Y)
+# Prior standard deviation of that distance.
+BEFORE_SURFACE = 0.02
 # Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
 TAG_SIGMA = 0.01
 # Pairs that differ by more than this many standard deviations are of two different things.
@@ -92,24 +103,19 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
 
 
 def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
-    """What all pairs say of the shared parameters: information (8, 8) and gradient (8,) where they are zero. worth: the
-    share of what it tells by the data sheet that one frame of many tells."""
+    """What all pairs say of the shared parameters: information (13, 13) and gradient (13,) where they are zero. worth:
+    the share of what it tells by the data sheet that one frame of many tells."""
     of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
     # Each tag's own error eliminated.
     M = worth * ranges.total - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
     J, gradient = M[:5, :5], -M[:5, 5]
-    # From what is compared to (parameters, scanner, distance).
-    by = np.zeros((5, 8))
-    by[:4, :4], by[4, 7] = np.eye(4), 1.0
-    by[1:4, 4:7] = -np.eye(3)
-    H, g = by.T @ J @ by, by.T @ gradient
-    H[4:, 4:] += np.diag(np.power(NUISANCE, -2.0))
-    back = np.linalg.solve(H[4:, 4:], np.column_stack([H[4:, :4], g[4:]]))
-    information, vector = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
-    at = np.array(COMPARED)
-    information[np.ix_(at, at)] = H[:4, :4] - H[:4, 4:] @ back[:, :4]
-    vector[at] = g[:4] - H[:4, 4:] @ back[:, 4]
-    return 0.5 * (information + information.T), vector
+    # The distance eliminated; the scanner's place and heading count as the camera's do, the other way round.
+    share = J[:4, 4] / (J[4, 4] + BEFORE_SURFACE**-2)
+    by = np.zeros((4, SHARED))
+    by[np.arange(4), COMPARED] = 1.0
+    by[np.arange(1, 4), OF_SCANNER] = -1.0
+    information = by.T @ (J[:4, :4] - np.outer(share, J[4, :4])) @ by
+    return 0.5 * (information + information.T), by.T @ (gradient[:4] - share * gradient[4])
 
 
 @njit(cache=True)
@@ -160,10 +166,12 @@ def _with_pairs(
         scan,
         known,
     )
-    mean, sigma, row = np.zeros(5), np.full(5, NUISANCE[-1]), np.ones(7)
+    mean, sigma, row = np.zeros(5), np.full(5, BEFORE_SURFACE), np.ones(7)
     for a in range(4):
         mean[a], sigma[a] = shared[COMPARED[a]], math.sqrt(covariance[COMPARED[a], COMPARED[a]])
-    sigma[1:4] = np.hypot(sigma[1:4], np.array(NUISANCE[:3]))
+    for a in range(3):
+        mean[1 + a] -= shared[OF_SCANNER[a]]
+        sigma[1 + a] = math.hypot(sigma[1 + a], math.sqrt(covariance[OF_SCANNER[a], OF_SCANNER[a]]))
     for k in range(len(range_)):
         at = bearing[k] + mean[1]
         distance, slant = surface(at, angles, ranges, sigma_scan)

@@ -8,44 +8,50 @@ from __future__ import annotations
 
 import numpy as np
 
-from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 
 # The places of the parameters in all vectors. Measured distance = (1 + DISTANCE_SCALE) * distance, measured turn =
 # (1 + GYRO_SCALE) * turn + GYRO_BIAS (rad/s) * time, measured range = (1 + RANGE_SCALE) * range. The camera looks
 # CAMERA_YAW (rad) to the left, sits LEVER_X ahead and LEVER_Y to the left (m) of where it is believed to sit, and its
-# clock is CLOCK (s) ahead of the base's: a frame stamped s shows what there was at s - CLOCK.
-DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE = range(8)
-SHARED = 8
+# clock is CLOCK (s) ahead of the base's: a frame stamped s shows what there was at s - CLOCK. Likewise of the scanner,
+# whose rays are the later taken the farther to the left, by SWEEP (s/rad).
+DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE = range(3)
+CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK = range(3, 7)
+SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP = range(7, 12)
+RANGE_SCALE = 12
+SHARED = 13
 # A known constant is still an unknown: least standard deviation of each.
 LEAST_SIGMA = 1e-6
 
 
 @message
 class Shared:
-    """Gaussian of the shared parameters. mean: (8,), covariance: (8, 8), in the units and the order above."""
+    """Gaussian of the shared parameters. mean: (13,), covariance: (13, 13), in the units and the order above."""
 
     mean: FloatArray
     covariance: FloatArray
 
     @property
     def sigma(self) -> FloatArray:
-        """(8,) standard deviations."""
+        """(13,) standard deviations."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def with_information(self, information: FloatArray, gradient: FloatArray) -> Shared:
-        """The Gaussian once something else tells of the parameters, too: information (8, 8) and gradient (8,) where
+        """The Gaussian once something else tells of the parameters, too: information (13, 13) and gradient (13,) where
         they are zero."""
         before = np.linalg.inv(self.covariance)
         covariance = np.linalg.inv(before + information)
         return Shared(covariance @ (before @ self.mean - gradient), 0.5 * (covariance + covariance.T))
 
 
-def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig) -> Shared:
+def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig, scanner: ScanConfig | None = None) -> Shared:
     """The parameters before the first frame: none is expected to be off, as surely as the data sheets say."""
-    mount = sensor.mount_deviation
-    camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation, sensor.range_scale_deviation]
-    return exactly_known(np.append(calibration_sigma(odometry), camera))
+    scanner, mount = scanner or ScanConfig(), sensor.mount_deviation
+    camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation]
+    mount = scanner.mount_deviation
+    lidar = [scanner.yaw_deviation, mount, mount, scanner.clock_deviation, scanner.sweep_deviation]
+    return exactly_known(np.concatenate([calibration_sigma(odometry), camera, lidar, [sensor.range_scale_deviation]]))
 
 
 def calibration_sigma(odometry: OdometryConfig) -> FloatArray:
@@ -54,7 +60,7 @@ def calibration_sigma(odometry: OdometryConfig) -> FloatArray:
 
 
 def exactly_known(sigma: FloatArray | None = None) -> Shared:
-    """Parameters that are all zero, with these standard deviations (8,), or known before."""
+    """Parameters that are all zero, with these standard deviations (13,), or known before."""
     sigma = np.zeros(SHARED) if sigma is None else sigma
     return Shared(np.zeros(SHARED), np.diag(np.maximum(sigma, LEAST_SIGMA) ** 2))
 

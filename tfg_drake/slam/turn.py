@@ -20,7 +20,8 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, m
 from tfg_drake.slam.keyframe import Keyframe, keyframe
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
-from tfg_drake.slam.shared import CLOCK, DISTANCE_SCALE, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.walls import Looks, along_walls, grouped, no_lines, pairs_of, with_floor
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -36,9 +37,10 @@ SAME_INSTANT = 1e-6
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
 # Where a pose's and the border's parameters begin in the dense rest: D (3), the odometry's calibration (3: the scale of
-# distance over that of ranges, gyro bias, gyro scale), the camera's (4: yaw, lever arm, clock), the tags.
-CALIBRATION, CAMERA, TAGS = 3, 6, 10
-PARAMETERS = 7
+# distance over that of ranges, gyro bias, gyro scale), the camera's (4: yaw, lever arm, clock), the scanner's (5: these
+# and its sweep), the tags.
+CALIBRATION, CAMERA, SCANNER, TAGS = 3, 6, 10, 15
+PARAMETERS = 12
 # Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
 MOST_STEPS = 50
 LAST_STEP = 1e-8
@@ -49,22 +51,24 @@ LEAST_PIVOT = 1e-30
 
 
 class _Problem(NamedTuple):
-    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 7) of each of the sightings (m,)."""
+    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 8) of each of the sightings (m,)."""
 
     clock: FloatArray
     X_OB: FloatArray
     node: IntArray
     ids: IntArray
     z: FloatArray
+    looks: Looks
 
 
 class _Ties(NamedTuple):
     """What ties t poses, m sightings and the parameters, by some noise.
 
-    X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (7,) and
-    information (7, 7) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 7) its bearing, range,
-    their sigmas, the robot's twist then and the clock's offset that its stamp was taken with, s. before: (m,) the
-    sighting before that each one's noise is correlated with, or -1, left: (m,) by how much.
+    X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (12,) and
+    information (12, 12) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 8) its bearing, range,
+    their sigmas, the robot's twist then, the clock's offset that its stamp was taken with, s, and the frame's number.
+    before: (m,) the sighting before that each one's noise is correlated with, or -1, left: (m,) by how much. looks: at
+    walls.
     """
 
     X_OB: FloatArray
@@ -77,12 +81,14 @@ class _Ties(NamedTuple):
     z: FloatArray
     before: IntArray
     left: FloatArray
+    looks: Looks
 
 
 class _Solution(NamedTuple):
-    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (7 + 2n,), information (10 + 2n, 10 + 2n) and
-    gradient (10 + 2n,) of (D, parameters, tags), and the squared error of each sighting, in sigmas; and the prior of
-    the parameters, mean (7,) and information (7, 7)."""
+    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (12 + 2n + 2w,), information (15 + 2n + 2w,
+    15 + 2n + 2w) and gradient (15 + 2n + 2w,) of (D, parameters, tags, walls), and the squared error of each sighting
+    and of each look at a wall, in sigmas; the prior of the parameters, mean (12,) and information (12, 12); and the
+    looks kept."""
 
     ids: IntArray
     sightings: IntArray
@@ -93,23 +99,35 @@ class _Solution(NamedTuple):
     squared: FloatArray
     prior: FloatArray
     of_prior: FloatArray
+    looks: Looks
 
     @property
     def parameters(self) -> FloatArray:
-        """(7,)."""
+        """(12,)."""
         return self.border[:PARAMETERS]
 
     @property
     def y_AL(self) -> FloatArray:
         """(n, 2) places of the tags."""
-        return self.border[PARAMETERS:].reshape(-1, 2)
+        return self.border[PARAMETERS : PARAMETERS + 2 * len(self.ids)].reshape(-1, 2)
+
+    @property
+    def walls(self) -> FloatArray:
+        """(w, 2) angle of the normal and distance from the anchor of each wall."""
+        return self.border[PARAMETERS + 2 * len(self.ids) :].reshape(-1, 2)
+
+    @property
+    def has_lengths(self) -> bool:
+        """Whether anything but odometry measured lengths."""
+        return len(self.border) > PARAMETERS
 
 
 @message
 class TurnFrame:
     """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
     frame's tags. twist: (2,) forward speed (m/s) and turn rate (rad/s) then. offset: s, the camera's clock was taken to
-    be so much ahead: the frame's own stamp is later by that."""
+    be so much ahead: the frame's own stamp is later by that. lines: (k, 7) of a scan of that instant, see
+    `scan_lines`. only_scan: the camera took no frame then."""
 
     stamp: float
     clock: float
@@ -117,6 +135,8 @@ class TurnFrame:
     detections: TagDetections
     twist: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     offset: float = 0.0
+    lines: FloatArray = dataclasses.field(default_factory=no_lines)
+    only_scan: bool = False
 
 
 def no_detections(stamp: float) -> TagDetections:
@@ -134,9 +154,9 @@ def no_detections(stamp: float) -> TagDetections:
 
 @message
 class Reduced:
-    """A turn or piece reduced. sightings: (n,) detections behind each of its tags. dropped: number of detections left
-    out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in A. sample: what its noise is learnt from, None where
-    no tag was seen or the wheels slipped."""
+    """A turn or piece reduced. sightings: (n,) detections or looks behind each of its landmarks; walls have provisional
+    ids, see `walls`. dropped: number of detections left out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in
+    A. sample: what its noise is learnt from, None where nothing was seen or the wheels slipped."""
 
     keyframe: Keyframe
     sightings: IntArray
@@ -149,7 +169,8 @@ class Reduced:
 @message
 class Sample:
     """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB and
-    X_AB (t, 3), border (7 + 2n,). node, tag, z, prior, of_prior: as of `_Ties`, z with the sensor's sigmas."""
+    X_AB (t, 3), border (12 + 2n + 2w,). node, tag, z, prior, of_prior, looks: as of `_Ties`, z with the
+    sensor's sigmas."""
 
     clock: FloatArray
     X_OB: FloatArray
@@ -160,11 +181,12 @@ class Sample:
     border: FloatArray
     prior: FloatArray
     of_prior: FloatArray
+    looks: Looks
 
     def misfit(self, noise: Noise) -> float:
         """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
         marginalised out."""
-        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z)
+        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z, self.looks)
         own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
         return own + misfit_of_chain(ties, self.X_AB, self.border)
 
@@ -185,38 +207,50 @@ def reduced(
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in (*frames, end)]
     counts = [len(detections.ids) for detections in seen]
-    z = np.empty((sum(counts), 7))
+    z = np.empty((sum(counts), 8))
     z[:, 0] = np.concatenate([detections.bearing for detections in seen])
     z[:, 1] = np.concatenate([detections.range for detections in seen])
     z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
     z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
     z[:, 4:6] = np.repeat([frame.twist for frame in (*frames, end)], counts, axis=0)
     z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
+    z[:, 7] = np.repeat(np.cumsum([not frame.only_scan for frame in (*frames, end)]), counts)
     ids = np.concatenate([detections.ids for detections in seen])
 
-    problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z)
     X_AB = se2.between(X_OB[0], X_OB)
-    kept, slipped = np.ones(len(ids), dtype=bool), False
+    lines = [frame.lines for frame in (*frames, end)]
+    of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
+    twist = np.repeat([frame.twist for frame in (*frames, end)], [len(one) for one in lines], axis=0)
+    looked = of_line, np.concatenate(lines), twist, 1.0 + float(shared.mean[RANGE_SCALE])
+    looks = grouped(*looked, X_AB)
+    problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
+    kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
     solution = _solved(noise, shared, problem, X_AB, kept)
+    # By odometry a wall that was seen again after a turn round may seem to be another.
+    again = grouped(*looked, solution.X_AB)
+    if len(again.anchor) < len(looks.anchor):
+        problem = problem._replace(looks=again)
+        solution = _solved(noise, shared, problem, solution.X_AB, kept)
     if np.any(_outliers(solution)):
         solution, kept = _without_outliers(noise, shared, problem, X_AB)
-        unexplained = int(np.sum(~kept))
+        unexplained = int(np.sum(~kept[: len(ids)]))
         if unexplained >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
             slipping = replace(noise, walks=np.maximum(noise.walks, SLIPPING))
             by_time = problem._replace(clock=stamps)
             other, other_kept = _without_outliers(slipping, shared, by_time, X_AB)
-            left = int(np.sum(~other_kept))
+            left = int(np.sum(~other_kept[: len(ids)]))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept, slipped = other, other_kept, True
-    scale = 1.0 + _unit(solution, shared)[1]
+    scale, kept = 1.0 + _unit(solution, shared)[1], kept[: len(ids)]
+    one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept))
     return Reduced(
-        keyframe=_keyframe(solution, shared, _on_error(solution, problem, kept)),
-        sightings=solution.sightings,
+        keyframe=one,
+        sightings=np.append(walls, solution.sightings),
         dropped=int(np.sum(~kept)),
         stamps=stamps,
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
-        sample=_sample(problem, solution, kept) if kept.any() and not slipped else None,
+        sample=_sample(problem, solution, kept) if solution.has_lengths and not slipped else None,
     )
 
 
@@ -224,39 +258,45 @@ def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
     tag = np.searchsorted(solution.ids, problem.ids[kept])
     node, z = problem.node[kept], problem.z[kept]
     border, prior, of_prior = solution.border, solution.prior, solution.of_prior
-    return Sample(problem.clock, problem.X_OB, solution.X_AB, node, tag, z, border, prior, of_prior)
+    return Sample(problem.clock, problem.X_OB, solution.X_AB, node, tag, z, border, prior, of_prior, solution.looks)
 
 
 def _unit(solution: _Solution, shared: Shared) -> tuple[int, float]:
     """The parameter that is the scale of a solution's lengths, and its value."""
-    unit = RANGE_SCALE if len(solution.ids) else DISTANCE_SCALE
+    unit = RANGE_SCALE if solution.has_lengths else DISTANCE_SCALE
     return unit, float(shared.mean[unit])
 
 
-def _by_shared(mean: FloatArray, *, has_tags: bool) -> FloatArray:
-    """(7, 8) derivative of a chain's parameters on the shared ones where these are `mean` (8,)."""
+def _by_shared(mean: FloatArray, *, has_lengths: bool) -> FloatArray:
+    """(12, 13) derivative of a chain's parameters on the shared ones where these are `mean` (13,)."""
     on = np.eye(PARAMETERS, SHARED)
     ranges = 1.0 + mean[RANGE_SCALE]
-    on[0, DISTANCE_SCALE] = 1.0 / ranges if has_tags else 0.0
-    on[0, RANGE_SCALE] = -(1.0 + mean[DISTANCE_SCALE]) / ranges**2 if has_tags else 0.0
+    on[0, DISTANCE_SCALE] = 1.0 / ranges if has_lengths else 0.0
+    on[0, RANGE_SCALE] = -(1.0 + mean[DISTANCE_SCALE]) / ranges**2 if has_lengths else 0.0
     return on
 
 
-def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> Keyframe:
+def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> tuple[Keyframe, IntArray]:
+    """The keyframe, its walls as pairs of points before its tags, and how many looks there are at each such point."""
     n, unit = len(solution.ids), _unit(solution, shared)[0]
-    on = _by_shared(shared.mean, has_tags=bool(n))
-    # From (D, parameters, tags) to (tags, D, shared parameters).
-    J = np.zeros((TAGS + 2 * n, 2 * n + 3 + SHARED))
-    J[TAGS:, : 2 * n], J[:3, 2 * n : 2 * n + 3] = np.eye(2 * n), np.eye(3)
-    J[3:TAGS, 2 * n + 3 :] = on
+    of_walls = slice(TAGS + 2 * n, None)
+    ids, p_AL, on_points, counts, floor = pairs_of(solution.looks, solution.walls, solution.X_AB)
+    information, gradient, rows = *with_floor(solution.information, solution.gradient, floor, of_walls), 2 * len(ids)
+    # From (D, parameters, tags, walls) to (points of walls, tags, D, shared parameters).
+    J = np.zeros((len(information), rows + 2 * n + 3 + SHARED))
+    J[of_walls, :rows], J[TAGS : TAGS + 2 * n, rows : rows + 2 * n] = on_points, np.eye(2 * n)
+    J[:3, rows + 2 * n : -SHARED] = np.eye(3)
+    J[3:TAGS, -SHARED:] = _by_shared(shared.mean, has_lengths=solution.has_lengths)
     at = shared.mean.copy()
     found = solution.parameters
-    at[1 : CLOCK + 1] = found[1:]
-    if n:
+    at[1:PARAMETERS] = found[1:]
+    if solution.has_lengths:
         at[DISTANCE_SCALE] = (1.0 + found[0]) * (1.0 + at[RANGE_SCALE]) - 1.0
-    y = np.append(solution.y_AL.ravel(), solution.X_AB[-1])
-    W, g = J.T @ solution.information @ J, J.T @ solution.gradient
-    return keyframe(solution.ids, y, at, unit, W, g, on_error)
+    y = np.concatenate([p_AL.ravel(), solution.y_AL.ravel(), solution.X_AB[-1]])
+    W, g = J.T @ information @ J, J.T @ gradient
+    W[:rows, :rows] += along_walls(p_AL)
+    on_error = np.concatenate([np.zeros((len(ids), 2, 2)), on_error])
+    return keyframe(np.append(ids, solution.ids), y, at, unit, W, g, on_error), counts
 
 
 def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:
@@ -279,23 +319,26 @@ def _ties(
     node: IntArray,
     tag: IntArray,
     z: FloatArray,
+    looks: Looks,
 ) -> _Ties:
     """What ties poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
-        order = np.lexsort([node, tag])
+        order, frame = np.lexsort([node, tag]), z[:, 7]
         again = np.flatnonzero(np.diff(tag[order]) == 0)
         after = order[again + 1]
         before[after] = order[again]
-        left[after] = noise.correlation ** (node[after] - node[order[again]])
+        left[after] = noise.correlation ** (frame[after] - frame[order[again]])
     z = z.copy()
     z[:, 2:4] *= noise.tags
-    return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left)
+    return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left, looks)
 
 
 def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
     """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    robust = _solved(noise, shared, problem, X_AB, np.ones(len(problem.ids), dtype=bool), HUBER_SIGMAS)
+    robust = _solved(
+        noise, shared, problem, X_AB, np.ones(len(problem.ids) + len(problem.looks.node), bool), HUBER_SIGMAS
+    )
     kept = ~_outliers(robust)
     return _solved(noise, shared, problem, robust.X_AB, kept), kept
 
@@ -315,24 +358,27 @@ def _solved(
 ) -> _Solution:
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
     sigmas, for which all noise is white."""
+    looks, kept = problem.looks.kept(kept[len(problem.ids) :]), kept[: len(problem.ids)]
     node, z, X_AB = problem.node[kept], problem.z[kept], X_AB.copy()
     ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
-    on = _by_shared(shared.mean, has_tags=bool(len(ids)))
+    has_lengths = bool(len(ids) + len(looks.node))
+    on = _by_shared(shared.mean, has_lengths=has_lengths)
     prior = shared.mean[:PARAMETERS].copy()
-    prior[0] = (1.0 + prior[0]) / (1.0 + shared.mean[RANGE_SCALE]) - 1.0 if len(ids) else 0.0
+    prior[0] = (1.0 + prior[0]) / (1.0 + shared.mean[RANGE_SCALE]) - 1.0 if has_lengths else 0.0
     covariance = on @ shared.covariance @ on.T
-    if not len(ids):
+    if not has_lengths:
         covariance[0, 0] = 1.0 / HELD
     of_prior = np.asarray(np.linalg.inv(covariance), dtype=float)
     border = np.append(prior, np.empty(2 * len(ids)))
     angle = X_AB[node, 2] + z[:, 0]
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
         border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
+    border = np.append(border, looks.first(X_AB).ravel())
     noise = replace(noise, correlation=0.0) if math.isfinite(huber) else noise
-    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z)
+    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z, looks)
     information, gradient, squared = solved_chain(ties, X_AB, border, huber)
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
-    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior)
+    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior, looks)
 
 
 def _nodes(
@@ -358,22 +404,25 @@ def _nodes(
 def solved_chain(
     ties: _Ties, X: FloatArray, border: FloatArray, huber: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Bring the poses X (t, 3), the first of which is fixed, and the border (7 + 2n,), parameters and tags, to the
-    least squares, in place. huber: threshold of a robust solution, in sigmas, for which no noise may be correlated.
+    """Bring the poses X (t, 3), the first of which is fixed, and the border (12 + 2n + 2w,), parameters, tags and
+    walls, to the least squares, in place. huber: threshold of a robust solution, in sigmas, for which no noise may be
+    correlated.
 
-    Returns the information (10 + 2n, 10 + 2n) of the frames alone on (D, parameters, tags), the gradient (10 + 2n,)
-    there, and the squared errors (m,) of the sightings, in sigmas.
+    Returns the information (15 + 2n + 2w, 15 + 2n + 2w) of the frames alone on (D, parameters, tags, walls), the
+    gradient there, and the squared errors of the sightings and of the looks, in sigmas.
     """
     size, (increments, covariance) = 3 + len(border), _motions(ties)
     prior, of_prior = ties.prior, ties.of_prior
     chain, rest = _normal_equations(len(X), size)
-    squared, step_X, step = np.empty(len(ties.node)), np.zeros((len(X), 3)), np.zeros(size)
+    sightings = len(ties.node)
+    squared, step_X, step = np.empty(sightings + len(ties.looks.node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
         chain.fill(0.0)
         rest.fill(0.0)
         new_cost = _add_odometry(ties, X, border, increments, covariance, chain, rest)
-        new_cost += _add_sightings(ties, X, border, huber, chain, rest, squared)
+        new_cost += _add_sightings(ties, X, border, huber, chain, rest, squared[:sightings])
+        new_cost += _add_looks(ties.looks, X, border, huber, chain, rest, squared[sightings:])
         for a in range(PARAMETERS):
             for b in range(PARAMETERS):
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -407,6 +456,7 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
     for one in covariance:
         misfit += 0.5 * math.log(np.linalg.det(one))
     misfit += _add_sightings(ties, X, border, math.inf, chain, rest, np.empty(len(ties.node)))
+    misfit += _add_looks(ties.looks, X, border, math.inf, chain, rest, np.empty(len(ties.looks.node)))
     for a in range(PARAMETERS):
         for b in range(PARAMETERS):
             misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -590,6 +640,78 @@ def _add_sightings(
                 rest[3 + k + a, 3 + k + b] += _dot(fresh, 10 + a, 10 + b)
             rest[3 + k + a, -1] += _dot(fresh, 10 + a, last)
     return cost
+
+
+@njit(cache=True)
+def _add_looks(
+    looks: Looks,
+    X: FloatArray,
+    border: FloatArray,
+    huber: float,
+    chain: FloatArray,
+    rest: FloatArray,
+    squared: FloatArray,
+) -> float:
+    """Add the normal equations of the looks at walls and set their squared errors (q,), in sigmas; returns the cost.
+
+    A look tells the direction of a wall, and how far a point in the middle of what was seen is from it.
+    """
+    cost, rows, last = 0.0, np.zeros((2, 11)), 10
+    begin = len(border) - 2 * len(looks.anchor)
+    yaw, ahead, aside, clock, sweep = border[7], border[8], border[9], border[10], border[11]
+    for j in range(len(looks.node)):
+        i, w, (normal, m_x, m_y, sigma_angle, sigma_offset, speed, rate) = looks.node[j], looks.wall[j], looks.seen[j]
+        k, bearing = begin + 2 * w, math.atan2(m_y, m_x)
+        # Rays of a line that are taken one after the other turn it, too.
+        of_line = bearing + 0.5 * math.sin(2.0 * (bearing - normal))
+        earlier = clock + sweep * bearing
+        c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
+        lever_x, lever_y = c * (ahead - earlier * speed) - s * aside, s * (ahead - earlier * speed) + c * aside
+        turned = X[i, 2] + yaw - earlier * rate
+        d_x, d_y = math.cos(turned), math.sin(turned)
+        m_x, m_y = d_x * m_x - d_y * m_y, d_y * m_x + d_x * m_y
+        p_x, p_y = lever_x + m_x, lever_y + m_y
+        x, y = X[i, 0] + p_x - looks.anchor[w, 0], X[i, 1] + p_y - looks.anchor[w, 1]
+        n_x, n_y = math.cos(border[k]), math.sin(border[k])
+        turn = wrap(border[k] - X[i, 2] - yaw + (clock + sweep * of_line) * rate - normal) / sigma_angle
+        off = (n_x * x + n_y * y - border[k + 1]) / sigma_offset
+        squared[j] = turn * turn + off * off
+        sigmas, weight = math.sqrt(squared[j]), 1.0
+        if sigmas > huber:
+            weight = math.sqrt(huber / sigmas)
+            cost += 0.5 * huber * (sigmas - huber)
+        one, other = weight / sigma_angle, weight / sigma_offset
+        n_ahead, by_turn = other * (c * n_x + s * n_y), other * (n_y * m_x - n_x * m_y)
+        rows[0, 2], rows[0, 3], rows[0, 6], rows[0, 7] = -one, -one, one * rate, one * rate * of_line
+        rows[0, 8], rows[0, last] = one, weight * turn
+        rows[1, 0], rows[1, 1], rows[1, 2] = other * n_x, other * n_y, other * (n_y * p_x - n_x * p_y)
+        rows[1, 3], rows[1, 4], rows[1, 5] = by_turn, n_ahead, other * (c * n_y - s * n_x)
+        rows[1, 6] = -speed * n_ahead - rate * by_turn
+        rows[1, 7] = bearing * rows[1, 6]
+        rows[1, 8], rows[1, 9], rows[1, last] = other * (n_x * y - n_y * x), -other, weight * off
+        cost += 0.5 * _dot(rows, last, last)
+        of_pose, at = (rest[:3], 3) if i == len(X) - 1 else (chain[i], 6)
+        for a in range(3):
+            for b in range(3):
+                of_pose[a, b] += _dot(rows, a, b)
+            _add_wall(of_pose[a], at, k, rows, a)
+        for a in range(5):
+            _add_wall(rest[SCANNER + a], 3, k, rows, 3 + a)
+        for a in range(2):
+            for b in range(2):
+                rest[3 + k + a, 3 + k + b] += _dot(rows, 8 + a, 8 + b)
+            rest[3 + k + a, -1] += _dot(rows, 8 + a, last)
+    return cost
+
+
+@njit(cache=True)
+def _add_wall(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
+    """Add a column's products with scanner, wall and error, whose border begins in the row at `begin`."""
+    for b in range(5):
+        row[begin + 7 + b] += _dot(rows, column, 3 + b)
+    for b in range(2):
+        row[begin + k + b] += _dot(rows, column, 8 + b)
+    row[-1] += _dot(rows, column, 10)
 
 
 @njit(cache=True)

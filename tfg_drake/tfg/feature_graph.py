@@ -10,7 +10,7 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
 from tfg_drake.tfg.frontier import FrontierPoints, join, no_points, place_points, select
-from tfg_drake.tfg.near import of_landmarks, within
+from tfg_drake.tfg.near import within
 from tfg_drake.tfg.polyline import taken
 from tfg_drake.tfg.surfaces import Surfaces, no_surfaces, place
 
@@ -127,7 +127,7 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
     )
     anchors = np.concatenate([part.tag_ids, part.surfaces.ids.ravel(), estimate.observation.ids])
     landmarks = near(estimate.p_ML) | np.isin(estimate.ids, anchors)
-    return Part(surfaces, tags, views, points, part, of_landmarks(estimate, landmarks))
+    return Part(surfaces, tags, views, points, part, estimate.of_landmarks(landmarks))
 
 
 def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, replace
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate
 
 # On a large map places up to this distance from the newest view are near, m: twice as far as most sensors see, and as
 # far as the order in which the frontiers are best visited depends on the map.
@@ -25,19 +25,3 @@ def radius_of(estimate: MapEstimate) -> float:
 def within(points: FloatArray, place: FloatArray, radius: float) -> BoolArray:
     """Which points (n, 2) lie within a radius (m) of a place or pose (2 or 3,), (n,)."""
     return np.asarray(np.hypot(points[:, 0] - place[0], points[:, 1] - place[1]) <= radius)
-
-
-def of_landmarks(estimate: MapEstimate, keep: BoolArray) -> MapEstimate:
-    """The map with some of its landmarks (n,) only, and with all its views."""
-    joint = keep[estimate.local]
-    rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
-    with_parameters = np.append(rows, np.ones(len(estimate.shared), dtype=np.bool_))
-    return replace(
-        estimate,
-        ids=estimate.ids[keep],
-        p_ML=estimate.p_ML[keep],
-        local=(np.cumsum(keep) - 1)[estimate.local[joint]],
-        covariance=estimate.covariance if joint.all() else estimate.covariance[np.ix_(rows, rows)],
-        landmark_covariance=estimate.landmark_covariance[keep],
-        with_shared=estimate.with_shared[with_parameters] if len(estimate.shared) else estimate.with_shared,
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -57,7 +58,8 @@ def load_map(
 def furnish(
     world: World, robot_radius: float, tag_spacing: float | None, start: Sequence[float] | FloatArray | None
 ) -> World:
-    """The world with another start X_WS (x, y, yaw) and with tags every tag_spacing (m), each where it is not None.
+    """The world with another start X_WS (x, y, yaw) and with tags every tag_spacing (m, inf: none), each where it is
+    not None.
 
     Raises WorldError as check_world does, before and after tags are placed.
     """
@@ -66,7 +68,7 @@ def furnish(
         raise WorldError(f"world.start: expected x, y, yaw, found {X_WS.size} numbers")
     moved = replace(world, start=X_WS) if tag_spacing is None else bare_world(world.walls, X_WS)
     check_world(moved, robot_radius)
-    if tag_spacing is None:
+    if tag_spacing is None or math.isinf(tag_spacing):
         return moved
     ids, p_WT, facing = place_tags(world.walls, X_WS, tag_spacing, robot_radius)
     return replace(moved, tag_ids=ids, p_WT=p_WT, tag_facing=facing)

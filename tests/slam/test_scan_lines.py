@@ -1,0 +1,118 @@
+"""Lines of single scans, against simulated scans of known walls."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tfg_drake.config import ScanConfig
+from tfg_drake.geometry import se2
+from tfg_drake.simulation.laser_scanner import ray_angles, scan
+from tfg_drake.slam.scan_lines import LENGTH, scan_lines
+
+CONFIG = ScanConfig()
+ANGLES = ray_angles(CONFIG)
+# A room of 8 m by 6 m with a wall across and a pillar.
+WALLS = np.array(
+    [
+        [-4.0, -3.0, 4.0, -3.0],
+        [4.0, -3.0, 4.0, 3.0],
+        [4.0, 3.0, -4.0, 3.0],
+        [-4.0, 3.0, -4.0, -3.0],
+        [1.0, -1.0, 1.0, 1.5],
+        [-2.0, 1.0, -1.8, 1.0],
+    ]
+)
+
+
+def seen(walls, X_WB, rng=None, config=CONFIG):
+    normal = np.zeros(len(ANGLES)) if rng is None else rng.normal(size=len(ANGLES))
+    return scan(walls, np.asarray(X_WB, dtype=float), 0.0, ANGLES, normal, config)
+
+
+def errors(walls, X_WB, line):
+    """The line's errors of angle and of the distance at its middle in deviations, by the wall it is nearest to; and the
+    ends of what was seen of that wall, m along it, and its length."""
+    angle, offset, begin, end, middle, sigma_angle, sigma = line
+    n = np.array([math.cos(angle + X_WB[2]), math.sin(angle + X_WB[2])])
+    along, best = np.array([-n[1], n[0]]), None
+    for p, q in zip(walls[:, :2], walls[:, 2:], strict=True):
+        length = np.hypot(*(q - p))
+        t = (q - p) / length
+        normal = np.array([t[1], -t[0]])
+        normal = normal if normal @ (p - X_WB[:2]) > 0.0 else -normal
+        turned = math.atan2(normal[0] * n[1] - normal[1] * n[0], normal @ n)
+        off = float(normal @ (X_WB[:2] + offset * n + middle * along - p))
+        reach = sorted(float(t @ (X_WB[:2] + offset * n + s * along - p)) for s in (begin, end))
+        if abs(turned) < 0.3 and abs(off) < 0.2 and reach[0] < length and reach[1] > 0.0:
+            best = np.array([turned / sigma_angle, off / sigma]), reach, length
+    return best
+
+
+def test_exact_without_noise():
+    X_WB = np.array([-1.0, -0.5, 0.2])
+    lines = scan_lines(seen(WALLS, X_WB)).lines
+    assert len(lines) >= 2
+    for line in lines:
+        off, reach, length = errors(WALLS, X_WB, line)
+        np.testing.assert_allclose(off, 0.0, atol=1e-6)
+        assert -1e-9 < reach[0] < reach[1] < length + 1e-9
+
+
+def test_errors_are_as_large_as_stated():
+    rng, found = np.random.default_rng(3), []
+    for _ in range(400):
+        X_WB = np.append(rng.uniform([-3.5, -2.5], [3.5, 2.5]), rng.uniform(-math.pi, math.pi))
+        for line in scan_lines(seen(WALLS, X_WB, rng)).lines:
+            off, reach, length = errors(WALLS, X_WB, line)
+            assert reach[0] > -0.05
+            assert reach[1] < length + 0.05
+            found.append(off)
+    found = np.array(found)
+    assert len(found) > 800
+    assert np.all((found.std(axis=0) > 0.9) & (found.std(axis=0) < 1.1))
+    assert np.all(np.abs(found.mean(axis=0)) < 3.0 / math.sqrt(len(found)))
+    assert np.abs(found).max() < 5.5
+    assert abs(np.corrcoef(found.T)[0, 1]) < 0.1
+
+
+def test_a_person_and_a_pillar_are_no_line():
+    rng, round_one = np.random.default_rng(1), np.linspace(0.0, 2.0 * math.pi, 41)
+    ring = 0.25 * np.column_stack([np.cos(round_one), np.sin(round_one)]) + [2.0, 0.0]
+    person = np.column_stack([ring[:-1], ring[1:]])
+    for x in np.linspace(-1.0, 1.0, 20):
+        assert not len(scan_lines(seen(person, [x, 0.0, 0.0], rng)).lines)
+    short = np.array([[2.0, -0.2, 2.0, 0.2]])
+    assert LENGTH > 0.4
+    assert not len(scan_lines(seen(short, [0.0, 0.0, 0.0], rng)).lines)
+
+
+def test_a_lost_ray_parts_no_wall():
+    whole = seen(WALLS[1:2], [0.0, 0.0, 0.0], np.random.default_rng(2))
+    ranges = whole.ranges.copy()
+    ranges[[100, 130]] = np.nan
+    (one,) = scan_lines(dataclasses.replace(whole, ranges=ranges)).lines
+    (all_rays,) = scan_lines(whole).lines
+    np.testing.assert_allclose(one[:4], all_rays[:4], atol=2e-3)
+
+
+def test_a_noisier_scanner_than_told_says_so():
+    loud, rng, found = dataclasses.replace(CONFIG, noise=0.03), np.random.default_rng(5), []
+    for _ in range(100):
+        X_WB = np.append(rng.uniform([-3.5, -2.5], [0.5, 2.5]), rng.uniform(-math.pi, math.pi))
+        told = dataclasses.replace(seen(WALLS, X_WB, rng, loud), sigma=CONFIG.noise)
+        found += [errors(WALLS, X_WB, line)[0] for line in scan_lines(told).lines]
+    assert len(found) > 150
+    assert np.all(np.std(found, axis=0) < 1.3)
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.0, 3.0])
+def test_a_corner_has_two_walls_that_meet_at_a_right_angle(turned):
+    X_WB = np.array([2.5, 1.5, 0.8 + turned])
+    corner = se2.transform(se2.inverse(np.array([0.0, 0.0, turned])), WALLS[1:3].reshape(-1, 2)).reshape(-1, 4)
+    X_WB[:2] = se2.transform(se2.inverse(np.array([0.0, 0.0, turned])), X_WB[None, :2])[0]
+    X_WB[2] -= 2.0 * turned
+    lines = scan_lines(seen(corner, X_WB, np.random.default_rng(7))).lines
+    assert len(lines) == 2
+    assert abs(abs(se2.wrap_angle(lines[1, 0] - lines[0, 0])) - 0.5 * math.pi) < 0.03

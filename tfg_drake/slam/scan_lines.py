@@ -1,0 +1,168 @@
+"""The straight pieces of wall that one laser scan sees, each as a line with its covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, message
+
+# Least length of a line, m, and number of its rays.
+LENGTH, RAYS = 0.5, 8
+# Rays that meet the line more slantwise than this are left out (cosine of 75 degrees).
+SLANT = math.cos(math.radians(75.0))
+# Neighbouring rays are on one surface where their ranges differ by no more than those of a plane seen at SLANT, and by
+# this, m, and four deviations beside.
+STEP = 0.01
+# A stretch is cut at the ray farthest from its chord where that is more than so many deviations off.
+SPLIT = 4.0
+# Rays left out at either end: they may be on the next surface.
+TRIM = 1
+# Squared errors of the rays and their bend, in deviations, beyond which a stretch is not straight by chance.
+STRAIGHT = 3.5
+# Median of what is normal, in deviations.
+NORMAL = 0.6745
+# Least standard deviation of a range, m: no wall is straighter.
+LEAST_SIGMA = 0.002
+
+
+@message
+class ScanLines:
+    """n straight pieces seen by one scan, in the scanner's frame.
+
+    stamp: s. lines: (n, 7): angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0;
+    offset (m); where along the line, m from the foot of the perpendicular along the normal turned left by 90 degrees,
+    the seen piece begins and ends, and its middle, where the errors of angle and of distance normal to the line are
+    uncorrelated; standard deviations of the angle (rad) and of that distance (m), by the noise of the rays alone.
+    """
+
+    stamp: float
+    lines: FloatArray
+
+
+def scan_lines(scan: LaserScan) -> ScanLines:
+    """The straight pieces that the scan sees, at least LENGTH long and of RAYS rays."""
+    r = scan.ranges[np.isfinite(scan.ranges)]
+    # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
+    bent = float(np.median(np.abs(np.diff(r, 2)))) / (NORMAL * math.sqrt(6.0)) if len(r) > RAYS else 0.0
+    return ScanLines(scan.stamp, _lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
+
+
+@njit(cache=True)
+def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> FloatArray:
+    rays = np.flatnonzero((ranges > 0.0) & (ranges < range_max - 3.0 * sigma))
+    x, y, r = ranges[rays] * np.cos(angles[rays]), ranges[rays] * np.sin(angles[rays]), ranges[rays]
+    found, n = np.empty((len(rays) // RAYS + 1, 7)), 0
+    # Stretches that are still to be looked at, the first on top.
+    begin = len(rays)
+    stack = np.empty((len(rays) + 1, 2), dtype=np.int64)
+    top, end = 0, len(rays)
+    for i in range(len(rays) - 1, -1, -1):
+        if i == 0 or _apart(i - 1, i, rays, angles, r, sigma):
+            stack[top, 0], stack[top, 1] = i, end
+            top, end = top + 1, i
+    while top:
+        top -= 1
+        begin, end = stack[top]
+        if end - begin < RAYS:
+            continue
+        last = end - 1
+        dx, dy = x[last] - x[begin], y[last] - y[begin]
+        length = math.hypot(dx, dy)
+        worst, at = 0.0, begin
+        for i in range(begin + 1, last):
+            off = abs(dx * (y[i] - y[begin]) - dy * (x[i] - x[begin])) / max(length, 1e-9)
+            cosine = max(abs(x[i] * dy - y[i] * dx) / max(length * r[i], 1e-9), 0.25)
+            off /= sigma * cosine
+            if off > worst:
+                worst, at = off, i
+        if worst > SPLIT and last - begin >= 2:
+            if not _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
+                stack[top, 0], stack[top, 1] = at, end
+                stack[top + 1, 0], stack[top + 1, 1] = begin, at + 1
+                top += 2
+                continue
+            n += 1
+        elif _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
+            n += 1
+    return found[:n].copy()
+
+
+@njit(cache=True)
+def _apart(i: int, j: int, rays: IntArray, angles: FloatArray, r: FloatArray, sigma: float) -> bool:
+    """Whether ray j, which follows ray i, is on another surface."""
+    if rays[j] - rays[i] > 3:
+        return True
+    step = angles[rays[j]] - angles[rays[i]]
+    return bool(abs(r[j] - r[i]) > min(r[i], r[j]) * step / SLANT + 4.0 * sigma + STEP)
+
+
+@njit(cache=True)
+def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
+    """Set the line (7,) of maximum likelihood through rays, but for TRIM at either end; whether it is one."""
+    x, y, r = x[TRIM : len(x) - TRIM], y[TRIM : len(y) - TRIM], r[TRIM : len(r) - TRIM]
+    m = len(x)
+    if m < RAYS - 2 * TRIM:
+        return False
+    m_x, m_y = x.mean(), y.mean()
+    angle = (
+        0.5 * math.atan2(2.0 * ((x - m_x) * (y - m_y)).sum(), ((x - m_x) ** 2 - (y - m_y) ** 2).sum()) + 0.5 * math.pi
+    )
+    offset = math.cos(angle) * m_x + math.sin(angle) * m_y
+    for _ in range(4):
+        c, s = math.cos(angle), math.sin(angle)
+        if offset < 0.0:
+            c, s, offset, angle = -c, -s, -offset, angle + math.pi
+        H00, H01, H11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(m):
+            normal, along = (c * x[i] + s * y[i]) / r[i], (-s * x[i] + c * y[i]) / r[i]
+            if normal < SLANT:
+                continue
+            # Range that the line says, and its derivatives.
+            error = (offset / normal - r[i]) / sigma
+            by_offset, by_angle = 1.0 / normal / sigma, -offset * along / (normal * normal) / sigma
+            H00 += by_angle * by_angle
+            H01 += by_angle * by_offset
+            H11 += by_offset * by_offset
+            g0 += by_angle * error
+            g1 += by_offset * error
+        det = H00 * H11 - H01 * H01
+        if not det > 1e-9 * H00 * H11:
+            return False
+        angle -= (H11 * g0 - H01 * g1) / det
+        offset -= (H00 * g1 - H01 * g0) / det
+    c, s = math.cos(angle), math.sin(angle)
+    if offset <= 0.0:
+        return False
+    squares, used, begin, end = 0.0, 0, np.inf, -np.inf
+    u2, bend = 0.0, 0.0
+    # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
+    V00, V01, V11 = H11 / det, -H01 / det, H00 / det
+    middle = V01 / V00
+    for i in range(m):
+        normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
+        if normal < SLANT:
+            continue
+        error = (offset / normal - r[i]) / sigma
+        squares += error * error
+        used += 1
+        begin, end = min(begin, along), max(end, along)
+    if used < RAYS - 2 * TRIM or end - begin < LENGTH:
+        return False
+    centre, half = 0.5 * (begin + end), 0.5 * (end - begin)
+    for i in range(m):
+        normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
+        if normal < SLANT:
+            continue
+        u = (3.0 * ((along - centre) / half) ** 2 - 1.0) * 0.5
+        bend += u * (offset / normal - r[i]) / sigma
+        u2 += u * u
+    freedoms = used - 2
+    if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
+        return False
+    line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle
+    line[5] = math.sqrt(V00)
+    line[6] = math.sqrt(max(V11 - V01 * V01 / V00, 1e-12))
+    return True

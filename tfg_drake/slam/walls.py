@@ -1,0 +1,325 @@
+"""Walls as landmarks: the lines that single scans see, tracked through a turn, and found again in the map.
+
+In a turn's solution a wall is a line (angle of its normal, distance from an anchor). In keyframe and map it is two
+points on it, of which each look tells the distance normal to the wall alone: so a wall moves, turns and is eliminated
+as tags are. Along the wall its first keyframe holds the points where they were first seen, which tells nothing else;
+others leave them free there. What a scan does not tell, as its way along a corridor, stays open.
+
+The points of wall w have the ids WALLS_BELOW - 2w - 2 and WALLS_BELOW - 2w - 1; in a turn, before it is known which
+walls they are, ids below PROVISIONAL. A normal points away from where the wall was seen from, so the two faces of one
+differ by pi.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
+from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.odometry_model import wrap
+
+PROVISIONAL = 2 * WALLS_BELOW
+# Two looks of a turn are at one wall where their directions differ by no more than this, rad, the middle of one is off
+# the other's line by no more than this, m, each beside three deviations, and what was seen overlaps.
+SAME_ANGLE, SAME_LINE = 0.05, 0.05
+# And beside this share of the distance, by which the heading may have wandered since.
+DRIFT = 0.02
+# What all looks of a keyframe at one wall share: its direction (rad) and distance (m) as a scanner sees it, no surface
+# being quite a plane.
+FLOOR = (1e-3, 2e-3)
+# Deviation (m) along a wall of its points, in the keyframe that they are of and in others.
+HELD, FREE = 0.01, 100.0
+# A wall is the map's where the squared error of both points is less than this (2 freedoms: 1 in 3000), its direction
+# differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
+GATE = 16.0
+SAME_DIRECTION = 0.9
+OVERLAP = 0.3
+# And where it must be is known better than this, m: else anything may be it.
+MOST_DEVIATION = 0.5
+# One that is off by no more than this, m, is neither that wall nor a new one: what is unclear waits.
+UNCLEAR = 0.4
+# Two walls of the map so near to each other, m, are one for whoever looks at both.
+ONE_WALL = 0.05
+# A new wall has been seen by so many looks, so long, m.
+LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
+
+
+class Looks(NamedTuple):
+    """q looks of a turn at w walls.
+
+    node, wall: (q,) pose and wall of each. seen: (q, 7) direction of the normal in B, rad, the middle of what was seen,
+    in B, the deviations of the direction and of the distance normal to it, and the robot's twist then. ends: (q, 2)
+    along the wall, from that middle. anchor: (w, 2) in A. name: (w,) of each wall.
+    """
+
+    node: IntArray
+    wall: IntArray
+    seen: FloatArray
+    ends: FloatArray
+    anchor: FloatArray
+    name: IntArray
+
+    def kept(self, keep: BoolArray) -> Looks:
+        """Some of the looks (q,)."""
+        walls, wall = np.unique(self.wall[keep], return_inverse=True)
+        return Looks(self.node[keep], wall, self.seen[keep], self.ends[keep], self.anchor[walls], self.name[walls])
+
+    def first(self, X_AB: FloatArray) -> FloatArray:
+        """(w, 2) the walls by the best look at each, from poses (t, 3)."""
+        X, walls = X_AB[self.node], np.empty((len(self.anchor), 2))
+        order = np.argsort(-self.seen[:, 3], kind="stable")
+        angle = X[:, 2] + self.seen[:, 0]
+        off = _in_frames(X, self.seen[:, 1:3]) - self.anchor[self.wall]
+        distance = np.cos(angle) * off[:, 0] + np.sin(angle) * off[:, 1]
+        walls[self.wall[order]] = np.column_stack([angle, distance])[order]
+        return walls
+
+
+@message
+class Walls:
+    """The walls of a map. first: (w,) ids of the first point of each, reach: (w, 2) how far each has been seen, m from
+    that point towards the second."""
+
+    first: IntArray
+    reach: FloatArray
+
+
+def no_walls() -> Walls:
+    """None yet."""
+    return Walls(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
+def no_lines() -> FloatArray:
+    """(0, 7) of a scan that saw none."""
+    return np.empty((0, 7))
+
+
+def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
+    """Points (q, 2) of frames (q, 3), where these are given."""
+    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
+    return np.column_stack([X[:, 0] + c * p[:, 0] - s * p[:, 1], X[:, 1] + s * p[:, 0] + c * p[:, 1]])
+
+
+def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, scale: float, X_AB: FloatArray) -> Looks:
+    """The lines (q, 7) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
+    robot. scale: of the turn's lengths."""
+    angle, (offset, begin, end, middle, deviation) = lines[:, 0], scale * lines[:, [1, 2, 3, 4, 6]].T
+    c, s = np.cos(angle), np.sin(angle)
+    seen = np.column_stack([angle, c * offset - s * middle, s * offset + c * middle, lines[:, 5], deviation, twist])
+    ends = np.column_stack([begin - middle, end - middle])
+    wall, newest = _grouped(X_AB[node, 2] + angle, _in_frames(X_AB[node], seen[:, 1:3]), ends, lines[:, 5], deviation)
+    anchor = _in_frames(X_AB[node[newest]], seen[newest, 1:3])
+    return Looks(node, wall, seen, ends, anchor, np.arange(len(newest)))
+
+
+@njit(cache=True)
+def _grouped(
+    angle: FloatArray, p_AM: FloatArray, ends: FloatArray, sigma_angle: FloatArray, sigma: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """The wall (q,) of each look in A, and the newest look (w,) at each wall."""
+    q = len(angle)
+    wall, newest, reach, walls = np.empty(q, dtype=np.int64), np.empty(q, dtype=np.int64), np.empty((q, 2)), 0
+    for j in range(q):
+        wall[j], nearest = -1, np.inf
+        for w in range(walls):
+            b = newest[w]
+            turned = abs(wrap(angle[j] - angle[b]))
+            if turned > SAME_ANGLE + 3.0 * math.hypot(sigma_angle[j], sigma_angle[b]):
+                continue
+            c, s = math.cos(angle[b]), math.sin(angle[b])
+            x, y = p_AM[j, 0] - p_AM[b, 0], p_AM[j, 1] - p_AM[b, 1]
+            off, along = abs(c * x + s * y), -s * x + c * y
+            drifted = SAME_LINE + DRIFT * math.hypot(p_AM[j, 0], p_AM[j, 1])
+            if off > drifted + 3.0 * (math.hypot(sigma[j], sigma[b]) + abs(along) * sigma_angle[b]):
+                continue
+            if along + ends[j, 1] < reach[w, 0] or along + ends[j, 0] > reach[w, 1]:
+                continue
+            if off < nearest:
+                nearest, wall[j] = off, w
+        w = wall[j]
+        if w < 0:
+            wall[j], newest[walls], reach[walls] = walls, j, ends[j]
+            walls += 1
+            continue
+        b = newest[w]
+        c, s = math.cos(angle[b]), math.sin(angle[b])
+        along = -s * (p_AM[j, 0] - p_AM[b, 0]) + c * (p_AM[j, 1] - p_AM[b, 1])
+        reach[w, 0], reach[w, 1] = min(reach[w, 0], along + ends[j, 0]), max(reach[w, 1], along + ends[j, 1])
+        newest[w] = j
+        reach[w] -= along
+    return wall, newest[:walls].copy()
+
+
+def pairs_of(
+    looks: Looks, walls: FloatArray, X_AB: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    """The walls (w, 2) of a solution as pairs of points, where each was seen to begin and to end: ids (2w,) ascending,
+    p_AL (2w, 2), derivative (2w, 4w) of the walls on the points, the number of looks (2w,) at each, and the covariance
+    (2w, 2w) of the walls' floor."""
+    w = len(walls)
+    n = np.column_stack([np.cos(walls[:, 0]), np.sin(walls[:, 0])])
+    along = np.column_stack([-n[:, 1], n[:, 0]])
+    middle = _in_frames(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
+    s = np.einsum("qi,qi->q", middle, along[looks.wall])
+    reach = np.column_stack([np.full(w, np.inf), np.full(w, -np.inf)])
+    np.minimum.at(reach[:, 0], looks.wall, s + looks.ends[:, 0])
+    np.maximum.at(reach[:, 1], looks.wall, s + looks.ends[:, 1])
+    order = np.argsort(-looks.name)
+    ids = PROVISIONAL - 2 * np.repeat(looks.name[order], 2) - np.tile([2, 1], w)
+    p_AL = (looks.anchor + walls[:, 1:] * n)[:, None] + reach[:, :, None] * along[:, None]
+    # A point at s along the wall moves by c - s angle normal to it.
+    length, on, floor = reach[:, 1] - reach[:, 0], np.zeros((2 * w, 4 * w)), np.zeros((2 * w, 2 * w))
+    for i, k in enumerate(order):
+        (begin, end), rows, columns = reach[k], slice(2 * k, 2 * k + 2), slice(4 * i, 4 * i + 4)
+        on[rows, columns] = np.kron([[1.0, -1.0], [end, -begin]], n[k]) / length[k]
+        at_middle = np.array([[1.0, 0.0], [0.5 * (begin + end), 1.0]])
+        floor[rows, rows] = at_middle @ np.diag(np.square(FLOOR)) @ at_middle.T
+    return ids, p_AL[order].reshape(-1, 2), on, np.repeat(np.bincount(looks.wall, minlength=w)[order], 2), floor
+
+
+def with_floor(
+    information: FloatArray, gradient: FloatArray, floor: FloatArray, of_walls: slice
+) -> tuple[FloatArray, FloatArray]:
+    """Information (u, u) and gradient (u,) on walls that are what a turn saw only but for a floor (2w, 2w)."""
+    if not len(floor):
+        return information, gradient
+    taken = np.linalg.solve(information[of_walls, of_walls] + np.linalg.inv(floor), information[of_walls])
+    anew = information - information[:, of_walls] @ taken
+    return 0.5 * (anew + anew.T), gradient - taken.T @ gradient[of_walls]
+
+
+def along_walls(p_AL: FloatArray, deviation: float = HELD) -> FloatArray:
+    """Information (4w, 4w) that holds pairs of points (2w, 2) along their walls."""
+    held = np.zeros((2 * len(p_AL), 2 * len(p_AL)))
+    for k in range(0, len(p_AL), 2):
+        along = p_AL[k + 1] - p_AL[k]
+        along /= np.hypot(*along)
+        block = np.outer(along, along) / deviation**2
+        held[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = held[2 * k + 2 : 2 * k + 4, 2 * k + 2 : 2 * k + 4] = block
+    return held
+
+
+@message
+class Names:
+    """Which walls of the map those of a turn are. provisional: (v,) ids of their first points, first: (v,) the map's,
+    p_AL: (v, 2, 2) m, the places of the points, is_new: (v,) whether the keyframe holds them along the wall."""
+
+    provisional: IntArray
+    first: IntArray
+    p_AL: FloatArray
+    is_new: BoolArray
+
+
+def named(one: Keyframe, names: Names, scale: float) -> Keyframe:
+    """A keyframe with its walls by their names; those without a name are marginalised out. scale: of its lengths."""
+    firsts = one.ids[~is_tag(one.ids)][::2]
+    nameless = firsts[~np.isin(firsts, names.provisional)]
+    one = without_tags(one, np.append(nameless, nameless + 1))
+    v = int(np.count_nonzero(~is_tag(one.ids))) // 2
+    if not v:
+        return one
+    at = [int(np.flatnonzero(names.provisional == id_)[0]) for id_ in one.ids[: 2 * v : 2]]
+    J, y_AL, ids, held = np.eye(len(one.information)), one.y_AL.copy(), one.ids.copy(), np.zeros(one.information.shape)
+    for k, row in enumerate(at):
+        q, of_wall = one.y_AL[2 * k : 2 * k + 2], slice(4 * k, 4 * k + 4)
+        length = float(np.hypot(*(q[1] - q[0])))
+        along = (q[1] - q[0]) / length
+        s = (scale * names.p_AL[row] - q[0]) @ along
+        # How far the points seen are between those named.
+        share = (np.array([0.0, length]) - s[0]) / (s[1] - s[0])
+        normal = np.array([along[1], -along[0]])
+        J[of_wall, of_wall] = np.kron(np.column_stack([1.0 - share, share]), np.outer(normal, normal))
+        y_AL[2 * k : 2 * k + 2] = q[0] + s[:, None] * along
+        held[of_wall, of_wall] = along_walls(y_AL[2 * k : 2 * k + 2], HELD if names.is_new[row] else FREE)
+        ids[2 * k], ids[2 * k + 1] = names.first[row], names.first[row] + 1
+    order = np.argsort(ids, kind="stable")
+    rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(J)))
+    W = J.T @ one.information @ J + held
+    return replace(
+        one,
+        ids=ids[order],
+        y_AL=y_AL[order],
+        information=(0.5 * (W + W.T))[np.ix_(rows, rows)],
+        on_error=one.on_error[order],
+    )
+
+
+def identified(one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstimate) -> tuple[Names, Walls]:
+    """Which walls of the map those of a keyframe are that begins at its newest pose, and which are new; the walls then.
+
+    counts: (n,) looks behind each landmark of the keyframe. What is unclear has no name.
+    """
+    p_AL, _, covariance = one.given(estimate.shared)
+    seen = np.flatnonzero(~is_tag(one.ids))[::2]
+    length = np.hypot(*(p_AL[seen + 1] - p_AL[seen]).T)
+    row, known = rows_of(walls.first, estimate.ids)
+    known &= estimate.is_local[row] if len(row) else known
+    at = np.flatnonzero(known)
+    entry = estimate.local_entry[row[at]]
+    P, reach, first = estimate.local_p_ML[entry[:, None] + [0, 1]], walls.reach.copy(), list(walls.first)
+    p_AL_known = se2.transform(se2.inverse(estimate.X_MD), P.reshape(-1, 2)).reshape(-1, 2, 2)
+    names: list[tuple[int, int, FloatArray, bool]] = []
+    taken, new_reach, next_id = np.zeros(len(at), dtype=bool), [], int(walls.first.min(initial=WALLS_BELOW)) - 2
+    # The longest first: of two pieces of one wall it is the wall.
+    for k in np.argsort(-length, kind="stable"):
+        pair, provisional = p_AL[seen[k] : seen[k] + 2], int(one.ids[seen[k]])
+        R = covariance[2 * seen[k] : 2 * seen[k] + 4, 2 * seen[k] : 2 * seen[k] + 4]
+        squared, off, s, overlap = _compared(pair, R, P, reach[at], entry, estimate)
+        agrees = squared < GATE
+        if agrees.any():
+            best = int(np.argmax(np.where(agrees, overlap, -np.inf)))
+            rivals = agrees & (np.abs(off - off[best]) > ONE_WALL)
+            if not rivals.any() and not taken[best]:
+                taken[best] = True
+                reach[at[best]] = min(reach[at[best], 0], s[best, 0]), max(reach[at[best], 1], s[best, 1])
+                names.append((provisional, first[at[best]], p_AL_known[best], False))
+        elif not np.any(off < UNCLEAR) and counts[seen[k]] >= LEAST_LOOKS and length[k] >= LEAST_LENGTH:
+            names.append((provisional, next_id, pair, True))
+            first.append(next_id)
+            new_reach.append((0.0, length[k]))
+            next_id -= 2
+    walls = Walls(np.array(first, dtype=np.int64), np.vstack([reach, np.reshape(new_reach, (-1, 2))]))
+    return Names(
+        provisional=np.array([name[0] for name in names], dtype=np.int64),
+        first=np.array([name[1] for name in names], dtype=np.int64),
+        p_AL=np.reshape([name[2] for name in names], (-1, 2, 2)),
+        is_new=np.array([name[3] for name in names], dtype=bool),
+    ), walls
+
+
+def _compared(
+    p_AL: FloatArray, R: FloatArray, P: FloatArray, reach: FloatArray, entry: IntArray, estimate: MapEstimate
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A pair of points (2, 2) seen from the newest pose, with covariance R (4, 4), and k walls of the map, at P
+    (k, 2, 2): the squared error (k,) in deviations and how far off (k,) m, infinite where they look another way or
+    hardly overlap; where along the wall (k, 2) m, and how much they overlap (k,) m. reach: as of Walls. entry: (k,) of
+    each first point among the landmarks known jointly."""
+    X_MD, joint = estimate.X_MD, estimate.covariance
+    Q = se2.transform(X_MD, p_AL)
+    along = P[:, 1] - P[:, 0]
+    length = np.hypot(*along.T)
+    along = along / length[:, None]
+    normal = np.column_stack([along[:, 1], -along[:, 0]])
+    apart, seen = Q - P[:, :1], Q[1] - Q[0]
+    s, e = np.einsum("kji,ki->kj", apart, along), np.einsum("kji,ki->kj", apart, normal)
+    overlap = np.minimum(reach[:, 1], s[:, 1]) - np.maximum(reach[:, 0], s[:, 0])
+    seen_length = float(np.hypot(*seen))
+    candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
+    squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
+    lever, newest = Q - X_MD[:2], np.arange(len(joint) - 3, len(joint))
+    for k in np.flatnonzero(candidates):
+        u, n = s[k] / length[k], normal[k]
+        columns = np.append(2 * entry[k] + np.arange(4), newest)
+        J = np.zeros((2, 7))
+        J[:, :2], J[:, 2:4], J[:, 4:6] = np.outer(u - 1.0, n), np.outer(-u, n), n
+        J[:, 6] = lever[:, 0] * n[1] - lever[:, 1] * n[0]
+        own = np.kron(np.eye(2), n @ se2.rotation(float(X_MD[2])))
+        S = J @ joint[np.ix_(columns, columns)] @ J.T + own @ R @ own.T
+        if np.trace(S) < 2.0 * MOST_DEVIATION**2:
+            squared[k] = e[k] @ np.linalg.solve(S, e[k])
+    return squared, off, s, overlap
