@@ -34,6 +34,8 @@ SLIP_EXPLAINS = 3
 SLIP_LEAVES = 1 / 3
 # Instants closer than this are one, s.
 SAME_INSTANT = 1e-6
+# The robot's twist at a scan is that of so long before and after, s.
+TWIST_SPAN = 0.25
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
 # Where a pose's and the border's parameters begin in the dense rest: D (3), the odometry's calibration (3: the scale of
@@ -220,8 +222,7 @@ def reduced(
     X_AB = se2.between(X_OB[0], X_OB)
     lines = [frame.lines for frame in (*frames, end)]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
-    twist = np.repeat([frame.twist for frame in (*frames, end)], [len(one) for one in lines], axis=0)
-    looked = of_line, np.concatenate(lines), twist, 1.0 + float(shared.mean[RANGE_SCALE])
+    looked = of_line, np.concatenate(lines), _twists(stamps, X_AB)[of_line], 1.0 + float(shared.mean[RANGE_SCALE])
     looks = grouped(*looked, X_AB)
     problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
@@ -252,6 +253,20 @@ def reduced(
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
         sample=_sample(problem, solution, kept) if solution.has_lengths and not slipped else None,
     )
+
+
+def _twists(stamps: FloatArray, X_AB: FloatArray) -> FloatArray:
+    """(t, 2) forward speed (m/s) and turn rate (rad/s) at each pose, in the mean of TWIST_SPAN to either side.
+
+    Those of a single step have its noise, which a clock would explain.
+    """
+    first, last = (
+        np.searchsorted(stamps, stamps - TWIST_SPAN),
+        np.searchsorted(stamps, stamps + TWIST_SPAN, "right") - 1,
+    )
+    span = np.maximum(stamps[last] - stamps[first], SAME_INSTANT)
+    moved = np.array([arc(X_AB[i], X_AB[j]) for i, j in zip(first, last, strict=True)])
+    return moved[:, ::2] / span[:, None]
 
 
 def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
