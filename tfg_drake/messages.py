@@ -174,7 +174,7 @@ class MapEstimate:
     information of one frame in a long sequence, as a share of an independent one's; below 1 where the noise is
     correlated in time. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing, rad.
     shared: (q,) the parameters that all keyframes share (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q, q) their
-    covariance with (p_ML[local] row by row, X_MD, shared).
+    covariance with (p_ML[local] row by row, X_MD, shared). by_walls: whether walls tell the pose at every view, too.
     """
 
     stage: int
@@ -194,6 +194,7 @@ class MapEstimate:
     tag_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     with_shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    by_walls: bool = False
 
     @property
     def is_doubtful(self) -> BoolArray:
@@ -203,7 +204,8 @@ class MapEstimate:
     @property
     def of_tags(self) -> MapEstimate:
         """The map without its walls."""
-        return self.of_landmarks(is_tag(self.ids))
+        tags = is_tag(self.ids)
+        return replace(self.of_landmarks(tags), by_walls=not tags.all())
 
     @property
     def is_joint(self) -> bool:

@@ -6,6 +6,7 @@ from tests.arrays import frozen
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
+    BETWEEN_VIEWS,
     TRACKING_DEVIATION,
     collision_probability,
     deviation_along,
@@ -199,3 +200,11 @@ def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the
     Q = odometry_covariance(np.zeros(3), points[1:], np.array([30.0]), np.array([60.0]), odometry)[0]
     assert sigma[1] ** 2 - sigma[0] ** 2 == pytest.approx(max(Q[0, 0], Q[1, 1]))
     assert sigma[0] > 0.02
+    # By walls it is told at the next view.
+    by_walls = replace(estimate, by_walls=True)
+    sigma_w = predicted_deviation(points, by_walls, tfg, TagSensorConfig(), odometry, 0.5)
+    Q = odometry_covariance(
+        np.zeros(3), points[1:], np.array([BETWEEN_VIEWS]), np.array([2.0 * BETWEEN_VIEWS]), odometry
+    )
+    assert sigma_w[0] == sigma[0]
+    assert sigma_w[1] ** 2 - sigma_w[0] ** 2 == pytest.approx(max(Q[0, 0, 0], Q[0, 1, 1]))

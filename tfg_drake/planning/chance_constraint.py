@@ -33,6 +33,8 @@ LOCALISATION_RANGE = 5.0
 LOCALISATION_TAGS = 10
 # The pose is what this much time of frames makes it, s.
 LOCALISATION_TIME = 1.0
+# The way between two views, at most, m.
+BETWEEN_VIEWS = 1.5
 # Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
 TRACKING_DEVIATION = 0.02
 # Surfaces that a robot at a point might touch are carried by landmarks this near, m, that face it with nothing between:
@@ -207,7 +209,8 @@ def predicted_deviation(
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
     field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
-    `speed` (m/s). The robot drives on while the frames come: everywhere TRACKING_DEVIATION is added or what odometry
+    `speed` (m/s), where walls are landmarks over BETWEEN_VIEWS of it at most. The robot drives on while the frames
+    come: everywhere TRACKING_DEVIATION is added or what odometry
     adds in that second, which bounds what the filter has not yet taken out, if that is more (by rollouts at one and at
     three times the usual noise the greater of both is enough). before: (n,) m, what it was found to be last,
     inf where it never was: where not enough landmarks are known jointly, far from the robot, it stays that.
@@ -246,6 +249,7 @@ def predicted_deviation(
         anchors = np.vstack([points[localised], estimate.X_MD[None, :2]])
         at_anchor = np.append(sigma[localised], 0.0)
         d, nearest = cKDTree(anchors).query(points[~localised])
+        d = _unseen(d, estimate)
         sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, odometry, speed))
     on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), odometry, speed))
     sigma = np.sqrt(sigma**2 + on_the_way)
@@ -278,8 +282,14 @@ def deviation_along(
     known = np.flatnonzero((in_view >= 2) | (np.arange(len(path)) == 0))
     s = np.append(0.0, np.cumsum(np.hypot(*step.T)))
     since = s[:, None] - s[known]
-    variance = sigma[known] ** 2 + _drift(np.maximum(since, 0.0), odometry, speed)
+    variance = sigma[known] ** 2 + _drift(_unseen(np.maximum(since, 0.0), estimate), odometry, speed)
     return np.asarray(np.sqrt(np.where(since >= 0.0, variance, np.inf).min(axis=1)))
+
+
+def _unseen(length: FloatArray, estimate: MapEstimate) -> FloatArray:
+    """What odometry alone tells of ways of these lengths, m, out of sight of tags: where walls are landmarks those that
+    are near tell the pose relative to them at every view."""
+    return np.minimum(length, BETWEEN_VIEWS) if estimate.by_walls else length
 
 
 def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
