@@ -1,4 +1,4 @@
-"""What walls are worth where tags are few, or none: whole missions, a spacing of tags a row.
+"""Missions where tags are few, or none, so that walls have to do: errors and NEES, a spacing of tags a row.
 
     python benchmarks/tag_spacing.py
     python benchmarks/tag_spacing.py --rows "paper, none" --seeds 3

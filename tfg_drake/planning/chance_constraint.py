@@ -287,8 +287,8 @@ def deviation_along(
 
 
 def _unseen(length: FloatArray, estimate: MapEstimate) -> FloatArray:
-    """What odometry alone tells of ways of these lengths, m, out of sight of tags: where walls are landmarks those that
-    are near tell the pose relative to them at every view."""
+    """The length, m, that only odometry measures, of ways of these lengths out of sight of tags: where walls are
+    landmarks the next view tells the pose relative to those that are near."""
     return np.minimum(length, BETWEEN_VIEWS) if estimate.by_walls else length
 
 

@@ -103,8 +103,8 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
 
 
 def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
-    """What all pairs say of the shared parameters: information (13, 13) and gradient (13,) where they are zero. worth:
-    the share of what it tells by the data sheet that one frame of many tells."""
+    """Information (13, 13) of all pairs on the shared parameters, and gradient (13,) where these are zero. worth: the
+    share of what it tells by the data sheet that one frame of many tells."""
     of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
     # Each tag's own error eliminated.
     M = worth * ranges.total - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
