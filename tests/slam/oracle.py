@@ -36,7 +36,7 @@ STEP = 1e-6
 
 def measured(X, p, shared, twist):
     """Range and bearing (m, 2) of points p (m, 2) by the camera of a robot at poses X (m, 3) and twists (m, 2)."""
-    yaw, ahead, aside, clock, range_scale = shared[[3, 4, 5, 6, 12]]
+    yaw, ahead, aside, clock, range_scale = shared[[3, 4, 5, 6, 7]]
     c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
     lever = ahead - clock * twist[:, 0]
     dx, dy = p[:, 0] - X[:, 0] - c * lever + s * aside, p[:, 1] - X[:, 1] - s * lever - c * aside

@@ -193,14 +193,14 @@ def test_two_keyframes_fused_say_of_the_errors_of_tags_what_both_say():
     np.testing.assert_allclose(fewer.by_errors(), fusion(one, other, shared)[0].by_errors(), rtol=1e-3, atol=1.0)
 
 
-def test_a_way_is_in_the_unit_of_odometry():
+def test_a_way_known_from_elsewhere_is_in_metres():
     one = way(np.array([2.0, 0.0, 0.5]), np.diag([0.1, 0.2, 0.3]) ** 2)
     shared = np.zeros(SHARED)
     shared[[DISTANCE_SCALE, RANGE_SCALE]] = 0.25, 0.5
     p_AL, X_AD, covariance = one.given(shared)
     assert p_AL.shape == (0, 2)
-    np.testing.assert_allclose(X_AD, [1.6, 0.0, 0.5])
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.08, 0.16, 0.3])
+    np.testing.assert_allclose(X_AD, [2.0, 0.0, 0.5])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.1, 0.2, 0.3])
     assert not one.alone()[0].any()
 
 

@@ -130,7 +130,7 @@ class Joint:
         shared, z = self.shared, np.array([frame.range[k], frame.bearing[k]])
 
         def with_tag(x, z):
-            yaw, ahead, aside, clock, scale = x[shared + np.array([3, 4, 5, 6, 12])]
+            yaw, ahead, aside, clock, scale = x[shared + np.array([3, 4, 5, 6, 7])]
             clock = clock - offset
             angle = x[2] + z[1] + yaw - clock * twist[1]
             lever = se2.rotation(x[2]) @ [ahead - clock * twist[0], aside]

@@ -27,7 +27,7 @@ from tfg_drake.slam.shared import (
     Shared,
     by_data_sheet,
 )
-from tfg_drake.slam.turn import PARAMETERS, TAGS, TurnFrame, no_detections, reduced, solved_chain
+from tfg_drake.slam.turn import SHARED, TAGS, TurnFrame, no_detections, reduced, solved_chain
 from tfg_drake.slam.turn import _ties as ties_of
 from tfg_drake.slam.walls import PROVISIONAL, Walls, grouped, identified, named, no_lines, no_walls
 
@@ -80,20 +80,20 @@ def test_normal_equations_are_those_of_numerical_differences():
     lines = np.concatenate([one.lines for one in frames])
     node = np.repeat([1, 2, 3], [len(one.lines) for one in frames])
     twist = np.tile([0.2, 0.6], (len(lines), 1))
-    looks = grouped(node, lines, twist, 1.0, X_OB)
+    looks = grouped(node, lines, twist, X_OB)
     none = np.zeros(0, dtype=np.int64)
-    prior = np.zeros(PARAMETERS)
-    ties = ties_of(NOISE, stamps, X_OB, prior, np.eye(PARAMETERS), none, none, np.zeros((0, 8)), looks)
-    border = np.append(0.01 * rng.normal(size=PARAMETERS), looks.first(X_OB).ravel())
+    prior = np.zeros(SHARED)
+    ties = ties_of(NOISE, stamps, X_OB, prior, np.eye(SHARED), none, none, np.zeros((0, 8)), looks)
+    border = np.append(0.01 * rng.normal(size=SHARED), looks.first(X_OB).ravel())
 
     def residuals(x):
-        X, parameters = np.vstack([np.zeros(3), x[:12].reshape(-1, 3)]), x[12 : 12 + PARAMETERS]
-        yaw, ahead, left, clock, sweep = parameters[7:12]
+        X, parameters = np.vstack([np.zeros(3), x[:12].reshape(-1, 3)]), x[12 : 12 + SHARED]
+        yaw, ahead, left, clock, sweep = parameters[8:13]
         found = []
         for i, w, (normal, m_x, m_y, sigma_angle, sigma, speed, rate) in zip(
             looks.node, looks.wall, looks.seen, strict=True
         ):
-            angle, distance = x[12 + PARAMETERS + 2 * w :][:2]
+            angle, distance = x[12 + SHARED + 2 * w :][:2]
             bearing = math.atan2(m_y, m_x)
             then = clock + sweep * bearing
             turned = then + sweep * 0.5 * math.sin(2.0 * (bearing - normal))
@@ -111,11 +111,11 @@ def test_normal_equations_are_those_of_numerical_differences():
     J = np.column_stack([(residuals(x + h) - residuals(x - h)) / 2e-6 for h in 1e-6 * np.eye(len(x))])
     np.testing.assert_allclose(np.square(residuals(x)).reshape(-1, 2).sum(axis=1), squared, rtol=1e-6, atol=1e-9)
     # Walls have nothing but looks: their block, the poses between held, is that of the residuals.
-    of_walls = J[:, 12 + PARAMETERS :]
+    of_walls = J[:, 12 + SHARED :]
     assert np.linalg.eigvalsh(of_walls.T @ of_walls - information[TAGS:, TAGS:]).min() > -1e-6 * np.trace(information)
     # At the solution nothing pulls at them.
     np.testing.assert_allclose(gradient[TAGS:], 0.0, atol=1e-3)
-    np.testing.assert_allclose(J.T[12 + PARAMETERS :] @ residuals(x), 0.0, atol=1e-3)
+    np.testing.assert_allclose(J.T[12 + SHARED :] @ residuals(x), 0.0, atol=1e-3)
     # And the scanner's parameters are drawn as the residuals are.
     drawn = J.T[12 + 7 : 12 + 12] @ residuals(x) + there[7:12]
     np.testing.assert_allclose(drawn, 0.0, atol=1e-3)
@@ -156,7 +156,7 @@ def test_a_wall_seen_again_is_found_and_told_along_its_normal_only():
     assert names.is_new.all()
     assert len(walls.first) >= 4
     assert (walls.first < WALLS_BELOW).all()
-    one = named(first.keyframe, names, 1.0)
+    one = named(first.keyframe, names, np.zeros(SHARED))
     assert (np.diff(one.ids) > 0).all()
     # The map as that keyframe has it, the robot where it began.
     n = len(one.ids)
@@ -178,7 +178,7 @@ def test_a_wall_seen_again_is_found_and_told_along_its_normal_only():
     assert not names.is_new.any()
     assert len(names.first) >= 2
     np.testing.assert_array_equal(after.first, walls.first)
-    seen = named(again.keyframe, names, 1.0)
+    seen = named(again.keyframe, names, np.zeros(SHARED))
     assert np.isin(seen.ids, one.ids).all()
     p_AL, _, R = seen.given(np.zeros(SHARED))
     for k in range(0, len(p_AL), 2):
@@ -196,7 +196,7 @@ def test_a_wall_beside_a_known_one_waits():
     begin, frames, end = turn()
     solution = reduced(NOISE, begin, frames, end, SHEET)
     names, walls = identified(solution.keyframe, solution.sightings, no_walls(), empty_map(SHEET))
-    one = named(solution.keyframe, names, 1.0)
+    one = named(solution.keyframe, names, np.zeros(SHARED))
     n = len(one.ids)
     moved = one.given(np.zeros(SHARED))[0] + [0.15, 0.15]
     estimate = replace(

@@ -21,14 +21,14 @@ from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.keyframe import Keyframe, of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.shared import LEAST_SIGMA, SHARED, Shared, exactly_known
+from tfg_drake.slam.shared import LEAST_SIGMA, METRES, SHARED, Shared, exactly_known
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 10
+SCHEMA = 11
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -298,7 +298,7 @@ def _contradiction(saved: SavedMap) -> str:
     of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
     if any(one.errors.shape not in shapes for one, shapes in zip(graph.keyframes, of_errors, strict=True)):
         return "graph.keyframes.errors does not fit graph.keyframes.ids"
-    if any(not 0 <= one.unit < SHARED for one in graph.keyframes):
+    if any(not METRES <= one.unit < SHARED for one in graph.keyframes):
         return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
         return "tfg_graph.stage does not fit stage"

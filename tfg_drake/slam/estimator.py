@@ -67,7 +67,7 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
-from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, LEAST_SIGMA, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.turn import SAME_INSTANT, Reduced, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, identified, named, no_lines
 
@@ -459,12 +459,7 @@ def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
 def _prior(state: EstimatorState) -> Shared:
     """What is known of the parameters without any keyframe: by the data sheets and by the scan."""
     if not state.ranges.pairs:
-        if not len(state.walls.first):
-            return state.sheet
-        # All lengths are the scanner's.
-        of_scale = np.zeros((SHARED, SHARED))
-        of_scale[RANGE_SCALE, RANGE_SCALE] = LEAST_SIGMA**-2
-        return state.sheet.with_information(of_scale, np.zeros(SHARED))
+        return state.sheet
     return state.sheet.with_information(*scan_information(state.ranges, state.noise.now.worth))
 
 
@@ -484,7 +479,7 @@ def _reduced_anew(
         anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared)
         one = anew.keyframe
         if source.names is not None:
-            one = named(one, source.names, 1.0 + float(shared.mean[RANGE_SCALE]))
+            one = named(one, source.names, shared.mean)
         one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))
         walls = ~is_tag(one.ids)
         if np.array_equal(one.ids, keyframes[at].ids) and np.all(
@@ -591,7 +586,7 @@ def _with_names(
     if tags.all():
         return seen, source, walls
     names, walls = identified(one, seen.frames, walls, estimate)
-    one = named(one, names, 1.0 + float(graph.shared.mean[RANGE_SCALE]))
+    one = named(one, names, graph.shared.mean)
     of_walls = np.zeros(np.count_nonzero(~is_tag(one.ids)), dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls
 

@@ -17,7 +17,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.shared import SHARED, scale_of
 from tfg_drake.slam.solver import Factors, Unknowns, Values, factors_of
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
@@ -76,7 +76,7 @@ def _factor(one: Keyframe, keys: list[int], *, from_origin: bool) -> gtsam.Custo
         A = np.zeros(3) if from_origin else values.atVector(keys[n + 1])
         e, on = residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)
         if jacobians is not None:
-            R_AM = (1.0 + shared[one.unit]) * se2.rotation(float(A[2])).T
+            R_AM = scale_of(one.unit, shared) * se2.rotation(float(A[2])).T
             for i in range(n):
                 jacobians[i] = R[:, 2 * i : 2 * i + 2] @ R_AM
             jacobians[n] = R[:, 2 * n : 2 * n + 3] @ scipy.linalg.block_diag(R_AM, 1.0)

@@ -1,8 +1,9 @@
 """A keyframe: one Gaussian, in information form, of all that a turn or a piece of the way tells.
 
-It is kept in the unit that it was measured in: lengths times (1 + the scale of ranges), or times (1 + the scale of
-distance) where no tag was seen. In metres a scale would be one more direction of its information, right only where the
-keyframe was taken: as soon as others move the tags by a little, it pulls at the scale, always with the same sign.
+It is kept in the unit that it was measured in: metres where scans saw walls, else lengths times (1 + the scale of
+ranges), or times (1 + the scale of distance) where no tag was seen. In another a scale would be one more direction of
+its information, right only where the keyframe was taken: as soon as others move the tags by a little, it pulls at the
+scale, always with the same sign.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numba import njit
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.slam.odometry_model import wrap
-from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED
+from tfg_drake.slam.shared import METRES, SHARED, scale_of
 
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
 SMALL_STEP = 1e-6
@@ -29,7 +30,7 @@ class Keyframe:
 
     With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
     + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
-    parameter that is the scale of its lengths. information: W, (2n + 11, 2n + 11). vector: v, (8,).
+    parameter that is the scale of its lengths, or METRES. information: W, (2n + 11, 2n + 11). vector: v, (8,).
     on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. errors: see
     `by_errors`, empty where it follows from on_error.
     """
@@ -58,7 +59,7 @@ class Keyframe:
         """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (8,)."""
         covariance, by_shared = self.conditional()
         y = np.append(self.y_AL.ravel(), self.y_AD) + by_shared @ shared
-        scale = np.append(np.full(len(y) - 1, 1.0 / (1.0 + shared[self.unit])), 1.0)
+        scale = np.append(np.full(len(y) - 1, 1.0 / scale_of(self.unit, shared)), 1.0)
         y *= scale
         return y[:-3].reshape(-1, 2), y[-3:], covariance * np.outer(scale, scale)
 
@@ -135,21 +136,19 @@ def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: Flo
     n = len(ids)
     information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    unit = RANGE_SCALE if n else DISTANCE_SCALE
-    return Keyframe(ids, p_AL, X_AD, unit, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
+    return Keyframe(ids, p_AL, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
     """Two keyframes that follow each other as one, linearised at the parameters (8,); the pose (3,) between them in the
     first's frame, m and rad, and the standard deviation of its position, m.
 
-    Both have tags, so both have the unit of ranges, and no scale is in how they lie to each other.
+    Both have the same unit, so no scale is in how they lie to each other.
     """
     ids = np.union1d(first.ids, second.ids)
     rows = np.searchsorted(ids, first.ids), np.searchsorted(ids, second.ids)
-    n, at_yaw = len(ids), shared.copy()
-    at_yaw[RANGE_SCALE] = 0.0
-    (y_1, B, _), (y_2, X_BD, _) = (replace(one, unit=RANGE_SCALE).given(at_yaw) for one in (first, second))
+    n = len(ids)
+    (y_1, B, _), (y_2, X_BD, _) = (replace(one, unit=METRES).given(shared) for one in (first, second))
     y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
     y_AL[rows[1]] = se2.transform(B, y_2)
     y_AL[rows[0]] = y_1
@@ -162,9 +161,9 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
-            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, -1, W, v, begin, end, shared)
+            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, METRES, W, v, begin, end, shared)
             if errors:
-                error, on = residual(y_AL[row], one.y_AL, one.y_AD, -1, begin, end, shared)
+                error, on = residual(y_AL[row], one.y_AL, one.y_AD, METRES, begin, end, shared)
                 H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
             place = place[: len(g_k)]
             H[np.ix_(place, place)] += H_k
@@ -186,11 +185,11 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     W = 0.5 * (W + W.T)
     moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
-    both = keyframe(ids, y, shared, RANGE_SCALE, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))
+    both = keyframe(ids, y, shared, first.unit, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))
     back = np.concatenate([both.y_AL.ravel() - y[:-3], both.y_AD - D, -shared])
     by_errors = np.column_stack([W[:, e:], np.append(np.zeros(e), gradient[e:] + W[e:, :e] @ back)])
     y_AD = np.append(both.y_AD[:2], wrap(float(both.y_AD[2])))
-    share = 1.0 / (1.0 + shared[RANGE_SCALE])
+    share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
     return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
 
@@ -213,11 +212,9 @@ def residual(
 ) -> tuple[FloatArray, FloatArray]:
     """The error (2n + 11,) of a keyframe, see Keyframe, and its Jacobian (2n + 11, 11) on A and the parameters.
 
-    p_ML: (n, 2) its tags. unit: -1 where all lengths are in the keyframe's unit.
+    p_ML: (n, 2) its tags. unit: of the keyframe's lengths.
     """
-    n, scale = len(p_ML), 1.0
-    if unit >= 0:
-        scale = 1.0 + shared[unit]
+    n, scale = len(p_ML), scale_of(unit, shared)
     c, s = math.cos(A[2]), math.sin(A[2])
     m = 2 * n + 3
     error, on = np.empty(m + SHARED), np.zeros((m + SHARED, 3 + SHARED))
@@ -231,7 +228,7 @@ def residual(
         error[2 * i], error[2 * i + 1] = scale * x - seen_x, scale * y - seen_y
         on[2 * i, 0], on[2 * i, 1], on[2 * i, 2] = -scale * c, -scale * s, scale * y
         on[2 * i + 1, 0], on[2 * i + 1, 1], on[2 * i + 1, 2] = scale * s, -scale * c, -scale * x
-        if unit >= 0:
+        if unit != METRES:
             on[2 * i, 3 + unit], on[2 * i + 1, 3 + unit] = x, y
     error[m - 1] = wrap(D[2] - A[2] - y_AD[2])
     on[m - 1, 2] = -1.0
@@ -261,9 +258,7 @@ def linearised(
     """
     error, on = residual(p_ML, y_AL, y_AD, unit, A, D, shared)
     m, size = len(error) - SHARED, len(error) + 3
-    scale = 1.0
-    if unit >= 0:
-        scale = 1.0 + shared[unit]
+    scale = scale_of(unit, shared)
     c, s = scale * math.cos(A[2]), scale * math.sin(A[2])
     weighted, weighted_on = information @ error, information @ on
     H, g = np.empty((size, size)), np.empty((size, 1))

@@ -146,7 +146,7 @@ def fused(graph: KeyframeGraph) -> KeyframeGraph:
     while j < len(keyframes) - UNFUSED - 1:
         first, second = keyframes[j], keyframes[j + 1]
         shared = len(np.intersect1d(first.ids, second.ids))
-        may = shared >= WITNESSES and len(first.ids) + len(second.ids) - shared <= FULL
+        may = first.unit == second.unit and shared >= WITNESSES and len(first.ids) + len(second.ids) - shared <= FULL
         both, X_AB, deviation = fusion(first, second, graph.shared.mean) if may else (first, np.zeros(3), math.inf)
         if deviation > MOST_DEVIATION:
             j += 1

@@ -14,7 +14,7 @@ from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, r
 from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import entropy_of, estimate_of
-from tfg_drake.slam.shared import SHARED, Shared
+from tfg_drake.slam.shared import SHARED, Shared, scale_of
 from tfg_drake.slam.solver import Keyframes, Solver, System, Unknowns, Values
 from tfg_drake.slam.tag_error import learnt, suspected
 
@@ -181,7 +181,8 @@ def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tupl
     """
     keyframe = np.repeat(np.arange(len(keyframes.y_AD)), np.diff(keyframes.offsets))
     row, n = keyframes.rows, len(values.p_ML)
-    heading, scale = values.X_MN[keyframe, 2], 1.0 + values.shared[keyframes.unit[keyframe]]
+    heading, unit = values.X_MN[keyframe, 2], keyframes.unit
+    scale = np.array([scale_of(one, values.shared) for one in unit])[keyframe]
     c, s = np.cos(heading) / scale, np.sin(heading) / scale
     by_error = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1) @ keyframes.on_error
     own, force = places[:, :, :2], places[:, :, 2]

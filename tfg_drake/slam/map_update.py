@@ -17,7 +17,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
 from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
-from tfg_drake.slam.shared import RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
 # misread, has been moved or is tied to the wrong place. What comes of that, `evidence` says.
@@ -73,12 +73,12 @@ def updated(
 
     What `estimate` says of the stage is not brought up to date, see `finished`.
     """
-    told, before = _told(one, graph), _in_ranges_unit(estimate)
+    told, before = _told(one, graph), _in_unit_of(one, estimate)
     row, known = rows_of(one.ids, estimate.ids)
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
-        update = _iterated(*before, local_row[kept], one.unit, told, seen[kept])
+        update = _iterated(*before, local_row[kept], told, seen[kept])
         distance = _distances(update, len(kept))
         if np.max(distance, initial=0.0) <= REJECTED:
             break
@@ -93,13 +93,15 @@ def updated(
     return *_joined(graph, estimate, *before, one, told, local_row[kept], update, is_view), rejected
 
 
-def _in_ranges_unit(estimate: MapEstimate) -> tuple[FloatArray, FloatArray]:
-    """(p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of ranges: there no keyframe
-    that saw tags has the scale in it, so that linearising one after the other tells nothing of it."""
+def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> tuple[FloatArray, FloatArray]:
+    """(p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of a keyframe: there it has
+    no scale in it, so that linearising one after the other tells nothing of it."""
     x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, estimate.shared])
+    if one.unit == METRES:
+        return x, estimate.joint_covariance
     lengths = len(x) - SHARED - 1
-    lever, scale = np.append(x[:lengths], np.zeros(1 + SHARED)), 1.0 + float(estimate.shared[RANGE_SCALE])
-    P = _in_unit(estimate.joint_covariance, scale, lever, len(x) - SHARED + RANGE_SCALE)
+    lever, scale = np.append(x[:lengths], np.zeros(1 + SHARED)), scale_of(one.unit, estimate.shared)
+    P = _in_unit(estimate.joint_covariance, scale, lever, len(x) - SHARED + one.unit)
     x[:lengths] *= scale
     return x, P
 
@@ -116,14 +118,6 @@ def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> F
             other[i, j] = by[i] * P[i, j] * by[j] + lever[i] * half[j] + half[i] * lever[j]
             other[j, i] = other[i, j]
     return other
-
-
-def _scale(unit: int, shared: FloatArray) -> tuple[float, FloatArray]:
-    """A keyframe's unit in that of ranges, and its derivative (8,) on the parameters."""
-    scale, on = (1.0 + shared[unit]) / (1.0 + shared[RANGE_SCALE]), np.zeros(SHARED)
-    if unit != RANGE_SCALE:
-        on[unit], on[RANGE_SCALE] = 1.0 / (1.0 + shared[RANGE_SCALE]), -scale / (1.0 + shared[RANGE_SCALE])
-    return float(scale), on
 
 
 def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
@@ -224,10 +218,10 @@ def _entries(size: int, local_row: IntArray) -> IntArray:
 
 
 def _iterated(
-    mean: FloatArray, covariance: FloatArray, local_row: IntArray, unit: int, told: _Told, seen: IntArray
+    mean: FloatArray, covariance: FloatArray, local_row: IntArray, told: _Told, seen: IntArray
 ) -> _Update:
     """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the keyframe. mean, covariance:
-    the map's joint, see `_in_ranges_unit`."""
+    the map's joint, see `_in_unit_of`."""
     m, r = len(seen), len(told.told)
     at = _entries(len(covariance), local_row)
     P = covariance[np.ix_(at, at)]
@@ -240,13 +234,13 @@ def _iterated(
     i = np.arange(m)
     for _ in range(ITERATIONS if m else 1):
         X_MA, shared = x[2 * m : 2 * m + 3], x[2 * m + 3 :]
-        R_AM, (scale, on_shared) = se2.rotation(float(X_MA[2])).T, _scale(unit, shared)
+        R_AM = se2.rotation(float(X_MA[2])).T
         in_A = (x[: 2 * m].reshape(-1, 2) - X_MA[:2]) @ R_AM.T
-        H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = scale * R_AM
-        H[: 2 * m, 2 * m : 2 * m + 2] = np.tile(-scale * R_AM, (m, 1))
-        H[0 : 2 * m : 2, 2 * m + 2], H[1 : 2 * m : 2, 2 * m + 2] = scale * in_A[:, 1], -scale * in_A[:, 0]
-        H[: 2 * m, 2 * m + 3 :] = np.outer(in_A.ravel(), on_shared) - by_shared
-        off = np.append(y + by_shared @ shared - scale * in_A.ravel(), told.told - told.of_shared.T @ shared)
+        H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = R_AM
+        H[: 2 * m, 2 * m : 2 * m + 2] = np.tile(-R_AM, (m, 1))
+        H[0 : 2 * m : 2, 2 * m + 2], H[1 : 2 * m : 2, 2 * m + 2] = in_A[:, 1], -in_A[:, 0]
+        H[: 2 * m, 2 * m + 3 :] = -by_shared
+        off = np.append(y + by_shared @ shared - in_A.ravel(), told.told - told.of_shared.T @ shared)
         innovation = off - H @ (x_0 - x)
         root = np.linalg.cholesky(H @ P @ H.T + noise)
         x = x_0 + P @ (H.T @ scipy.linalg.cho_solve((root, True), innovation, check_finite=False))
@@ -275,7 +269,7 @@ def _joined(
     is_view: bool,
 ) -> tuple[KeyframeGraph, MapEstimate]:
     """Graph and map with a keyframe whose known tags are all believed, local_row (m,): where they are in local.
-    mean, covariance: the map's joint, see `_in_ranges_unit`."""
+    mean, covariance: the map's joint, see `_in_unit_of`."""
     _, known = rows_of(one.ids, estimate.ids)
     # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
     beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=np.bool_))
@@ -296,16 +290,15 @@ def _joined(
     # From (A, parameters, new tags and D in A) to (new tags, D in M, parameters).
     old, new = size - 3 - SHARED, (more - 3) // 2
     X_MA, shared, y = x[old : old + 3], x[old + 3 : size], x[size:]
-    (scale, on_shared), R_MA = _scale(one.unit, shared), se2.rotation(float(X_MA[2]))
-    p_AL, X_AD = y[:-3].reshape(-1, 2) / scale, np.append(y[-3:-1] / scale, y[-1])
+    R_MA = se2.rotation(float(X_MA[2]))
+    p_AL, X_AD = y[:-3].reshape(-1, 2), y[-3:]
     lever = np.vstack([p_AL, X_AD[:2]]) @ R_MA.T
     J = np.zeros((more + SHARED, 3 + SHARED + more))
     of_places = J[: more - 1]
     of_places[:, :2] = np.tile(np.eye(2), (new + 1, 1))
     of_places[0::2, 2], of_places[1::2, 2] = -lever[:, 1], lever[:, 0]
-    of_places[:, 3 : 3 + SHARED] = np.outer(-lever.ravel() / scale, on_shared)
     i = np.arange(new + 1)
-    of_places[:, 3 + SHARED : -1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA / scale
+    of_places[:, 3 + SHARED : -1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA
     J[more - 1, 2] = J[more - 1, -1] = 1.0
     J[more:, 3 : 3 + SHARED] = np.eye(SHARED)
     across, within = J @ P[old:, :old], J @ P[old:, old:] @ J.T
@@ -314,12 +307,12 @@ def _joined(
     joint[old:, old:] = 0.5 * (within + within.T)
 
     # Back to metres.
-    ranges = 1.0 + float(shared[RANGE_SCALE])
-    X_MD = se2.compose(X_MA, X_AD)
-    places = np.concatenate([x[:old], se2.transform(X_MA, p_AL).ravel(), X_MD[:2]]) / ranges
-    X_MA, X_MD = X_MA / [ranges, ranges, 1.0], X_MD / [ranges, ranges, 1.0]
-    lever = np.append(-places / ranges, np.zeros(1 + SHARED))
-    joint = _in_unit(joint, 1.0 / ranges, lever, len(joint) - SHARED + RANGE_SCALE)
+    X_MD, scale = se2.compose(X_MA, X_AD), scale_of(one.unit, shared)
+    places = np.concatenate([x[:old], se2.transform(X_MA, p_AL).ravel(), X_MD[:2]]) / scale
+    if one.unit != METRES:
+        X_MA, X_MD = X_MA / [scale, scale, 1.0], X_MD / [scale, scale, 1.0]
+        lever = np.append(-places / scale, np.zeros(1 + SHARED))
+        joint = _in_unit(joint, 1.0 / scale, lever, len(joint) - SHARED + one.unit)
     graph = replace(
         graph,
         X_MN=np.vstack([graph.X_MN[:-1], X_MA]),

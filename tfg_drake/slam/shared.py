@@ -7,6 +7,7 @@ they are estimated with the map, jointly; the published pose is as uncertain as 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
@@ -17,10 +18,11 @@ from tfg_drake.messages import FloatArray, TagDetections, message, replace
 # clock is CLOCK (s) ahead of the base's: a frame stamped s shows what there was at s - CLOCK. Likewise of the scanner,
 # whose rays are the later taken the farther to the left, by SWEEP (s/rad).
 DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE = range(3)
-CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK = range(3, 7)
-SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP = range(7, 12)
-RANGE_SCALE = 12
+CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE = range(3, 8)
+SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP = range(8, 13)
 SHARED = 13
+# A unit of length is the parameter that scales what was measured in it; where scans did, lengths are true.
+METRES = -1
 # A known constant is still an unknown: least standard deviation of each.
 LEAST_SIGMA = 1e-6
 
@@ -48,10 +50,16 @@ class Shared:
 def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig, scanner: ScanConfig | None = None) -> Shared:
     """The parameters before the first frame: none is expected to be off, as surely as the data sheets say."""
     scanner, mount = scanner or ScanConfig(), sensor.mount_deviation
-    camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation]
+    camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation, sensor.range_scale_deviation]
     mount = scanner.mount_deviation
     lidar = [scanner.yaw_deviation, mount, mount, scanner.clock_deviation, scanner.sweep_deviation]
-    return exactly_known(np.concatenate([calibration_sigma(odometry), camera, lidar, [sensor.range_scale_deviation]]))
+    return exactly_known(np.concatenate([calibration_sigma(odometry), camera, lidar]))
+
+
+@njit(cache=True)
+def scale_of(unit: int, shared: FloatArray) -> float:
+    """How many of a unit a metre has where the parameters are `shared` (13,)."""
+    return 1.0 if unit == METRES else 1.0 + shared[unit]
 
 
 def calibration_sigma(odometry: OdometryConfig) -> FloatArray:

@@ -16,7 +16,7 @@ from numba import njit
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import linearised, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.shared import SHARED, scale_of
 
 # Unknowns of the newest pose and the parameters.
 NEWEST = 3 + SHARED
@@ -217,7 +217,7 @@ def assemble(
             A, unit = values.X_MN[k], keyframes.unit[k]
             error, on = residual(p_ML, y_AL, keyframes.y_AD[k], unit, A, values.X_MN[k + 1], values.shared)
             by_errors, errors = _errors(k, rows, keyframes, values)
-            H, g, more = with_errors(H, g, error, on, A[2], 1.0 + values.shared[unit], by_errors, errors)
+            H, g, more = with_errors(H, g, error, on, A[2], scale_of(unit, values.shared), by_errors, errors)
             at = np.append(at, _of_errors(rows, unknowns))
             total += more
         for i in range(len(at)):
@@ -268,7 +268,7 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
             for i, place in enumerate(_of_errors(rows, unknowns)):
                 gradient[place] += own[i]
         force_of_rest, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
-        scale = 1.0 + values.shared[keyframes.unit[k]]
+        scale = scale_of(keyframes.unit[k], values.shared)
         c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
         for i in range(0, m - 1, 2):
             x, y = c * weighted[i] - s * weighted[i + 1], s * weighted[i] + c * weighted[i + 1]

@@ -2,8 +2,8 @@
 
 Damped Gauss-Newton steps on the poses in A, a chain, and on what all of them touch, parameters and tags, its border:
 the chain is eliminated pose by pose, what is left is dense and small (the paper's sec. III, "measurements at a goal are
-combined"). Lengths are in the unit of the tags' ranges, so that only the ratio of the odometry's scale to theirs is a
-parameter here.
+combined"). Where scans saw walls, lengths are true; else they are in the unit of the tags' ranges, or of odometry, so
+that only the ratio of the odometry's scale to theirs is a parameter here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, m
 from tfg_drake.slam.keyframe import Keyframe, keyframe
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
-from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import DISTANCE_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import Looks, along_walls, grouped, no_lines, pairs_of, with_floor
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
@@ -38,11 +38,11 @@ SAME_INSTANT = 1e-6
 TWIST_SPAN = 0.25
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
-# Where a pose's and the border's parameters begin in the dense rest: D (3), the odometry's calibration (3: the scale of
-# distance over that of ranges, gyro bias, gyro scale), the camera's (4: yaw, lever arm, clock), the scanner's (5: these
-# and its sweep), the tags.
-CALIBRATION, CAMERA, SCANNER, TAGS = 3, 6, 10, 15
-PARAMETERS = 12
+# Where the border's parameters begin in the dense rest: after D (3) the odometry's (3), the camera's (5), the scanner's
+# (5) and the tags. They are the shared parameters, the scales of distance and of ranges over that of the chain's unit.
+CALIBRATION, CAMERA, SCANNER, TAGS = 3, 6, 11, 16
+OF_CAMERA, OF_SCANNER = 5, 5
+SCALES = np.array([DISTANCE_SCALE, RANGE_SCALE])
 # Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
 MOST_STEPS = 50
 LAST_STEP = 1e-8
@@ -66,8 +66,8 @@ class _Problem(NamedTuple):
 class _Ties(NamedTuple):
     """What ties t poses, m sightings and the parameters, by some noise.
 
-    X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (12,) and
-    information (12, 12) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 8) its bearing, range,
+    X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (13,) and
+    information (13, 13) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 8) its bearing, range,
     their sigmas, the robot's twist then, the clock's offset that its stamp was taken with, s, and the frame's number.
     before: (m,) the sighting before that each one's noise is correlated with, or -1, left: (m,) by how much. looks: at
     walls.
@@ -87,10 +87,10 @@ class _Ties(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (12 + 2n + 2w,), information (15 + 2n + 2w,
-    15 + 2n + 2w) and gradient (15 + 2n + 2w,) of (D, parameters, tags, walls), and the squared error of each sighting
-    and of each look at a wall, in sigmas; the prior of the parameters, mean (12,) and information (12, 12); and the
-    looks kept."""
+    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (13 + 2n + 2w,), information (16 + 2n + 2w,
+    16 + 2n + 2w) and gradient (16 + 2n + 2w,) of (D, parameters, tags, walls), and the squared error of each sighting
+    and of each look at a wall, in sigmas; the prior of the parameters, mean (13,) and information (13, 13); the looks
+    kept; and the unit of lengths."""
 
     ids: IntArray
     sightings: IntArray
@@ -102,26 +102,22 @@ class _Solution(NamedTuple):
     prior: FloatArray
     of_prior: FloatArray
     looks: Looks
+    unit: int
 
     @property
     def parameters(self) -> FloatArray:
-        """(12,)."""
-        return self.border[:PARAMETERS]
+        """(13,)."""
+        return self.border[:SHARED]
 
     @property
     def y_AL(self) -> FloatArray:
         """(n, 2) places of the tags."""
-        return self.border[PARAMETERS : PARAMETERS + 2 * len(self.ids)].reshape(-1, 2)
+        return self.border[SHARED : SHARED + 2 * len(self.ids)].reshape(-1, 2)
 
     @property
     def walls(self) -> FloatArray:
         """(w, 2) angle of the normal and distance from the anchor of each wall."""
-        return self.border[PARAMETERS + 2 * len(self.ids) :].reshape(-1, 2)
-
-    @property
-    def has_lengths(self) -> bool:
-        """Whether anything but odometry measured lengths."""
-        return len(self.border) > PARAMETERS
+        return self.border[SHARED + 2 * len(self.ids) :].reshape(-1, 2)
 
 
 @message
@@ -171,7 +167,7 @@ class Reduced:
 @message
 class Sample:
     """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB and
-    X_AB (t, 3), border (12 + 2n + 2w,). node, tag, z, prior, of_prior, looks: as of `_Ties`, z with the
+    X_AB (t, 3), border (13 + 2n + 2w,). node, tag, z, prior, of_prior, looks: as of `_Ties`, z with the
     sensor's sigmas."""
 
     clock: FloatArray
@@ -222,7 +218,7 @@ def reduced(
     X_AB = se2.between(X_OB[0], X_OB)
     lines = [frame.lines for frame in (*frames, end)]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
-    looked = of_line, np.concatenate(lines), _twists(stamps, X_AB)[of_line], 1.0 + float(shared.mean[RANGE_SCALE])
+    looked = of_line, np.concatenate(lines), _twists(stamps, X_AB)[of_line]
     looks = grouped(*looked, X_AB)
     problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
@@ -243,7 +239,7 @@ def reduced(
             left = int(np.sum(~other_kept[: len(ids)]))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept, slipped = other, other_kept, True
-    scale, kept = 1.0 + _unit(solution, shared)[1], kept[: len(ids)]
+    scale, kept = scale_of(solution.unit, shared.mean), kept[: len(ids)]
     one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept))
     return Reduced(
         keyframe=one,
@@ -251,7 +247,7 @@ def reduced(
         dropped=int(np.sum(~kept)),
         stamps=stamps,
         X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
-        sample=_sample(problem, solution, kept) if solution.has_lengths and not slipped else None,
+        sample=_sample(problem, solution, kept) if solution.unit != DISTANCE_SCALE and not slipped else None,
     )
 
 
@@ -276,24 +272,19 @@ def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
     return Sample(problem.clock, problem.X_OB, solution.X_AB, node, tag, z, border, prior, of_prior, solution.looks)
 
 
-def _unit(solution: _Solution, shared: Shared) -> tuple[int, float]:
-    """The parameter that is the scale of a solution's lengths, and its value."""
-    unit = RANGE_SCALE if solution.has_lengths else DISTANCE_SCALE
-    return unit, float(shared.mean[unit])
-
-
-def _by_shared(mean: FloatArray, *, has_lengths: bool) -> FloatArray:
-    """(12, 13) derivative of a chain's parameters on the shared ones where these are `mean` (13,)."""
-    on = np.eye(PARAMETERS, SHARED)
-    ranges = 1.0 + mean[RANGE_SCALE]
-    on[0, DISTANCE_SCALE] = 1.0 / ranges if has_lengths else 0.0
-    on[0, RANGE_SCALE] = -(1.0 + mean[DISTANCE_SCALE]) / ranges**2 if has_lengths else 0.0
-    return on
+def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
+    """A chain's parameters (13,) where the shared ones are `mean` (13,), and their derivative (13, 13) on these."""
+    parameters, on, scale = mean.copy(), np.eye(SHARED), scale_of(unit, mean)
+    parameters[SCALES] = (1.0 + mean[SCALES]) / scale - 1.0
+    on[SCALES, SCALES] = 1.0 / scale
+    if unit != METRES:
+        on[SCALES, unit] -= (1.0 + mean[SCALES]) / scale**2
+    return parameters, on
 
 
 def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> tuple[Keyframe, IntArray]:
     """The keyframe, its walls as pairs of points before its tags, and how many looks there are at each such point."""
-    n, unit = len(solution.ids), _unit(solution, shared)[0]
+    n, unit = len(solution.ids), solution.unit
     of_walls = slice(TAGS + 2 * n, None)
     ids, p_AL, on_points, counts, floor = pairs_of(solution.looks, solution.walls, solution.X_AB)
     information, gradient, rows = *with_floor(solution.information, solution.gradient, floor, of_walls), 2 * len(ids)
@@ -301,12 +292,9 @@ def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> tupl
     J = np.zeros((len(information), rows + 2 * n + 3 + SHARED))
     J[of_walls, :rows], J[TAGS : TAGS + 2 * n, rows : rows + 2 * n] = on_points, np.eye(2 * n)
     J[:3, rows + 2 * n : -SHARED] = np.eye(3)
-    J[3:TAGS, -SHARED:] = _by_shared(shared.mean, has_lengths=solution.has_lengths)
-    at = shared.mean.copy()
-    found = solution.parameters
-    at[1:PARAMETERS] = found[1:]
-    if solution.has_lengths:
-        at[DISTANCE_SCALE] = (1.0 + found[0]) * (1.0 + at[RANGE_SCALE]) - 1.0
+    J[3:TAGS, -SHARED:] = _by_shared(shared.mean, unit)[1]
+    at = solution.parameters.copy()
+    at[SCALES] = (1.0 + at[SCALES]) * scale_of(unit, shared.mean) - 1.0
     y = np.concatenate([p_AL.ravel(), solution.y_AL.ravel(), solution.X_AB[-1]])
     W, g = J.T @ information @ J, J.T @ gradient
     W[:rows, :rows] += along_walls(p_AL)
@@ -376,24 +364,22 @@ def _solved(
     looks, kept = problem.looks.kept(kept[len(problem.ids) :]), kept[: len(problem.ids)]
     node, z, X_AB = problem.node[kept], problem.z[kept], X_AB.copy()
     ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
-    has_lengths = bool(len(ids) + len(looks.node))
-    on = _by_shared(shared.mean, has_lengths=has_lengths)
-    prior = shared.mean[:PARAMETERS].copy()
-    prior[0] = (1.0 + prior[0]) / (1.0 + shared.mean[RANGE_SCALE]) - 1.0 if has_lengths else 0.0
+    unit = METRES if len(looks.node) else RANGE_SCALE if len(ids) else DISTANCE_SCALE
+    prior, on = _by_shared(shared.mean, unit)
     covariance = on @ shared.covariance @ on.T
-    if not has_lengths:
-        covariance[0, 0] = 1.0 / HELD
+    if unit != METRES:
+        covariance[unit, unit] = 1.0 / HELD
     of_prior = np.asarray(np.linalg.inv(covariance), dtype=float)
     border = np.append(prior, np.empty(2 * len(ids)))
     angle = X_AB[node, 2] + z[:, 0]
     for i, direction in enumerate((np.cos(angle), np.sin(angle))):
-        border[PARAMETERS + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
+        border[SHARED + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     border = np.append(border, looks.first(X_AB).ravel())
     noise = replace(noise, correlation=0.0) if math.isfinite(huber) else noise
     ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z, looks)
     information, gradient, squared = solved_chain(ties, X_AB, border, huber)
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
-    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior, looks)
+    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior, looks, unit)
 
 
 def _nodes(
@@ -419,11 +405,11 @@ def _nodes(
 def solved_chain(
     ties: _Ties, X: FloatArray, border: FloatArray, huber: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Bring the poses X (t, 3), the first of which is fixed, and the border (12 + 2n + 2w,), parameters, tags and
+    """Bring the poses X (t, 3), the first of which is fixed, and the border (13 + 2n + 2w,), parameters, tags and
     walls, to the least squares, in place. huber: threshold of a robust solution, in sigmas, for which no noise may be
     correlated.
 
-    Returns the information (15 + 2n + 2w, 15 + 2n + 2w) of the frames alone on (D, parameters, tags, walls), the
+    Returns the information (16 + 2n + 2w, 16 + 2n + 2w) of the frames alone on (D, parameters, tags, walls), the
     gradient there, and the squared errors of the sightings and of the looks, in sigmas.
     """
     size, (increments, covariance) = 3 + len(border), _motions(ties)
@@ -438,8 +424,8 @@ def solved_chain(
         new_cost = _add_odometry(ties, X, border, increments, covariance, chain, rest)
         new_cost += _add_sightings(ties, X, border, huber, chain, rest, squared[:sightings])
         new_cost += _add_looks(ties.looks, X, border, huber, chain, rest, squared[sightings:])
-        for a in range(PARAMETERS):
-            for b in range(PARAMETERS):
+        for a in range(SHARED):
+            for b in range(SHARED):
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
         if 0 < attempt < MOST_STEPS - 1 and not last and not new_cost <= cost + ROUNDING * (1.0 + cost):
             share *= 0.5
@@ -472,8 +458,8 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
         misfit += 0.5 * math.log(np.linalg.det(one))
     misfit += _add_sightings(ties, X, border, math.inf, chain, rest, np.empty(len(ties.node)))
     misfit += _add_looks(ties.looks, X, border, math.inf, chain, rest, np.empty(len(ties.looks.node)))
-    for a in range(PARAMETERS):
-        for b in range(PARAMETERS):
+    for a in range(SHARED):
+        for b in range(SHARED):
             misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
     _add_prior(rest, border, prior, of_prior)
     _eliminate(chain, rest)
@@ -506,8 +492,8 @@ def _normal_equations(poses: int, size: int) -> tuple[FloatArray, FloatArray]:
 
 @njit(cache=True)
 def _add_prior(rest: FloatArray, border: FloatArray, prior: FloatArray, of_prior: FloatArray) -> None:
-    for a in range(PARAMETERS):
-        for b in range(PARAMETERS):
+    for a in range(SHARED):
+        for b in range(SHARED):
             rest[3 + a, 3 + b] += of_prior[a, b]
             rest[3 + a, -1] += of_prior[a, b] * (border[b] - prior[b])
 
@@ -596,12 +582,12 @@ def _add_sightings(
     be off as the one before this is: they are the same, unless the tag was not seen for some frames.
     """
     cost, node, tag, z, before, left = 0.0, ties.node, ties.tag, ties.z, ties.before, ties.left
-    yaw, ahead, aside, clock = border[3], border[4], border[5], border[6]
+    yaw, ahead, aside, clock, scale = border[3], border[4], border[5], border[6], 1.0 + border[7]
     # Jacobians on pose, camera and tag, and the error, of bearing and range; and, with the pose before in front, those
     # of what the sighting before does not tell yet.
-    every, fresh, last = np.zeros((len(node), 2, 10)), np.zeros((2, 13)), 12
+    every, fresh, last = np.zeros((len(node), 2, 11)), np.zeros((2, 14)), 13
     for j in range(len(node)):
-        i, k, rows = node[j], PARAMETERS + 2 * tag[j], every[j]
+        i, k, rows = node[j], SHARED + 2 * tag[j], every[j]
         # Where the camera was when the frame was taken, if the clock is otherwise than it was taken to be.
         earlier, speed, rate = clock - z[j, 6], z[j, 4], z[j, 5]
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
@@ -611,7 +597,7 @@ def _add_sightings(
         r2 = max(dx * dx + dy * dy, 1e-12)
         r = math.sqrt(r2)
         bearing = wrap(math.atan2(dy, dx) - X[i, 2] + earlier * rate - yaw - z[j, 0]) / z[j, 2]
-        distance = (r - z[j, 1]) / z[j, 3]
+        distance = (scale * r - z[j, 1]) / z[j, 3]
         squared[j] = bearing * bearing + distance * distance
         sigmas, weight = math.sqrt(squared[j]), 1.0
         if sigmas > huber:
@@ -620,7 +606,7 @@ def _add_sightings(
             cost += 0.5 * huber * (sigmas - huber)
         # By the place of the tag seen from the camera, (dx, dy).
         u_x, u_y = -weight / (z[j, 2] * r2) * dy, weight / (z[j, 2] * r2) * dx
-        v_x, v_y = weight / (z[j, 3] * r) * dx, weight / (z[j, 3] * r) * dy
+        v_x, v_y = weight * scale / (z[j, 3] * r) * dx, weight * scale / (z[j, 3] * r) * dy
         one = weight / z[j, 2]
         rows[0, 0], rows[0, 1], rows[0, 2] = -u_x, -u_y, u_x * lever_y - u_y * lever_x - one
         rows[1, 0], rows[1, 1], rows[1, 2] = -v_x, -v_y, v_x * lever_y - v_y * lever_x
@@ -628,8 +614,9 @@ def _add_sightings(
         rows[0, 4], rows[1, 4] = -(c * u_x + s * u_y), -(c * v_x + s * v_y)
         rows[0, 5], rows[1, 5] = s * u_x - c * u_y, s * v_x - c * v_y
         rows[0, 6], rows[1, 6] = one * rate - speed * rows[0, 4], -speed * rows[1, 4]
-        rows[0, 7], rows[0, 8], rows[1, 7], rows[1, 8] = u_x, u_y, v_x, v_y
-        rows[0, 9], rows[1, 9] = weight * bearing, weight * distance
+        rows[1, 7] = weight * r / z[j, 3]
+        rows[0, 8], rows[0, 9], rows[1, 8], rows[1, 9] = u_x, u_y, v_x, v_y
+        rows[0, 10], rows[1, 10] = weight * bearing, weight * distance
         fresh[:, :3], fresh[:, 3:] = 0.0, rows
         if before[j] >= 0:
             rows_before, whitener = every[before[j]], 1.0 / math.sqrt(1.0 - left[j] * left[j])
@@ -648,12 +635,12 @@ def _add_sightings(
                 chain[i - 1, a, b] += _dot(fresh, a, b)
                 chain[i - 1, a, 3 + b] += _dot(fresh, a, 3 + b)
             _add_border(chain[i - 1, a], 6, k, fresh, a)
-        for a in range(4):
+        for a in range(OF_CAMERA):
             _add_border(rest[CAMERA + a], 3, k, fresh, 6 + a)
         for a in range(2):
             for b in range(2):
-                rest[3 + k + a, 3 + k + b] += _dot(fresh, 10 + a, 10 + b)
-            rest[3 + k + a, -1] += _dot(fresh, 10 + a, last)
+                rest[3 + k + a, 3 + k + b] += _dot(fresh, 11 + a, 11 + b)
+            rest[3 + k + a, -1] += _dot(fresh, 11 + a, last)
     return cost
 
 
@@ -673,7 +660,7 @@ def _add_looks(
     """
     cost, rows, last = 0.0, np.zeros((2, 11)), 10
     begin = len(border) - 2 * len(looks.anchor)
-    yaw, ahead, aside, clock, sweep = border[7], border[8], border[9], border[10], border[11]
+    yaw, ahead, aside, clock, sweep = border[8], border[9], border[10], border[11], border[12]
     for j in range(len(looks.node)):
         i, w, (normal, m_x, m_y, sigma_angle, sigma_offset, speed, rate) = looks.node[j], looks.wall[j], looks.seen[j]
         k, bearing = begin + 2 * w, math.atan2(m_y, m_x)
@@ -710,7 +697,7 @@ def _add_looks(
             for b in range(3):
                 of_pose[a, b] += _dot(rows, a, b)
             _add_wall(of_pose[a], at, k, rows, a)
-        for a in range(5):
+        for a in range(OF_SCANNER):
             _add_wall(rest[SCANNER + a], 3, k, rows, 3 + a)
         for a in range(2):
             for b in range(2):
@@ -722,8 +709,8 @@ def _add_looks(
 @njit(cache=True)
 def _add_wall(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
     """Add a column's products with scanner, wall and error, whose border begins in the row at `begin`."""
-    for b in range(5):
-        row[begin + 7 + b] += _dot(rows, column, 3 + b)
+    for b in range(OF_SCANNER):
+        row[begin + 8 + b] += _dot(rows, column, 3 + b)
     for b in range(2):
         row[begin + k + b] += _dot(rows, column, 8 + b)
     row[-1] += _dot(rows, column, 10)
@@ -732,11 +719,11 @@ def _add_wall(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int
 @njit(cache=True)
 def _add_border(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
     """Add a column's products with camera, tag and error, whose border begins in the row at `begin`."""
-    for b in range(4):
+    for b in range(OF_CAMERA):
         row[begin + 3 + b] += _dot(rows, column, 6 + b)
     for b in range(2):
-        row[begin + k + b] += _dot(rows, column, 10 + b)
-    row[-1] += _dot(rows, column, 12)
+        row[begin + k + b] += _dot(rows, column, 11 + b)
+    row[-1] += _dot(rows, column, 13)
 
 
 @njit(cache=True)

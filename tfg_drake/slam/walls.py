@@ -19,9 +19,10 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message
+from tfg_drake.slam.keyframe import Keyframe, keyframe, rows_of, without_tags
 from tfg_drake.slam.odometry_model import wrap
+from tfg_drake.slam.shared import SHARED
 
 PROVISIONAL = 2 * WALLS_BELOW
 # Two looks of a turn are at one wall where their directions differ by no more than this, rad, the middle of one is off
@@ -105,10 +106,10 @@ def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
     return np.column_stack([X[:, 0] + c * p[:, 0] - s * p[:, 1], X[:, 1] + s * p[:, 0] + c * p[:, 1]])
 
 
-def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, scale: float, X_AB: FloatArray) -> Looks:
+def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArray) -> Looks:
     """The lines (q, 7) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
-    robot. scale: of the turn's lengths."""
-    angle, (offset, begin, end, middle, deviation) = lines[:, 0], scale * lines[:, [1, 2, 3, 4, 6]].T
+    robot."""
+    angle, (offset, begin, end, middle, deviation) = lines[:, 0], lines[:, [1, 2, 3, 4, 6]].T
     c, s = np.cos(angle), np.sin(angle)
     seen = np.column_stack([angle, c * offset - s * middle, s * offset + c * middle, lines[:, 5], deviation, twist])
     ends = np.column_stack([begin - middle, end - middle])
@@ -215,8 +216,9 @@ class Names:
     is_new: BoolArray
 
 
-def named(one: Keyframe, names: Names, scale: float) -> Keyframe:
-    """A keyframe with its walls by their names; those without a name are marginalised out. scale: of its lengths."""
+def named(one: Keyframe, names: Names, shared: FloatArray) -> Keyframe:
+    """A keyframe with its walls by their names, linearised at some parameters (13,); those without a name are
+    marginalised out."""
     firsts = one.ids[~is_tag(one.ids)][::2]
     nameless = firsts[~np.isin(firsts, names.provisional)]
     one = without_tags(one, np.append(nameless, nameless + 1))
@@ -224,28 +226,29 @@ def named(one: Keyframe, names: Names, scale: float) -> Keyframe:
     if not v:
         return one
     at = [int(np.flatnonzero(names.provisional == id_)[0]) for id_ in one.ids[: 2 * v : 2]]
-    J, y_AL, ids, held = np.eye(len(one.information)), one.y_AL.copy(), one.ids.copy(), np.zeros(one.information.shape)
+    J, W, ids = np.eye(len(one.information)), one.information, one.ids.copy()
+    m, held = len(W) - SHARED, np.zeros(W.shape)
+    y = np.append(one.y_AL.ravel(), one.y_AD) + one.conditional()[1] @ shared
+    error = np.append(y - np.append(one.y_AL.ravel(), one.y_AD), shared)
+    g = W @ error + np.append(np.zeros(m), one.vector)
     for k, row in enumerate(at):
-        q, of_wall = one.y_AL[2 * k : 2 * k + 2], slice(4 * k, 4 * k + 4)
+        of_wall = slice(4 * k, 4 * k + 4)
+        q = y[of_wall].reshape(2, 2)
         length = float(np.hypot(*(q[1] - q[0])))
         along = (q[1] - q[0]) / length
-        s = (scale * names.p_AL[row] - q[0]) @ along
+        s = (names.p_AL[row] - q[0]) @ along
         # How far the points seen are between those named.
         share = (np.array([0.0, length]) - s[0]) / (s[1] - s[0])
         normal = np.array([along[1], -along[0]])
         J[of_wall, of_wall] = np.kron(np.column_stack([1.0 - share, share]), np.outer(normal, normal))
-        y_AL[2 * k : 2 * k + 2] = q[0] + s[:, None] * along
-        held[of_wall, of_wall] = along_walls(y_AL[2 * k : 2 * k + 2], HELD if names.is_new[row] else FREE)
+        y[of_wall] = (q[0] + s[:, None] * along).ravel()
+        held[of_wall, of_wall] = along_walls(y[of_wall].reshape(2, 2), HELD if names.is_new[row] else FREE)
         ids[2 * k], ids[2 * k + 1] = names.first[row], names.first[row] + 1
     order = np.argsort(ids, kind="stable")
     rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(J)))
-    W = J.T @ one.information @ J + held
-    return replace(
-        one,
-        ids=ids[order],
-        y_AL=y_AL[order],
-        information=(0.5 * (W + W.T))[np.ix_(rows, rows)],
-        on_error=one.on_error[order],
+    W, g = J.T @ W @ J + held, J.T @ g
+    return keyframe(
+        ids[order], y[rows[:m]], shared, one.unit, (0.5 * (W + W.T))[np.ix_(rows, rows)], g[rows], one.on_error[order]
     )
 
 
