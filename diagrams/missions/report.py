@@ -33,12 +33,12 @@ CALIBRATED = (
     "camera_ahead_m",
     "camera_left_m",
     "camera_clock_offset_s",
+    "range_scale",
     "scanner_yaw_rad",
     "scanner_ahead_m",
     "scanner_left_m",
     "scanner_clock_offset_s",
     "scanner_sweep_s_per_rad",
-    "range_scale",
 )
 # And of what is learnt of the noise: random walks, m per root m and rad per root s; the tags' deviations over those of
 # the data sheet, and the correlation of one's noise from frame to frame.

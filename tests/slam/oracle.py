@@ -19,7 +19,7 @@ from tfg_drake.messages import TagDetections
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, random_walks
 from tfg_drake.slam.shared import SHARED, Shared
-from tfg_drake.slam.turn import TurnFrame, no_detections
+from tfg_drake.slam.turn import TurnFrame, no_detections, twists
 
 WALKS = random_walks(OdometryConfig())
 # As messages hold it: kernels are compiled anew for arrays that can be written.
@@ -88,7 +88,7 @@ class Drive:
         self.X_OB = se2.compose(self.X_OB, np.array([c * x - s * y, s * x + c * y, said]))
         self.X_WB = se2.compose(self.X_WB, motion)
         self.time += PERIOD
-        return TurnFrame(self.time, self.time, self.X_OB.copy(), self._seen(twist), twist)
+        return TurnFrame(self.time, self.time, self.X_OB.copy(), self._seen(twist))
 
     def _seen(self, twist):
         n = len(self.tags)
@@ -177,19 +177,23 @@ def _rows(errors, arguments, columns):
 def dense(pieces, prior=PRIOR, walks=WALKS):
     """The least squares of all frames of pieces that follow each other."""
     instants, last, X, nodes = [pieces[0][0]], [], [np.zeros(3)], []
-    for _, frames, end in pieces:
-        for frame in (*frames, end):
+    for begin, frames, end in pieces:
+        stamps, X_OB = (np.array([getattr(one, name) for one in (begin, *frames)]) for name in ("stamp", "X_OB"))
+        # The end is the last frame's instant.
+        for frame, twist in zip(
+            (*frames, end), twists(stamps, X_OB, prior.mean)[[*range(1, len(stamps)), -1]], strict=True
+        ):
             if frame.stamp > instants[-1].stamp + 1e-9:
                 instants.append(frame)
                 X.append(se2.compose(X[-1], se2.between(instants[-2].X_OB, frame.X_OB)))
-            last.append((len(instants) - 1, frame))
+            last.append((len(instants) - 1, frame, twist))
         nodes.append(len(instants) - 1)
     X = np.array(X)
     increments = np.array([arc(a.X_OB, b.X_OB) for a, b in itertools.pairwise(instants)])
     dt = np.array([b.clock - a.clock for a, b in itertools.pairwise(instants)])
     covariances = [predict_increment(u, t, np.zeros(3), walks)[2] for u, t in zip(increments, dt, strict=True)]
     whitener = np.array([np.linalg.inv(np.linalg.cholesky(one)) for one in covariances])
-    seen = [(node, frame.detections, frame.twist) for node, frame in last]
+    seen = [(node, frame.detections, twist) for node, frame, twist in last]
     counts = [len(detections.ids) for _, detections, _ in seen]
     node = np.repeat([at for at, _, _ in seen], counts)
     twist = np.repeat([own for _, _, own in seen], counts, axis=0)

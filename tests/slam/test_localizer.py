@@ -356,13 +356,14 @@ def test_consistent_on_drives_with_all_parameters_off(nees):
         robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=SHARED), seed)
         graph, estimate = empty_graph(PRIOR), empty_map(PRIOR)
         for leg in (None, (0.4, 0.1, 4.0), (0.4, -0.3, 5.0)):
+            twist = np.array(leg[:2]) if leg else np.zeros(2)
             pieces = robot.piece(*leg) if leg else robot.piece(0.0, 0.6, 10.5)
             if leg:
                 localizer, last = start_localizer(estimate), pieces[0]
                 for frame in pieces[1]:
                     increment, dt = arc(last.X_OB, frame.X_OB), frame.clock - last.clock
                     localizer, _, ignored = step_localizer(
-                        localizer, WALKS, increment, dt, frame.detections, frame.twist, 0.0
+                        localizer, WALKS, increment, dt, frame.detections, twist, 0.0
                     )
                     assert ignored == 0
                     last = frame

@@ -18,7 +18,7 @@ def test_pulls_by_noise_are_not_suspicious():
     pull = np.sqrt(variance) * rng.normal(size=(60, 2))
     assert not suspected(pull, variance).any()
     np.testing.assert_array_equal(suspected(2.0 * pull, variance), FIRST)
-    assert not suspected(9.0 * pull[:15], variance[:15]).any()
+    assert not suspected(9.0 * pull[:9], variance[:9]).any()
 
 
 def test_deviations_are_found_and_lost():

@@ -9,7 +9,7 @@ import pytest
 from tests.slam.test_scan_lines import ANGLES, CONFIG, WALLS
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import WALLS_BELOW, LaserScan, Odometry
+from tfg_drake.messages import WALLS_BELOW, LaserScan, Odometry, is_tag
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import initial_state
@@ -18,6 +18,7 @@ from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import random_walks
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import (
+    RANGE_SCALE,
     SCANNER_CLOCK,
     SCANNER_X,
     SCANNER_Y,
@@ -27,13 +28,16 @@ from tfg_drake.slam.shared import (
     Shared,
     by_data_sheet,
 )
-from tfg_drake.slam.turn import SHARED, TAGS, TurnFrame, no_detections, reduced, solved_chain
+from tfg_drake.slam.turn import TAGS, TurnFrame, no_detections, reduced, solved_chain
 from tfg_drake.slam.turn import _ties as ties_of
-from tfg_drake.slam.walls import PROVISIONAL, Walls, grouped, identified, named, no_lines, no_walls
+from tfg_drake.slam.walls import PROVISIONAL, Names, Walls, grouped, identified, named, no_lines, no_walls
 
 NOISE = Noise(random_walks(OdometryConfig()))
 SHEET = by_data_sheet(OdometryConfig(), TagSensorConfig())
 START = np.array([-1.0, -1.0, 0.3])
+
+# A tag, in every frame of the first second.
+SEEN = {"ids": 7, "range": 2.0, "bearing": 0.2, "sigma_range": 0.02, "sigma_bearing": 0.01}
 
 
 def turn(rng=None, rate=0.6, steps=30, scanner=(0.0, 0.0, 0.0), clock=0.0):
@@ -47,8 +51,7 @@ def turn(rng=None, rate=0.6, steps=30, scanner=(0.0, 0.0, 0.0), clock=0.0):
         normal = np.zeros(len(ANGLES)) if rng is None else rng.normal(size=len(ANGLES))
         lines = scan_lines(scan(WALLS, X_WS, stamp, ANGLES, normal, CONFIG)).lines
         X_OB = np.array([0.0, 0.0, rate * max(stamp - 1.0, 0.0)])
-        twist = np.array([0.0, rate if stamp > 1.0 else 0.0])
-        frames.append(TurnFrame(stamp, stamp, X_OB, no_detections(stamp), twist, 0.0, lines, True))
+        frames.append(TurnFrame(stamp, stamp, X_OB, no_detections(stamp), 0.0, lines, True))
     bare = [TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in (frames[0], frames[-1])]
     return bare[0], tuple(frames[1:-1]), bare[1]
 
@@ -189,6 +192,45 @@ def test_a_wall_seen_again_is_found_and_told_along_its_normal_only():
         known = p_ML[np.searchsorted(one.ids, seen.ids[k])]
         off = normal @ (p_AL[k] - known)
         assert off**2 < 16.0 * (normal @ own @ normal + normal @ covariance[:2, :2] @ normal + 1e-5)
+
+
+def test_a_name_tells_nothing_of_the_parameters():
+    """The points named lie on the walls seen, a metre along them, where the parameters are those linearised at."""
+    begin, frames, end = turn()
+    shared = np.zeros(SHARED)
+    shared[SCANNER_YAW] = 0.1
+    one = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
+    p_AL = one.given(shared)[0].reshape(-1, 2, 2)
+    along = p_AL[:, 1] - p_AL[:, 0]
+    along /= np.hypot(*along.T)[:, None]
+    none = np.zeros(len(p_AL), dtype=bool)
+    names = Names(one.ids[::2], WALLS_BELOW - 2 - 2 * np.arange(len(p_AL)), p_AL + along[:, None], none)
+    seen = named(one, names, shared)
+    order = np.argsort(names.first)
+    off = seen.given(shared)[0].reshape(-1, 2, 2) - p_AL[order]
+    normal = np.column_stack([along[:, 1], -along[:, 0]])[order]
+    np.testing.assert_allclose(np.einsum("wpi,wi->wp", off, normal), 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.einsum("wpi,wi->wp", off, along[order]), 1.0, atol=0.02)
+    before, after = (keyframe.alone()[0] / np.outer(1.0 / SHEET.sigma, 1.0 / SHEET.sigma) for keyframe in (one, seen))
+    np.testing.assert_allclose(after, before, atol=1e-3)
+
+
+def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_tags_ranges():
+    begin, frames, end = turn()
+    tag = replace(no_detections(0.0), **{name: np.array([value]) for name, value in SEEN.items()})
+    frames = tuple(
+        replace(one, detections=replace(tag, stamp=one.stamp)) if i < 8 else one for i, one in enumerate(frames)
+    )
+    shared = np.zeros(SHARED)
+    shared[RANGE_SCALE] = 0.02
+    by_sheet = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    other = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
+    walls = ~is_tag(by_sheet.ids)
+    assert not walls.all()
+    np.testing.assert_allclose(other.given(shared)[0][walls], by_sheet.given(np.zeros(SHARED))[0][walls], atol=1e-5)
+    # And the tag is nearer, by the longer ranges.
+    r, nearer = (np.hypot(*one.given(at)[0][~walls].T) for one, at in ((by_sheet, np.zeros(SHARED)), (other, shared)))
+    assert r / nearer == pytest.approx(1.02, abs=1e-3)
 
 
 def test_a_wall_beside_a_known_one_waits():

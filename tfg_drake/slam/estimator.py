@@ -353,7 +353,7 @@ def _step(
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    taken = TurnFrame(stamp, clock, X_OB, frame, twist, state.offset, lines, only_scan)
+    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines, only_scan)
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:

@@ -217,9 +217,7 @@ def _entries(size: int, local_row: IntArray) -> IntArray:
     return np.append((2 * local_row[:, None] + [0, 1]).ravel(), np.arange(size - 3 - SHARED, size))
 
 
-def _iterated(
-    mean: FloatArray, covariance: FloatArray, local_row: IntArray, told: _Told, seen: IntArray
-) -> _Update:
+def _iterated(mean: FloatArray, covariance: FloatArray, local_row: IntArray, told: _Told, seen: IntArray) -> _Update:
     """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the keyframe. mean, covariance:
     the map's joint, see `_in_unit_of`."""
     m, r = len(seen), len(told.told)

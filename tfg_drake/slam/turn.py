@@ -20,7 +20,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, m
 from tfg_drake.slam.keyframe import Keyframe, keyframe
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
-from tfg_drake.slam.shared import DISTANCE_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
+from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import Looks, along_walls, grouped, no_lines, pairs_of, with_floor
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
@@ -34,7 +34,7 @@ SLIP_EXPLAINS = 3
 SLIP_LEAVES = 1 / 3
 # Instants closer than this are one, s.
 SAME_INSTANT = 1e-6
-# The robot's twist at a scan is that of so long before and after, s.
+# The robot's twist at a frame is that of so long before and after, s.
 TWIST_SPAN = 0.25
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
@@ -123,15 +123,13 @@ class _Solution(NamedTuple):
 @message
 class TurnFrame:
     """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
-    frame's tags. twist: (2,) forward speed (m/s) and turn rate (rad/s) then. offset: s, the camera's clock was taken to
-    be so much ahead: the frame's own stamp is later by that. lines: (k, 7) of a scan of that instant, see
-    `scan_lines`. only_scan: the camera took no frame then."""
+    frame's tags. offset: s, the camera's clock was taken to be so much ahead: the frame's own stamp is later by that.
+    lines: (k, 7) of a scan of that instant, see `scan_lines`. only_scan: the camera took no frame then."""
 
     stamp: float
     clock: float
     X_OB: FloatArray
     detections: TagDetections
-    twist: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     offset: float = 0.0
     lines: FloatArray = dataclasses.field(default_factory=no_lines)
     only_scan: bool = False
@@ -210,15 +208,16 @@ def reduced(
     z[:, 1] = np.concatenate([detections.range for detections in seen])
     z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
     z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
-    z[:, 4:6] = np.repeat([frame.twist for frame in (*frames, end)], counts, axis=0)
     z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
     z[:, 7] = np.repeat(np.cumsum([not frame.only_scan for frame in (*frames, end)]), counts)
     ids = np.concatenate([detections.ids for detections in seen])
 
     X_AB = se2.between(X_OB[0], X_OB)
+    twist = twists(stamps, X_AB, shared.mean)
+    z[:, 4:6] = np.repeat(twist[node], counts, axis=0)
     lines = [frame.lines for frame in (*frames, end)]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
-    looked = of_line, np.concatenate(lines), _twists(stamps, X_AB)[of_line]
+    looked = of_line, np.concatenate(lines), twist[of_line]
     looks = grouped(*looked, X_AB)
     problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
@@ -251,8 +250,9 @@ def reduced(
     )
 
 
-def _twists(stamps: FloatArray, X_AB: FloatArray) -> FloatArray:
-    """(t, 2) forward speed (m/s) and turn rate (rad/s) at each pose, in the mean of TWIST_SPAN to either side.
+def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArray:
+    """(t, 2) forward speed (m/s) and turn rate (rad/s) at each of odometry's poses (t, 3), in the mean of TWIST_SPAN to
+    either side, if the parameters are `shared` (13,).
 
     Those of a single step have its noise, which a clock would explain.
     """
@@ -262,7 +262,8 @@ def _twists(stamps: FloatArray, X_AB: FloatArray) -> FloatArray:
     )
     span = np.maximum(stamps[last] - stamps[first], SAME_INSTANT)
     moved = np.array([arc(X_AB[i], X_AB[j]) for i, j in zip(first, last, strict=True)])
-    return moved[:, ::2] / span[:, None]
+    scale = 1.0 + shared[[DISTANCE_SCALE, GYRO_SCALE]]
+    return np.asarray((moved[:, ::2] / span[:, None] - [0.0, shared[GYRO_BIAS]]) / scale)
 
 
 def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:

@@ -20,6 +20,7 @@ from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
+from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.timeline import read_timeline
 from tfg_drake.storage.trajectory import read_tum
@@ -53,6 +54,17 @@ def test_the_summary_has_every_field_in_order(finished):
         assert list(written[name]) == ["mean", "std", "max", "final"]
     assert list(written["map_variables"]) == ["landmarks", "poses", "calibration"]
     assert list(written["stage_ms"]) == ["median", "p99", "max"]
+
+
+def test_parameters_are_in_the_summary_by_their_names(finished):
+    known = load_map(finished.folder / "map.npz").graph.shared
+    for place, name in (
+        (CAMERA_YAW, "camera_yaw_rad"),
+        (RANGE_SCALE, "range_scale"),
+        (SWEEP, "scanner_sweep_s_per_rad"),
+    ):
+        told = finished.summary["calibration"][name]
+        assert (told["value"], told["deviation"]) == pytest.approx((known.mean[place], known.sigma[place]))
 
 
 def test_a_run_leaves_no_garbage_and_the_collector_as_it_was(tmp_path, monkeypatch):
