@@ -49,14 +49,15 @@ class SlamEstimator(LeafSystem):
         output_ports:
         - pose
         - map
+        - landmarks
         - estimator_state
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
     unconnected: once it says that all is explored, more of a large map is known jointly. pose: PoseEstimate at the
-    newest odometry. map: MapEstimate after the newest view, of stage 0 and empty before the first. estimator_state:
-    EstimatorState, all it knows, for whoever keeps the map. A turn is open while
-    the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's
-    stage plus one. Messages are taken once each, by their stamps.
+    newest odometry. map: MapEstimate of the tags after the newest view, of stage 0 and empty before the first.
+    landmarks: MapEstimate of tags and walls then. estimator_state: EstimatorState, all it knows, for whoever keeps the
+    map. A turn is open while the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's
+    stage becomes the mission's stage plus one. Messages are taken once each, by their stamps.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class SlamEstimator(LeafSystem):
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
         self._state.declare_output(self, "map", lambda now: now.published or nothing)
+        self._state.declare_output(self, "landmarks", lambda now: now.map or nothing)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
