@@ -30,7 +30,17 @@ from tfg_drake.slam.shared import (
 )
 from tfg_drake.slam.turn import TAGS, TurnFrame, no_detections, reduced, solved_chain
 from tfg_drake.slam.turn import _ties as ties_of
-from tfg_drake.slam.walls import PROVISIONAL, Names, Walls, grouped, identified, named, no_lines, no_walls
+from tfg_drake.slam.walls import (
+    PROVISIONAL,
+    Names,
+    Walls,
+    floor_of_points,
+    grouped,
+    identified,
+    named,
+    no_lines,
+    no_walls,
+)
 
 NOISE = Noise(random_walks(OdometryConfig()))
 SHEET = by_data_sheet(OdometryConfig(), TagSensorConfig())
@@ -293,6 +303,29 @@ def test_a_robot_without_tags_knows_where_it_is():
     assert off @ np.linalg.solve(by_walls.covariance, off) < 16.3
     assert np.hypot(*(by_wheels.X_MB[:2] - X_MB[:2])) > 3.0 * np.hypot(*off[:2])
     assert np.sqrt(np.trace(by_walls.covariance[:2, :2])) < 0.3 * np.sqrt(np.trace(by_wheels.covariance[:2, :2]))
+
+
+def test_between_views_the_pose_is_told_by_walls():
+    """A way of two metres after the last turn: odometry alone is 2 % off."""
+    sheet = by_data_sheet(OdometryConfig(), TagSensorConfig(), ScanConfig())
+    legs = [*ROUND[:3], (0.3, -0.2, 6.0, False)]
+    state, X_MB = drive(initial_state(OdometryConfig(), 0.0, sheet), 3, 1.0, legs)
+    by_walls = pose_estimate(state)
+    off = np.append(by_walls.X_MB[:2] - X_MB[:2], se2.wrap_angle(by_walls.X_MB[2] - X_MB[2]))
+    assert np.hypot(*off[:2]) < 0.015
+    assert off @ np.linalg.solve(by_walls.covariance, off) < 16.3
+    assert np.sqrt(np.trace(by_walls.covariance[:2, :2])) < 0.02
+
+
+@pytest.mark.parametrize("level", [0.25, 1.0, 4.0])
+def test_the_floor_is_found_by_walls_seen_again(level):
+    """Walls, each off by errors of the floor beside others; whatever the floor is taken to be meanwhile."""
+    rng, floor = np.random.default_rng(3), floor_of_points(np.array([[0.0, 0.0], [2.0, 0.0]]))[1::2, 1::2]
+    walls, others = no_walls(), np.array([[1e-6, 5e-7], [5e-7, 1e-6]])
+    for _ in range(60):
+        off = rng.multivariate_normal(np.zeros(2), others + level**2 * floor)
+        walls = walls.seen_again(off, others + 0.5**2 * floor, floor, 0.5)
+    assert walls.floor == pytest.approx(level, rel=0.3)
 
 
 def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():

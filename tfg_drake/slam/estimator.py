@@ -53,7 +53,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
-from tfg_drake.slam.localizer import localized_pose, new_tags, start_localizer, step_localizer
+from tfg_drake.slam.localizer import corrected_by_walls, localized_pose, new_tags, start_localizer, step_localizer
 from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere, realigned
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
@@ -367,6 +367,8 @@ def _step(
         twist,
         state.offset,
     )
+    if len(lines):
+        localizer = corrected_by_walls(localizer, lines, twist)
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
@@ -442,7 +444,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
     else:
         solution = _solve(state, piece)
-        source = Source(piece, instant(state), state.graph.shared, state.noise.level)
+        source = Source(piece, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
         seen = Sighted(solution.keyframe, solution.sightings)
         state = replace(state, noise=state.noise.with_sample(solution.sample))
         if not state.path_keyframe_period:
@@ -453,7 +455,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     """A turn or piece solved by itself."""
-    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared)
+    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared, state.walls.floor)
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -476,7 +478,7 @@ def _reduced_anew(
             and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
         ):
             continue
-        anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared)
+        anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared, state.walls.floor)
         one = anew.keyframe
         if source.names is not None:
             one = named(one, source.names, shared.mean)
@@ -485,7 +487,7 @@ def _reduced_anew(
         if np.array_equal(one.ids, keyframes[at].ids) and np.all(
             np.abs(one.y_AL - keyframes[at].y_AL)[walls] < SAME_WALL
         ):
-            keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level)
+            keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level, floor=state.walls.floor)
     if tuple(kept) == sources:
         return graph, sources
     return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
@@ -509,7 +511,7 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
     solution = _solve(state, turn)
-    source = Source(turn, instant(state), state.graph.shared, state.noise.level)
+    source = Source(turn, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
     state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
     keyframe = solution.keyframe
     way, view = state.way, Sighted(keyframe, solution.sightings)
@@ -569,7 +571,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         map=whole,
         walls=walls,
         published=whole.of_tags,
-        localizer=start_localizer(estimate),
+        localizer=start_localizer(estimate, walls),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
@@ -585,7 +587,7 @@ def _with_names(
     one, tags = seen.keyframe, is_tag(seen.keyframe.ids)
     if tags.all():
         return seen, source, walls
-    names, walls = identified(one, seen.frames, walls, estimate)
+    names, walls = identified(one, seen.frames, walls, estimate, source.floor)
     one = named(one, names, graph.shared.mean)
     of_walls = np.zeros(np.count_nonzero(~is_tag(one.ids)), dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls

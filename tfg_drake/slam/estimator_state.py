@@ -53,12 +53,13 @@ class OpenObservation:
 @message
 class Source:
     """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
-    it was reduced, level: (4,) of the noise likewise. names: of its walls."""
+    it was reduced, level: (4,) of the noise and floor of looks at walls likewise. names: of its walls."""
 
     seen: OpenObservation
     end: TurnFrame
     at: Shared
     level: FloatArray
+    floor: float = 1.0
     names: Names | None = None
 
 

@@ -14,11 +14,13 @@ import numpy as np
 import scipy.linalg
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, message, replace
 from tfg_drake.slam.keyframe import rows_of
 from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map, whereabouts
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
+from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
+from tfg_drake.slam.walls import Walls, floor_of_points, no_walls
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
@@ -35,7 +37,8 @@ class Localizer:
     map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
     rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (8 + 2s, 8 + 2s)
     covariance of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W.
-    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags.
+    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w,) rows in map.local
+    of the first points of walls, wall_points: (w, 2, 2) in D, reach: (w, 2) and floor as of `walls.Walls`.
     """
 
     map: MapEstimate
@@ -49,6 +52,10 @@ class Localizer:
     local_ids: IntArray
     last_seen: FloatArray
     local_frames: IntArray
+    walls: IntArray
+    wall_points: FloatArray
+    reach: FloatArray
+    floor: float
 
     @property
     def state(self) -> State:
@@ -61,10 +68,12 @@ class Localizer:
         return se2.compose(self.map.X_MD, self.mean[:POSE])
 
 
-def start_localizer(estimate: MapEstimate) -> Localizer:
-    """The localiser at the departure pose of the newest map."""
-    none = np.empty(0, dtype=np.int64)
-    considered, with_D, p_DL = _considered(estimate, none)
+def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Localizer:
+    """The localiser at the departure pose of the newest map, and its walls."""
+    none, walls = np.empty(0, dtype=np.int64), walls or no_walls()
+    row, known = rows_of(walls.first, estimate.ids[estimate.local])
+    points = se2.transform(se2.inverse(estimate.X_MD), estimate.local_p_ML)
+    considered, with_D, p_DL = _considered(estimate, none, walls.floor)
     return Localizer(
         map=estimate,
         mean=np.zeros(POSE),
@@ -77,6 +86,10 @@ def start_localizer(estimate: MapEstimate) -> Localizer:
         local_ids=none,
         last_seen=np.empty(0),
         local_frames=none,
+        walls=row[known],
+        wall_points=points[row[known, None] + [0, 1]],
+        reach=walls.reach[known],
+        floor=walls.floor,
     )
 
 
@@ -143,6 +156,24 @@ def step_localizer(
     return _keep_local(now, keep), int(np.count_nonzero(known)), int(np.count_nonzero(known & ~accepted))
 
 
+def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArray) -> Localizer:
+    """The localiser corrected by the lines (k, 7) of a scan of its instant, see `scan_lines`, as far as they are walls
+    that it knows. twist: (2,) forward speed (m/s) and turn rate (rad/s) then."""
+    now, shared = localizer, localizer.map.shared
+    wall = walls_seen(now.mean[:POSE], shared, twist, lines, now.wall_points, now.reach)
+    lines, first = lines[wall >= 0], now.walls[wall[wall >= 0]]
+    if not len(lines):
+        return now
+    new = np.setdiff1d(first, now.seen)
+    if len(new):
+        now = _with_seen(now, np.append(now.seen, (new[:, None] + [0, 1]).ravel()))
+    column = SHARED + 2 * np.argmax(now.seen == first[:, None], axis=1)
+    state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
+    correct_by_walls(state, (shared, now.considered), twist, lines, column, now.p_DL)
+    mean, covariance, sensitivity = state
+    return replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
+
+
 def without_local(localizer: Localizer) -> Localizer:
     """The localiser without the tags met on the way."""
     return _keep_local(localizer, np.zeros(len(localizer.local_ids), dtype=bool))
@@ -166,11 +197,11 @@ def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]
     return localizer.local_ids[some], se2.transform(localizer.map.X_MD, p_DU)
 
 
-def _considered(estimate: MapEstimate, seen: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """considered (8 + 2s, 8 + 2s), with_D (8 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
 
     p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D. The constant errors of
-    tags add what they make of where tags seem to be from there.
+    tags add what they make of where tags seem to be from there, and walls the floor of what a keyframe tells of them.
     """
     X_MD, s, size = estimate.X_MD, len(seen), len(estimate.covariance)
     R_DM = se2.rotation(float(X_MD[2])).T
@@ -192,14 +223,18 @@ def _considered(estimate: MapEstimate, seen: IntArray) -> tuple[FloatArray, Floa
         return np.vstack([rows[-SHARED:], in_D.reshape(2 * s, rows.shape[1]), rows[2 * s : 2 * s + 3]])
 
     joint = seen_from_D(seen_from_D(P).T)
+    tags = is_tag(estimate.ids[estimate.local[seen]])
     if estimate.tag_error.any():
-        joint[SHARED:-3, SHARED:-3] += scipy.linalg.block_diag(*in_place(p_DL, estimate.tag_error))
+        own = np.where(tags[:, None, None], in_place(p_DL, estimate.tag_error), 0.0)
+        joint[SHARED:-3, SHARED:-3] += scipy.linalg.block_diag(*own)
+    of_walls = SHARED + np.flatnonzero(np.repeat(~tags, 2))
+    joint[np.ix_(of_walls, of_walls)] += floor_of_points(p_DL[~tags], floor)
     return joint[:-3, :-3].copy(), joint[:-3, -3:].copy(), p_DL
 
 
 def _with_seen(localizer: Localizer, seen: IntArray) -> Localizer:
     """The localiser that has seen some landmarks more, in rows (s,) of the map's local."""
-    considered, with_D, p_DL = _considered(localizer.map, seen)
+    considered, with_D, p_DL = _considered(localizer.map, seen, localizer.floor)
     sensitivity = np.pad(localizer.sensitivity, ((0, 0), (0, len(considered) - len(localizer.considered))))
     return replace(localizer, seen=seen, considered=considered, with_D=with_D, p_DL=p_DL, sensitivity=sensitivity)
 

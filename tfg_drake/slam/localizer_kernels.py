@@ -143,7 +143,7 @@ def _sighting(
 def _correct(state: State, considered: Considered, instant: Instant, places: Places, z: FloatArray) -> BoolArray:
     """Correct the state by the known tags of a frame, all at once, in place; which of its sightings (m,) were of these
     and inside their gate. Landmarks and parameters are left as they are."""
-    (mean, P, W), (shared, C), (column, entry, p_DL) = state, considered, places
+    mean, (shared, C), (column, entry, p_DL) = state[0], considered, places
     known = np.flatnonzero((column >= 0) | (entry >= 0))
     m, X_DC, accepted = 2 * len(known), _camera(mean, shared, instant), np.zeros(len(z), dtype=np.bool_)
     H, H_c, residual, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
@@ -159,15 +159,27 @@ def _correct(state: State, considered: Considered, instant: Instant, places: Pla
         )
         residual[a:b], noise[a:b] = z[i, :2] - expected, z[i, 2:] ** 2
         residual[a + 1] = wrap(residual[a + 1])
+    accepted[known] = update(state, C, H, H_c, residual, noise)
+    return accepted
+
+
+@njit(cache=True)
+def update(
+    state: State, C: FloatArray, H: FloatArray, H_c: FloatArray, residual: FloatArray, noise: FloatArray
+) -> BoolArray:
+    """Correct the state, in place, by pairs of measurements that are off by residual (2m,) with variances noise (2m,)
+    and derivatives H (2m, 3 + 2k) on the state and H_c (2m, 13 + 2s) on what is considered; which pairs (m,) are inside
+    their gate, and are used."""
+    (mean, P, W), accepted = state, np.zeros(len(residual) // 2, dtype=np.bool_)
     HW, CH = H @ W + H_c, C @ H_c.T
     HP = H @ P + (W @ CH).T
     S = HP @ H.T + HW @ CH + np.diag(noise)
-    for k in range(len(known)):
+    for k in range(len(accepted)):
         a, b = 2 * k, 2 * k + 1
         xx, xy, yy, x, y = S[a, a], S[a, b], S[b, b], residual[a], residual[b]
-        accepted[known[k]] = yy * x * x - 2.0 * xy * x * y + xx * y * y <= GATE * (xx * yy - xy * xy)
+        accepted[k] = yy * x * x - 2.0 * xy * x * y + xx * y * y <= GATE * (xx * yy - xy * xy)
     if accepted.any():
-        kept = np.flatnonzero(np.repeat(accepted[known], 2))
+        kept = np.flatnonzero(np.repeat(accepted, 2))
         # S = G G^T, and G^-1 (H P, H W, residual): so P - (H P)^T S^-1 H P remains symmetric.
         G = np.linalg.cholesky(S[kept][:, kept])
         HP, HW, nu = np.linalg.solve(G, HP[kept]), np.linalg.solve(G, HW[kept]), np.linalg.solve(G, residual[kept])

@@ -193,12 +193,13 @@ def reduced(
     frames: tuple[TurnFrame, ...],
     end: TurnFrame,
     shared: Shared,
+    floor: float = 1.0,
 ) -> Reduced:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. shared: what is known
-    of the parameters, which the solution is linearised at. Where the sightings agree with each other but not with the
-    odometry, the wheels have slipped: then the sightings are believed.
+    of the parameters, which the solution is linearised at. floor: of looks at walls, see `walls.Walls`. Where the
+    sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
     seen = [frame.detections for frame in (*frames, end)]
@@ -239,7 +240,7 @@ def reduced(
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept, slipped = other, other_kept, True
     scale, kept = scale_of(solution.unit, shared.mean), kept[: len(ids)]
-    one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept))
+    one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept), floor)
     return Reduced(
         keyframe=one,
         sightings=np.append(walls, solution.sightings),
@@ -283,11 +284,11 @@ def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
     return parameters, on
 
 
-def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray) -> tuple[Keyframe, IntArray]:
+def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray, level: float) -> tuple[Keyframe, IntArray]:
     """The keyframe, its walls as pairs of points before its tags, and how many looks there are at each such point."""
     n, unit = len(solution.ids), solution.unit
     of_walls = slice(TAGS + 2 * n, None)
-    ids, p_AL, on_points, counts, floor = pairs_of(solution.looks, solution.walls, solution.X_AB)
+    ids, p_AL, on_points, counts, floor = pairs_of(solution.looks, solution.walls, solution.X_AB, level)
     information, gradient, rows = *with_floor(solution.information, solution.gradient, floor, of_walls), 2 * len(ids)
     # From (D, parameters, tags, walls) to (points of walls, tags, D, shared parameters).
     J = np.zeros((len(information), rows + 2 * n + 3 + SHARED))

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message
+from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.slam.keyframe import Keyframe, keyframe, rows_of, without_tags
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import SHARED
@@ -31,10 +31,12 @@ SAME_ANGLE, SAME_LINE = 0.05, 0.05
 # And beside this share of the distance, by which the heading may have wandered since.
 DRIFT = 0.02
 # What all looks of a keyframe at one wall share: its direction (rad) and distance (m) as a scanner sees it, no surface
-# being quite a plane.
-FLOOR = (1e-3, 2e-3)
+# being quite a plane. How walls agree that are seen again says which of some multiples it is; their prior.
+FLOOR = np.array([1e-3, 2e-3])
+FLOORS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
+PRIOR = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
 # Deviation (m) along a wall of its points, in the keyframe that they are of and in others.
-HELD, FREE = 0.01, 100.0
+HELD, FREE = 0.01, 30.0
 # A wall is the map's where the squared error of both points is less than this (2 freedoms: 1 in 3000), its direction
 # differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
 GATE = 16.0
@@ -84,15 +86,29 @@ class Looks(NamedTuple):
 @message
 class Walls:
     """The walls of a map. first: (w,) ids of the first point of each, reach: (w, 2) how far each has been seen, m from
-    that point towards the second."""
+    that point towards the second. by_floor: (5,) logarithm of the likelihood of what was seen again by each of FLOORS,
+    floor: of these the most likely, between them."""
 
     first: IntArray
     reach: FloatArray
+    by_floor: FloatArray
+    floor: float = 1.0
+
+    def seen_again(self, off: FloatArray, S: FloatArray, floor: FloatArray, level: float) -> Walls:
+        """With points that were seen off (2q,) their walls, m, with covariance S (2q, 2q), in which there is floor (2q,
+        2q), times the square of its level then."""
+        by_floor = self.by_floor.copy()
+        for i, other in enumerate(FLOORS):
+            root = np.linalg.cholesky(S + (other**2 - level**2) * floor)
+            nu = np.linalg.solve(root, off)
+            by_floor[i] -= 0.5 * float(nu @ nu) + float(np.sum(np.log(np.diag(root))))
+        weight = PRIOR * np.exp(by_floor - by_floor.max())
+        return replace(self, by_floor=by_floor, floor=float(np.exp2(np.log2(FLOORS) @ weight / weight.sum())))
 
 
 def no_walls() -> Walls:
     """None yet."""
-    return Walls(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+    return Walls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(FLOORS)))
 
 
 def no_lines() -> FloatArray:
@@ -157,11 +173,11 @@ def _grouped(
 
 
 def pairs_of(
-    looks: Looks, walls: FloatArray, X_AB: FloatArray
+    looks: Looks, walls: FloatArray, X_AB: FloatArray, level: float
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
     """The walls (w, 2) of a solution as pairs of points, where each was seen to begin and to end: ids (2w,) ascending,
     p_AL (2w, 2), derivative (2w, 4w) of the walls on the points, the number of looks (2w,) at each, and the covariance
-    (2w, 2w) of the walls' floor."""
+    (2w, 2w) of the walls' floor, level times FLOOR."""
     w = len(walls)
     n = np.column_stack([np.cos(walls[:, 0]), np.sin(walls[:, 0])])
     along = np.column_stack([-n[:, 1], n[:, 0]])
@@ -179,7 +195,7 @@ def pairs_of(
         (begin, end), rows, columns = reach[k], slice(2 * k, 2 * k + 2), slice(4 * i, 4 * i + 4)
         on[rows, columns] = np.kron([[1.0, -1.0], [end, -begin]], n[k]) / length[k]
         at_middle = np.array([[1.0, 0.0], [0.5 * (begin + end), 1.0]])
-        floor[rows, rows] = at_middle @ np.diag(np.square(FLOOR)) @ at_middle.T
+        floor[rows, rows] = at_middle @ np.diag(np.square(level * FLOOR)) @ at_middle.T
     return ids, p_AL[order].reshape(-1, 2), on, np.repeat(np.bincount(looks.wall, minlength=w)[order], 2), floor
 
 
@@ -203,6 +219,25 @@ def along_walls(p_AL: FloatArray, deviation: float = HELD) -> FloatArray:
         block = np.outer(along, along) / deviation**2
         held[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = held[2 * k + 2 : 2 * k + 4, 2 * k + 2 : 2 * k + 4] = block
     return held
+
+
+def floor_of_points(p_AL: FloatArray, level: float = 1.0) -> FloatArray:
+    """Covariance (4w, 4w) of pairs of points (2w, 2) by the floor, level times FLOOR, of what a keyframe tells of their
+    walls."""
+    floor = np.zeros((2 * len(p_AL), 2 * len(p_AL)))
+    for k in range(0, len(p_AL), 2):
+        along = p_AL[k + 1] - p_AL[k]
+        length = float(np.hypot(*along))
+        normal = np.array([along[1], -along[0]]) / length
+        own = np.kron(level**2 * _floor_across(length), np.outer(normal, normal))
+        floor[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] = own
+    return floor
+
+
+def _floor_across(length: float) -> FloatArray:
+    """Covariance (2, 2), normal to the wall, of the ends of a piece of this length, m, by FLOOR in its middle."""
+    by = np.array([[-0.5 * length, 1.0], [0.5 * length, 1.0]]) * FLOOR
+    return np.asarray(by @ by.T)
 
 
 @message
@@ -252,10 +287,13 @@ def named(one: Keyframe, names: Names, shared: FloatArray) -> Keyframe:
     )
 
 
-def identified(one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstimate) -> tuple[Names, Walls]:
+def identified(
+    one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstimate, floor: float = 1.0
+) -> tuple[Names, Walls]:
     """Which walls of the map those of a keyframe are that begins at its newest pose, and which are new; the walls then.
 
-    counts: (n,) looks behind each landmark of the keyframe. What is unclear has no name.
+    counts: (n,) looks behind each landmark of the keyframe. floor: that it was reduced with. What is unclear has no
+    name.
     """
     p_AL, _, covariance = one.given(estimate.shared)
     seen = np.flatnonzero(~is_tag(one.ids))[::2]
@@ -267,6 +305,7 @@ def identified(one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstim
     P, reach, first = estimate.local_p_ML[entry[:, None] + [0, 1]], walls.reach.copy(), list(walls.first)
     p_AL_known = se2.transform(se2.inverse(estimate.X_MD), P.reshape(-1, 2)).reshape(-1, 2, 2)
     names: list[tuple[int, int, FloatArray, bool]] = []
+    again: list[tuple[int, int]] = []
     taken, new_reach, next_id = np.zeros(len(at), dtype=bool), [], int(walls.first.min(initial=WALLS_BELOW)) - 2
     # The longest first: of two pieces of one wall it is the wall.
     for k in np.argsort(-length, kind="stable"):
@@ -279,6 +318,7 @@ def identified(one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstim
             rivals = agrees & (np.abs(off - off[best]) > ONE_WALL)
             if not rivals.any() and not taken[best]:
                 taken[best] = True
+                again.append((k, best))
                 reach[at[best]] = min(reach[at[best], 0], s[best, 0]), max(reach[at[best], 1], s[best, 1])
                 names.append((provisional, first[at[best]], p_AL_known[best], False))
         elif not np.any(off < UNCLEAR) and counts[seen[k]] >= LEAST_LOOKS and length[k] >= LEAST_LENGTH:
@@ -286,13 +326,52 @@ def identified(one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstim
             first.append(next_id)
             new_reach.append((0.0, length[k]))
             next_id -= 2
-    walls = Walls(np.array(first, dtype=np.int64), np.vstack([reach, np.reshape(new_reach, (-1, 2))]))
+    if again:
+        k, best = np.array(again).T
+        rows = (2 * seen[k, None] + np.arange(4)).ravel()
+        of_these = p_AL[seen[k, None] + [0, 1]], covariance[np.ix_(rows, rows)], P[best], entry[best]
+        walls = walls.seen_again(*_off(*of_these, estimate), floor)
+    walls = replace(
+        walls, first=np.array(first, dtype=np.int64), reach=np.vstack([reach, np.reshape(new_reach, (-1, 2))])
+    )
     return Names(
         provisional=np.array([name[0] for name in names], dtype=np.int64),
         first=np.array([name[1] for name in names], dtype=np.int64),
         p_AL=np.reshape([name[2] for name in names], (-1, 2, 2)),
         is_new=np.array([name[3] for name in names], dtype=bool),
     ), walls
+
+
+def _off(
+    p_AL: FloatArray, R: FloatArray, P: FloatArray, entry: IntArray, estimate: MapEstimate
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How far off (2q,) m pairs of points (q, 2, 2), seen from the newest pose with covariance R (4q, 4q), are from
+    walls of the map, at P (q, 2, 2), along their normals; the covariance (2q, 2q) of that, and of one floor. entry:
+    (q,) of each first point among the landmarks known jointly."""
+    q, X_MD = len(P), estimate.X_MD
+    J, N = np.zeros((2 * q, len(estimate.covariance))), np.zeros((2 * q, 4 * q))
+    off, floor = np.empty(2 * q), np.zeros((2 * q, 2 * q))
+    for k in range(q):
+        Q, along, rows = se2.transform(X_MD, p_AL[k]), P[k, 1] - P[k, 0], slice(2 * k, 2 * k + 2)
+        length, seen_length = float(np.hypot(*along)), float(np.hypot(*(Q[1] - Q[0])))
+        normal = np.array([along[1], -along[0]]) / length
+        off[rows] = (Q - P[k, 0]) @ normal
+        J[rows, 2 * entry[k] : 2 * entry[k] + 4], J[rows, -3:] = _on_wall(Q, P[k], X_MD)
+        N[rows, 4 * k : 4 * k + 4] = np.kron(np.eye(2), normal @ se2.rotation(float(X_MD[2])))
+        floor[rows, rows] = _floor_across(seen_length)
+    return off, J @ estimate.covariance @ J.T + N @ R @ N.T, floor
+
+
+def _on_wall(Q: FloatArray, P: FloatArray, X_MD: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives (2, 4) and (2, 3) of how far points Q (2, 2) are off a wall through P (2, 2), on that and on the pose
+    X_MD (3,) that they are seen from."""
+    along = P[1] - P[0]
+    length = np.hypot(*along)
+    along = along / length
+    normal, u, lever = np.array([along[1], -along[0]]), (Q - P[0]) @ along / length, Q - X_MD[:2]
+    turned = lever[:, 0] * normal[1] - lever[:, 1] * normal[0]
+    on_wall = np.hstack([np.outer(u - 1.0, normal), np.outer(-u, normal)])
+    return on_wall, np.column_stack([np.tile(normal, (2, 1)), turned])
 
 
 def _compared(
@@ -314,14 +393,10 @@ def _compared(
     seen_length = float(np.hypot(*seen))
     candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
     squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
-    lever, newest = Q - X_MD[:2], np.arange(len(joint) - 3, len(joint))
+    newest = np.arange(len(joint) - 3, len(joint))
     for k in np.flatnonzero(candidates):
-        u, n = s[k] / length[k], normal[k]
-        columns = np.append(2 * entry[k] + np.arange(4), newest)
-        J = np.zeros((2, 7))
-        J[:, :2], J[:, 2:4], J[:, 4:6] = np.outer(u - 1.0, n), np.outer(-u, n), n
-        J[:, 6] = lever[:, 0] * n[1] - lever[:, 1] * n[0]
-        own = np.kron(np.eye(2), n @ se2.rotation(float(X_MD[2])))
+        columns, J = np.append(2 * entry[k] + np.arange(4), newest), np.hstack(_on_wall(Q, P[k], X_MD))
+        own = np.kron(np.eye(2), normal[k] @ se2.rotation(float(X_MD[2])))
         S = J @ joint[np.ix_(columns, columns)] @ J.T + own @ R @ own.T
         if np.trace(S) < 2.0 * MOST_DEVIATION**2:
             squared[k] = e[k] @ np.linalg.solve(S, e[k])
