@@ -40,9 +40,9 @@ def test_derivatives_are_those_of_differences():
     line = lines_from(mean, AHEAD)[0]
 
     def off(x):
-        return line_off(x[:3], x[3 : 3 + SHARED], TWIST, line, x[3 + SHARED :].reshape(2, 2))[0]
+        return line_off(x[:3], x[3 : 3 + SHARED], x[-2:], line, x[3 + SHARED : -2].reshape(2, 2))[0]
 
-    x = np.concatenate([mean, shared, p_DL.ravel()])
+    x = np.concatenate([mean, shared, p_DL.ravel(), TWIST])
     _, *derivatives = line_off(mean, shared, TWIST, line, p_DL)
     for i, column in enumerate(np.hstack(derivatives).T):
         step = 1e-6 * np.eye(len(x))[i]

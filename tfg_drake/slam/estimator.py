@@ -368,7 +368,10 @@ def _step(
         state.offset,
     )
     if len(lines):
-        localizer = corrected_by_walls(localizer, lines, twist)
+        distance, heading, _ = state.noise.now.walks
+        span = state.odometry[after].stamp - state.odometry[before].stamp
+        variance = np.array([distance**2 * abs(twist[0]), heading**2]) / max(span, SAME_INSTANT)
+        localizer = corrected_by_walls(localizer, lines, twist, variance)
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere

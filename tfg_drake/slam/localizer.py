@@ -156,9 +156,9 @@ def step_localizer(
     return _keep_local(now, keep), int(np.count_nonzero(known)), int(np.count_nonzero(known & ~accepted))
 
 
-def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArray) -> Localizer:
+def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray) -> Localizer:
     """The localiser corrected by the lines (k, 7) of a scan of its instant, see `scan_lines`, as far as they are walls
-    that it knows. twist: (2,) forward speed (m/s) and turn rate (rad/s) then."""
+    that it knows. twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these."""
     now, shared = localizer, localizer.map.shared
     wall = walls_seen(now.mean[:POSE], shared, twist, lines, now.wall_points, now.reach)
     lines, first = lines[wall >= 0], now.walls[wall[wall >= 0]]
@@ -169,7 +169,7 @@ def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArra
         now = _with_seen(now, np.append(now.seen, (new[:, None] + [0, 1]).ravel()))
     column = SHARED + 2 * np.argmax(now.seen == first[:, None], axis=1)
     state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
-    correct_by_walls(state, (shared, now.considered), twist, lines, column, now.p_DL)
+    correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, now.p_DL)
     mean, covariance, sensitivity = state
     return replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
 

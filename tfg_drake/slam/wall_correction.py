@@ -55,9 +55,10 @@ def _scanner(X_DB: FloatArray, shared: FloatArray, twist: FloatArray, line: Floa
 @njit(cache=True)
 def line_off(
     mean: FloatArray, shared: FloatArray, twist: FloatArray, line: FloatArray, p_DL: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """How far a line (7,) is turned from a wall through p_DL (2, 2), rad, and its middle off it, m, (2,); derivatives
-    on the pose, the first three of the mean (2, 3), the parameters (2, 13) and the wall's points (2, 4)."""
+    on the pose, the first three of the mean (2, 3), the parameters (2, 13), the wall's points (2, 4) and the twist (2,
+    2)."""
     by_pose, by_shared, by_points = np.zeros((2, POSE)), np.zeros((2, SHARED)), np.empty((2, 4))
     c, s, X_DS = math.cos(mean[2]), math.sin(mean[2]), _scanner(mean, shared, twist, line)
     angle, bearing = X_DS[2] + line[0], line[0] + math.atan2(line[4], line[1])
@@ -84,26 +85,29 @@ def line_off(
     for i, n in enumerate((n_x, n_y)):
         by_points[0, i], by_points[0, 2 + i] = n / length, -n / length
         by_points[1, i], by_points[1, 2 + i] = (share - 1.0) * n, -share * n
-    return np.array([turned, n_x * d_x + n_y * d_y]), by_pose, by_shared, by_points
+    earlier = shared[SCANNER_CLOCK] + shared[SWEEP] * bearing
+    by_twist = np.array([[0.0, earlier + shared[SWEEP] * turning], [-earlier * n_ahead, -earlier * by_turn]])
+    return np.array([turned, n_x * d_x + n_y * d_y]), by_pose, by_shared, by_points, by_twist
 
 
 @njit(cache=True)
 def correct_by_walls(
     state: State,
     considered: tuple[FloatArray, FloatArray],
-    twist: FloatArray,
+    twist: tuple[FloatArray, FloatArray],
     lines: FloatArray,
     column: IntArray,
     p_DL: FloatArray,
 ) -> None:
     """Correct the state, in place, by lines (k, 7) of a scan, each of the wall whose first point is considered from a
-    column (k,) on, the second next to it. p_DL: (s, 2) of what is considered."""
+    column (k,) on, the second next to it. p_DL: (s, 2) of what is considered. twist: (2,) and its
+    variances (2,)."""
     (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
     for j in range(len(lines)):
         a, b, at, k = 2 * j, 2 * j + 2, column[j], (column[j] - SHARED) // 2
-        off[a:b], H[a:b, :POSE], H_c[a:b, :SHARED], H_c[a:b, at : at + 4] = line_off(
-            mean, shared, twist, lines[j], p_DL[k : k + 2]
+        off[a:b], H[a:b, :POSE], H_c[a:b, :SHARED], H_c[a:b, at : at + 4], by_twist = line_off(
+            mean, shared, twist[0], lines[j], p_DL[k : k + 2]
         )
-        noise[a:b] = lines[j, 5:] ** 2
+        noise[a:b] = lines[j, 5:] ** 2 + by_twist**2 @ twist[1]
     update(state, C, H, H_c, -off, noise)
