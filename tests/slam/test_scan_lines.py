@@ -52,7 +52,7 @@ def errors(walls, X_WB, line):
 
 def test_exact_without_noise():
     X_WB = np.array([-1.0, -0.5, 0.2])
-    lines = scan_lines(seen(WALLS, X_WB)).lines
+    lines = scan_lines(seen(WALLS, X_WB))
     assert len(lines) >= 2
     for line in lines:
         off, reach, length = errors(WALLS, X_WB, line)
@@ -64,7 +64,7 @@ def test_errors_are_as_large_as_stated():
     rng, found = np.random.default_rng(3), []
     for _ in range(400):
         X_WB = np.append(rng.uniform([-3.5, -2.5], [3.5, 2.5]), rng.uniform(-math.pi, math.pi))
-        for line in scan_lines(seen(WALLS, X_WB, rng)).lines:
+        for line in scan_lines(seen(WALLS, X_WB, rng)):
             off, reach, length = errors(WALLS, X_WB, line)
             assert reach[0] > -0.05
             assert reach[1] < length + 0.05
@@ -82,18 +82,18 @@ def test_a_person_and_a_pillar_are_no_line():
     ring = 0.25 * np.column_stack([np.cos(round_one), np.sin(round_one)]) + [2.0, 0.0]
     person = np.column_stack([ring[:-1], ring[1:]])
     for x in np.linspace(-1.0, 1.0, 20):
-        assert not len(scan_lines(seen(person, [x, 0.0, 0.0], rng)).lines)
+        assert not len(scan_lines(seen(person, [x, 0.0, 0.0], rng)))
     short = np.array([[2.0, -0.2, 2.0, 0.2]])
     assert LENGTH > 0.4
-    assert not len(scan_lines(seen(short, [0.0, 0.0, 0.0], rng)).lines)
+    assert not len(scan_lines(seen(short, [0.0, 0.0, 0.0], rng)))
 
 
 def test_a_lost_ray_parts_no_wall():
     whole = seen(WALLS[1:2], [0.0, 0.0, 0.0], np.random.default_rng(2))
     ranges = whole.ranges.copy()
     ranges[[100, 130]] = np.nan
-    (one,) = scan_lines(dataclasses.replace(whole, ranges=ranges)).lines
-    (all_rays,) = scan_lines(whole).lines
+    (one,) = scan_lines(dataclasses.replace(whole, ranges=ranges))
+    (all_rays,) = scan_lines(whole)
     np.testing.assert_allclose(one[:4], all_rays[:4], atol=2e-3)
 
 
@@ -102,7 +102,7 @@ def test_a_noisier_scanner_than_told_says_so():
     for _ in range(100):
         X_WB = np.append(rng.uniform([-3.5, -2.5], [0.5, 2.5]), rng.uniform(-math.pi, math.pi))
         told = dataclasses.replace(seen(WALLS, X_WB, rng, loud), sigma=CONFIG.noise)
-        found += [errors(WALLS, X_WB, line)[0] for line in scan_lines(told).lines]
+        found += [errors(WALLS, X_WB, line)[0] for line in scan_lines(told)]
     assert len(found) > 150
     assert np.all(np.std(found, axis=0) < 1.3)
 
@@ -113,6 +113,6 @@ def test_a_corner_has_two_walls_that_meet_at_a_right_angle(turned):
     corner = se2.transform(se2.inverse(np.array([0.0, 0.0, turned])), WALLS[1:3].reshape(-1, 2)).reshape(-1, 4)
     X_WB[:2] = se2.transform(se2.inverse(np.array([0.0, 0.0, turned])), X_WB[None, :2])[0]
     X_WB[2] -= 2.0 * turned
-    lines = scan_lines(seen(corner, X_WB, np.random.default_rng(7))).lines
+    lines = scan_lines(seen(corner, X_WB, np.random.default_rng(7)))
     assert len(lines) == 2
     assert abs(abs(se2.wrap_angle(lines[1, 0] - lines[0, 0])) - 0.5 * math.pi) < 0.03

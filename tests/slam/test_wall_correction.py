@@ -20,7 +20,7 @@ REACH = np.array([[0.0, 6.0], [0.0, 8.0]])
 
 def lines_from(X_DB, *walls):
     scanned = scan(np.array(walls).reshape(-1, 4), X_DB, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG)
-    return scan_lines(scanned).lines
+    return scan_lines(scanned)
 
 
 def test_a_line_without_error_is_on_its_wall():
@@ -73,6 +73,6 @@ def test_the_sweep_turns_the_line():
         then = X_DB - [0.0, 0.0, shared[SWEEP] * angle * turning[1]]
         ranges[i] = scan(AHEAD.reshape(1, 4), then, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG).ranges[i]
     scanned = scan(AHEAD.reshape(1, 4), X_DB, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG)
-    line = scan_lines(replace(scanned, ranges=ranges)).lines[0]
+    line = scan_lines(replace(scanned, ranges=ranges))[0]
     off, naive = (line_off(X_DB, known, turning, line, AHEAD)[0] for known in (shared, np.zeros(SHARED)))
     assert abs(off[0]) < 0.01 * abs(naive[0])

@@ -59,7 +59,7 @@ def turn(rng=None, rate=0.6, steps=30, scanner=(0.0, 0.0, 0.0), clock=0.0):
         X_WB = np.array([*START[:2], START[2] + rate * max(stamp - clock - 1.0, 0.0)])
         X_WS = se2.compose(X_WB, np.array(scanner))
         normal = np.zeros(len(ANGLES)) if rng is None else rng.normal(size=len(ANGLES))
-        lines = scan_lines(scan(WALLS, X_WS, stamp, ANGLES, normal, CONFIG)).lines
+        lines = scan_lines(scan(WALLS, X_WS, stamp, ANGLES, normal, CONFIG))
         X_OB = np.array([0.0, 0.0, rate * max(stamp - 1.0, 0.0)])
         frames.append(TurnFrame(stamp, stamp, X_OB, no_detections(stamp), 0.0, lines, True))
     bare = [TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in (frames[0], frames[-1])]

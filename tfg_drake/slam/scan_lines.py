@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, IntArray, LaserScan, message
+from tfg_drake.messages import FloatArray, IntArray, LaserScan
 
 # Least length of a line, m, and number of its rays.
 LENGTH, RAYS = 0.5, 8
@@ -28,26 +28,18 @@ NORMAL = 0.6745
 LEAST_SIGMA = 0.002
 
 
-@message
-class ScanLines:
-    """n straight pieces seen by one scan, in the scanner's frame.
+def scan_lines(scan: LaserScan) -> FloatArray:
+    """The straight pieces (n, 7) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
 
-    stamp: s. lines: (n, 7): angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0;
-    offset (m); where along the line, m from the foot of the perpendicular along the normal turned left by 90 degrees,
-    the seen piece begins and ends, and its middle, where the errors of angle and of distance normal to the line are
-    uncorrelated; standard deviations of the angle (rad) and of that distance (m), by the noise of the rays alone.
+    Angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m); where along
+    the line, m from the foot of the perpendicular along the normal turned left by 90 degrees, the seen piece begins and
+    ends, and its middle, where the errors of angle and of distance normal to the line are uncorrelated; standard
+    deviations of the angle (rad) and of that distance (m), by the noise of the rays alone.
     """
-
-    stamp: float
-    lines: FloatArray
-
-
-def scan_lines(scan: LaserScan) -> ScanLines:
-    """The straight pieces that the scan sees, at least LENGTH long and of RAYS rays."""
     r = scan.ranges[np.isfinite(scan.ranges)]
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     bent = float(np.median(np.abs(np.diff(r, 2)))) / (NORMAL * math.sqrt(6.0)) if len(r) > RAYS else 0.0
-    return ScanLines(scan.stamp, _lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
+    return np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
 
 
 @njit(cache=True)
@@ -78,15 +70,12 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
             off /= sigma * cosine
             if off > worst:
                 worst, at = off, i
-        if worst > SPLIT and last - begin >= 2:
-            if not _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
-                stack[top, 0], stack[top, 1] = at, end
-                stack[top + 1, 0], stack[top + 1, 1] = begin, at + 1
-                top += 2
-                continue
+        if _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
             n += 1
-        elif _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
-            n += 1
+        elif worst > SPLIT and last - begin >= 2:
+            stack[top, 0], stack[top, 1] = at, end
+            stack[top + 1, 0], stack[top + 1, 1] = begin, at + 1
+            top += 2
     return found[:n].copy()
 
 

@@ -41,7 +41,7 @@ HELD = 1e12
 # Where the border's parameters begin in the dense rest: after D (3) the odometry's (3), the camera's (5), the scanner's
 # (5) and the tags. They are the shared parameters, the scales of distance and of ranges over that of the chain's unit.
 CALIBRATION, CAMERA, SCANNER, TAGS = 3, 6, 11, 16
-OF_CAMERA, OF_SCANNER = 5, 5
+OF_SENSOR = 5
 SCALES = np.array([DISTANCE_SCALE, RANGE_SCALE])
 # Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
 MOST_STEPS = 50
@@ -626,23 +626,12 @@ def _add_sightings(
             fresh[:, 3:6] = whitener * rows[:, :3]
             fresh[:, 6:] = whitener * (rows[:, 3:] - left[j] * rows_before[:, 3:])
         cost += 0.5 * _dot(fresh, last, last)
-        # D's rows are the rest's first; the border's columns follow D's there, and itself and the next in the chain.
-        of_pose, begin = (rest[:3], 3) if i == len(X) - 1 else (chain[i], 6)
-        for a in range(3):
-            for b in range(3):
-                of_pose[a, b] += _dot(fresh, 3 + a, 3 + b)
-            _add_border(of_pose[a], begin, k, fresh, 3 + a)
+        _add_measured(fresh, 3, i, CAMERA, k, chain, rest)
         for a in range(3 if before[j] >= 0 else 0):
             for b in range(3):
                 chain[i - 1, a, b] += _dot(fresh, a, b)
                 chain[i - 1, a, 3 + b] += _dot(fresh, a, 3 + b)
-            _add_border(chain[i - 1, a], 6, k, fresh, a)
-        for a in range(OF_CAMERA):
-            _add_border(rest[CAMERA + a], 3, k, fresh, 6 + a)
-        for a in range(2):
-            for b in range(2):
-                rest[3 + k + a, 3 + k + b] += _dot(fresh, 11 + a, 11 + b)
-            rest[3 + k + a, -1] += _dot(fresh, 11 + a, last)
+            _add_border(chain[i - 1, a], 3, fresh, a, 3, CAMERA, k)
     return cost
 
 
@@ -694,38 +683,40 @@ def _add_looks(
         rows[1, 7] = bearing * rows[1, 6]
         rows[1, 8], rows[1, 9], rows[1, last] = other * (n_x * y - n_y * x), -other, weight * off
         cost += 0.5 * _dot(rows, last, last)
-        of_pose, at = (rest[:3], 3) if i == len(X) - 1 else (chain[i], 6)
-        for a in range(3):
-            for b in range(3):
-                of_pose[a, b] += _dot(rows, a, b)
-            _add_wall(of_pose[a], at, k, rows, a)
-        for a in range(OF_SCANNER):
-            _add_wall(rest[SCANNER + a], 3, k, rows, 3 + a)
-        for a in range(2):
-            for b in range(2):
-                rest[3 + k + a, 3 + k + b] += _dot(rows, 8 + a, 8 + b)
-            rest[3 + k + a, -1] += _dot(rows, 8 + a, last)
+        _add_measured(rows, 0, i, SCANNER, k, chain, rest)
     return cost
 
 
 @njit(cache=True)
-def _add_wall(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
-    """Add a column's products with scanner, wall and error, whose border begins in the row at `begin`."""
-    for b in range(OF_SCANNER):
-        row[begin + 8 + b] += _dot(rows, column, 3 + b)
-    for b in range(2):
-        row[begin + k + b] += _dot(rows, column, 8 + b)
-    row[-1] += _dot(rows, column, 10)
+def _add_measured(
+    rows: FloatArray, first: int, i: int, of_sensor: int, k: int, chain: FloatArray, rest: FloatArray
+) -> None:
+    """Add rows of what pose i measured of the landmark at k in the border. Their columns from `first` on: pose,
+    parameters of the sensor, which are in the rest from of_sensor on, landmark and error."""
+    # D's rows are the rest's first; the border's columns follow D's there, and itself and the next in the chain.
+    of_pose, shift = (rest[:3], 0) if i == len(chain) - 1 else (chain[i], 3)
+    for a in range(3):
+        for b in range(3):
+            of_pose[a, b] += _dot(rows, first + a, first + b)
+        _add_border(of_pose[a], shift, rows, first + a, first, of_sensor, k)
+    for a in range(OF_SENSOR):
+        _add_border(rest[of_sensor + a], 0, rows, first + 3 + a, first, of_sensor, k)
+    landmark = first + 3 + OF_SENSOR
+    for a in range(2):
+        for b in range(2):
+            rest[3 + k + a, 3 + k + b] += _dot(rows, landmark + a, landmark + b)
+        rest[3 + k + a, -1] += _dot(rows, landmark + a, landmark + 2)
 
 
 @njit(cache=True)
-def _add_border(row: FloatArray, begin: int, k: int, rows: FloatArray, column: int) -> None:
-    """Add a column's products with camera, tag and error, whose border begins in the row at `begin`."""
-    for b in range(OF_CAMERA):
-        row[begin + 3 + b] += _dot(rows, column, 6 + b)
+def _add_border(row: FloatArray, shift: int, rows: FloatArray, column: int, first: int, of_sensor: int, k: int) -> None:
+    """Add a column's products with parameters, landmark and error to a row whose border is so far behind the
+    rest's."""
+    for b in range(OF_SENSOR):
+        row[shift + of_sensor + b] += _dot(rows, column, first + 3 + b)
     for b in range(2):
-        row[begin + k + b] += _dot(rows, column, 11 + b)
-    row[-1] += _dot(rows, column, 13)
+        row[shift + 3 + k + b] += _dot(rows, column, first + 3 + OF_SENSOR + b)
+    row[-1] += _dot(rows, column, first + 5 + OF_SENSOR)
 
 
 @njit(cache=True)
