@@ -103,18 +103,18 @@ def test_normal_equations_are_those_of_numerical_differences():
         X, parameters = np.vstack([np.zeros(3), x[:12].reshape(-1, 3)]), x[12 : 12 + SHARED]
         yaw, ahead, left, clock, sweep = parameters[8:13]
         found = []
-        for i, w, (normal, m_x, m_y, sigma_angle, sigma, speed, rate) in zip(
-            looks.node, looks.wall, looks.seen, strict=True
-        ):
+        for i, w, seen in zip(looks.node, looks.wall, looks.seen, strict=True):
+            normal, m_x, m_y, sigma_angle, sigma, speed, rate, swept_angle, swept_offset = seen
             angle, distance = x[12 + SHARED + 2 * w :][:2]
             bearing = math.atan2(m_y, m_x)
             then = clock + sweep * bearing
-            turned = then + sweep * 0.5 * math.sin(2.0 * (bearing - normal))
+            turned = clock + sweep * swept_angle
             lever = np.array([ahead - then * speed, left])
             m = se2.transform(np.array([0.0, 0.0, yaw - then * rate]), np.array([[m_x, m_y]]))[0] + lever
             p = se2.transform(X[i], m[None])[0] - looks.anchor[w]
             found.append((angle - X[i, 2] - yaw + turned * rate - normal) / sigma_angle)
-            found.append((math.cos(angle) * p[0] + math.sin(angle) * p[1] - distance) / sigma)
+            off = math.cos(angle) * p[0] + math.sin(angle) * p[1] - distance
+            found.append((off - sweep * rate * swept_offset) / sigma)
         return np.array(found)
 
     X, there = X_OB.copy(), border.copy()
@@ -130,7 +130,7 @@ def test_normal_equations_are_those_of_numerical_differences():
     np.testing.assert_allclose(gradient[TAGS:], 0.0, atol=1e-3)
     np.testing.assert_allclose(J.T[12 + SHARED :] @ residuals(x), 0.0, atol=1e-3)
     # And the scanner's parameters are drawn as the residuals are.
-    drawn = J.T[12 + 7 : 12 + 12] @ residuals(x) + there[7:12]
+    drawn = J.T[12 + 8 : 12 + 13] @ residuals(x) + there[8:13]
     np.testing.assert_allclose(drawn, 0.0, atol=1e-3)
 
 
@@ -339,7 +339,7 @@ def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():
 
 
 def test_nothing_seen_is_no_wall():
-    assert no_lines().shape == (0, 7)
+    assert no_lines().shape == (0, 9)
     assert isinstance(no_walls(), Walls)
     begin, frames, end = turn(steps=3)
     blind = tuple(TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in frames)
