@@ -34,7 +34,7 @@ def seen(walls, X_WB, rng=None, config=CONFIG):
 def errors(walls, X_WB, line):
     """The line's errors of angle and of the distance at its middle in deviations, by the wall it is nearest to; and the
     ends of what was seen of that wall, m along it, and its length."""
-    angle, offset, begin, end, middle, sigma_angle, sigma, _, _ = line
+    angle, offset, begin, end, middle, sigma_angle, sigma = line[:7]
     n = np.array([math.cos(angle + X_WB[2]), math.sin(angle + X_WB[2])])
     along, best = np.array([-n[1], n[0]]), None
     for p, q in zip(walls[:, :2], walls[:, 2:], strict=True):

@@ -104,17 +104,17 @@ def test_normal_equations_are_those_of_numerical_differences():
         yaw, ahead, left, clock, sweep = parameters[8:13]
         found = []
         for i, w, seen in zip(looks.node, looks.wall, looks.seen, strict=True):
-            normal, m_x, m_y, sigma_angle, sigma, speed, rate, swept_angle, swept_offset = seen
+            normal, m_x, m_y, sigma_angle, sigma, speed, rate = seen[:7]
             angle, distance = x[12 + SHARED + 2 * w :][:2]
             bearing = math.atan2(m_y, m_x)
             then = clock + sweep * bearing
-            turned = clock + sweep * swept_angle
+            swept = rate * seen[7:9] + speed * math.cos(angle - X[i, 2]) * seen[9:]
             lever = np.array([ahead - then * speed, left])
             m = se2.transform(np.array([0.0, 0.0, yaw - then * rate]), np.array([[m_x, m_y]]))[0] + lever
             p = se2.transform(X[i], m[None])[0] - looks.anchor[w]
-            found.append((angle - X[i, 2] - yaw + turned * rate - normal) / sigma_angle)
+            found.append((angle - X[i, 2] - yaw + clock * rate + sweep * swept[0] - normal) / sigma_angle)
             off = math.cos(angle) * p[0] + math.sin(angle) * p[1] - distance
-            found.append((off - sweep * rate * swept_offset) / sigma)
+            found.append((off - sweep * swept[1]) / sigma)
         return np.array(found)
 
     X, there = X_OB.copy(), border.copy()
@@ -339,7 +339,7 @@ def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():
 
 
 def test_nothing_seen_is_no_wall():
-    assert no_lines().shape == (0, 9)
+    assert no_lines().shape == (0, 11)
     assert isinstance(no_walls(), Walls)
     begin, frames, end = turn(steps=3)
     blind = tuple(TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in frames)

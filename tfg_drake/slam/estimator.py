@@ -98,6 +98,8 @@ SAME_PLACE = 0.004
 NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
+# A turn or piece is solved with the lines of a scan so often, s: what they tell in between is below their floor.
+LINES_EVERY = 0.2
 # Messages of the first look, and scans that wait for odometry, that are kept, at most: two minutes of them.
 MOST_KEPT = 5000
 
@@ -353,8 +355,11 @@ def _step(
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines, only_scan)
-    if turn is not None:
+    looks = len(lines) > 0 and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
+    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan)
+    if only_scan and not looks:
+        pass
+    elif turn is not None:
         turn = replace(turn, frames=(*turn.frames, taken))
     elif piece is not None:
         piece = replace(piece, frames=(*piece.frames, taken))
@@ -394,6 +399,7 @@ def _step(
         agreed=agreed,
         turn=turn,
         piece=piece,
+        looked=stamp if looks else state.looked,
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):

@@ -89,8 +89,9 @@ class EstimatorState:
     wheels. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what has
     become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of the
     newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
-    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait
-    for odometry. published: the map without its walls, which all others get.
+    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
+    odometry. looked: s, when lines were last taken for a turn or piece. published: the map without its walls, which all
+    others get.
     """
 
     noise: LearntNoise
@@ -125,6 +126,7 @@ class EstimatorState:
     walls: Walls = dataclasses.field(default_factory=no_walls)
     landmarks: str = "both"
     unread: tuple[LaserScan, ...] = ()
+    looked: float = -np.inf
     published: MapEstimate | None = None
 
 

@@ -157,7 +157,7 @@ def step_localizer(
 
 
 def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray) -> Localizer:
-    """The localiser corrected by the lines (k, 9) of a scan of its instant, see `scan_lines`, as far as they are walls
+    """The localiser corrected by the lines (k, 11) of a scan of its instant, see `scan_lines`, as far as they are walls
     that it knows. twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these."""
     now, shared = localizer, localizer.map.shared
     wall = walls_seen(now.mean[:POSE], shared, twist, lines, now.wall_points, now.reach)

@@ -29,14 +29,15 @@ LEAST_SIGMA = 0.002
 
 
 def scan_lines(scan: LaserScan) -> FloatArray:
-    """The straight pieces (n, 9) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
+    """The straight pieces (n, 11) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
 
     Angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m); where along
     the line, m from the foot of the perpendicular along the normal turned left by 90 degrees, the seen piece begins and
     ends, and its middle, where the errors of angle and of distance normal to the line are uncorrelated; standard
-    deviations of the angle (rad) and of that distance (m), by the noise of the rays alone; and where the bearing of
-    each ray counts as larger by a share of itself (a scanner that sweeps while it turns), by how much the angle is, and
-    the distance in the middle is more than by the bearing of the middle, over that share.
+    deviations of the angle (rad) and of that distance (m), by the noise of the rays alone. And what a scanner that
+    sweeps while it turns, so that bearings are larger by a share of themselves, makes of the angle and of the distance
+    in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
+    ranges are longer by a length a radian of bearing, makes of both, over that length.
     """
     r = scan.ranges[np.isfinite(scan.ranges)]
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
@@ -48,7 +49,7 @@ def scan_lines(scan: LaserScan) -> FloatArray:
 def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> FloatArray:
     rays = np.flatnonzero((ranges > 0.0) & (ranges < range_max - 3.0 * sigma))
     x, y, r = ranges[rays] * np.cos(angles[rays]), ranges[rays] * np.sin(angles[rays]), ranges[rays]
-    found, n = np.empty((len(rays) // RAYS + 1, 9)), 0
+    found, n = np.empty((len(rays) // RAYS + 1, 11)), 0
     # Stretches that are still to be looked at, the first on top.
     begin = len(rays)
     stack = np.empty((len(rays) + 1, 2), dtype=np.int64)
@@ -92,7 +93,7 @@ def _apart(i: int, j: int, rays: IntArray, angles: FloatArray, r: FloatArray, si
 
 @njit(cache=True)
 def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
-    """Set the line (9,) of maximum likelihood through rays, but for TRIM at either end; whether it is one."""
+    """Set the line (11,) of maximum likelihood through rays, but for TRIM at either end; whether it is one."""
     x, y, r = x[TRIM : len(x) - TRIM], y[TRIM : len(y) - TRIM], r[TRIM : len(r) - TRIM]
     m = len(x)
     if m < RAYS - 2 * TRIM:
@@ -128,7 +129,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     if offset <= 0.0:
         return False
     squares, used, begin, end = 0.0, 0, np.inf, -np.inf
-    u2, bend, swept_angle, swept_offset = 0.0, 0.0, 0.0, 0.0
+    u2, bend, by_turn, by_way = 0.0, 0.0, np.zeros(2), np.zeros(2)
     # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
     V00, V01, V11 = H11 / det, -H01 / det, H00 / det
     middle = V01 / V00
@@ -139,9 +140,10 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         error = (offset / normal - r[i]) / sigma
         squares += error * error
         used += 1
-        shorter = -math.atan2(y[i], x[i]) * along / normal / sigma
-        swept_angle -= offset * along / (r[i] * normal * normal * sigma) * shorter
-        swept_offset += shorter / (normal * sigma)
+        bearing = math.atan2(y[i], x[i])
+        on_line = np.array([-offset * along / (r[i] * normal), 1.0]) / (normal * sigma)
+        by_turn -= bearing * along / (normal * sigma) * on_line
+        by_way += bearing / (normal * sigma) * on_line
         begin, end = min(begin, along), max(end, along)
     if used < RAYS - 2 * TRIM or end - begin < LENGTH:
         return False
@@ -159,7 +161,8 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle
     line[5] = math.sqrt(V00)
     line[6] = math.sqrt(max(V11 - V01 * V01 / V00, 1e-12))
-    line[7] = V00 * swept_angle + V01 * swept_offset
-    swept_middle = V01 * swept_angle + V11 * swept_offset - middle * line[7]
-    line[8] = swept_middle + middle * (line[0] + math.atan2(middle, offset))
+    bearing = line[0] + math.atan2(middle, offset)
+    for k, swept, expected in ((7, by_turn, -middle * bearing), (9, by_way, bearing)):
+        line[k] = V00 * swept[0] + V01 * swept[1]
+        line[k + 1] = V01 * swept[0] + V11 * swept[1] - middle * line[k] - expected
     return True

@@ -35,7 +35,7 @@ SLIP_LEAVES = 1 / 3
 # Instants closer than this are one, s.
 SAME_INSTANT = 1e-6
 # The robot's twist at a frame is that of so long before and after, s.
-TWIST_SPAN = 0.25
+TWIST_SPAN = 0.12
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
 # Where the border's parameters begin in the dense rest: after D (3) the odometry's (3), the camera's (5), the scanner's
@@ -124,7 +124,7 @@ class _Solution(NamedTuple):
 class TurnFrame:
     """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
     frame's tags. offset: s, the camera's clock was taken to be so much ahead: the frame's own stamp is later by that.
-    lines: (k, 9) of a scan of that instant, see `scan_lines`. only_scan: the camera took no frame then."""
+    lines: (k, 11) of a scan of that instant, see `scan_lines`. only_scan: the camera took no frame then."""
 
     stamp: float
     clock: float
@@ -654,7 +654,7 @@ def _add_looks(
     yaw, ahead, aside, clock, sweep = border[8], border[9], border[10], border[11], border[12]
     for j in range(len(looks.node)):
         i, w = looks.node[j], looks.wall[j]
-        normal, m_x, m_y, sigma_angle, sigma_offset, speed, rate, swept_angle, swept_offset = looks.seen[j]
+        normal, m_x, m_y, sigma_angle, sigma_offset, speed, rate = looks.seen[j, :7]
         k, bearing = begin + 2 * w, math.atan2(m_y, m_x)
         earlier = clock + sweep * bearing
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
@@ -665,22 +665,25 @@ def _add_looks(
         p_x, p_y = lever_x + m_x, lever_y + m_y
         x, y = X[i, 0] + p_x - looks.anchor[w, 0], X[i, 1] + p_y - looks.anchor[w, 1]
         n_x, n_y = math.cos(border[k]), math.sin(border[k])
-        turn = wrap(border[k] - X[i, 2] - yaw + (clock + sweep * swept_angle) * rate - normal) / sigma_angle
-        off = (n_x * x + n_y * y - border[k + 1] - sweep * rate * swept_offset) / sigma_offset
+        n_ahead = c * n_x + s * n_y
+        swept = rate * looks.seen[j, 7:9] + speed * n_ahead * looks.seen[j, 9:]
+        by_angle = sweep * speed * (c * n_y - s * n_x) * looks.seen[j, 9:]
+        turn = wrap(border[k] - X[i, 2] - yaw + clock * rate + sweep * swept[0] - normal) / sigma_angle
+        off = (n_x * x + n_y * y - border[k + 1] - sweep * swept[1]) / sigma_offset
         squared[j] = turn * turn + off * off
         sigmas, weight = math.sqrt(squared[j]), 1.0
         if sigmas > huber:
             weight = math.sqrt(huber / sigmas)
             cost += 0.5 * huber * (sigmas - huber)
         one, other = weight / sigma_angle, weight / sigma_offset
-        n_ahead, by_turn = other * (c * n_x + s * n_y), other * (n_y * m_x - n_x * m_y)
-        rows[0, 2], rows[0, 3], rows[0, 6], rows[0, 7] = -one, -one, one * rate, one * rate * swept_angle
-        rows[0, 8], rows[0, last] = one, weight * turn
-        rows[1, 0], rows[1, 1], rows[1, 2] = other * n_x, other * n_y, other * (n_y * p_x - n_x * p_y)
-        rows[1, 3], rows[1, 4], rows[1, 5] = by_turn, n_ahead, other * (c * n_y - s * n_x)
-        rows[1, 6] = -speed * n_ahead - rate * by_turn
-        rows[1, 7] = bearing * rows[1, 6] - other * rate * swept_offset
-        rows[1, 8], rows[1, 9], rows[1, last] = other * (n_x * y - n_y * x), -other, weight * off
+        by_turn = other * (n_y * m_x - n_x * m_y)
+        rows[0, 2], rows[0, 3], rows[0, 6], rows[0, 7] = one * (by_angle[0] - 1.0), -one, one * rate, one * swept[0]
+        rows[0, 8], rows[0, last] = one * (1.0 - by_angle[0]), weight * turn
+        rows[1, 0], rows[1, 1], rows[1, 2] = other * n_x, other * n_y, other * (n_y * p_x - n_x * p_y - by_angle[1])
+        rows[1, 3], rows[1, 4], rows[1, 5] = by_turn, other * n_ahead, other * (c * n_y - s * n_x)
+        rows[1, 6] = -speed * other * n_ahead - rate * by_turn
+        rows[1, 7] = bearing * rows[1, 6] - other * swept[1]
+        rows[1, 8], rows[1, 9], rows[1, last] = other * (n_x * y - n_y * x + by_angle[1]), -other, weight * off
         cost += 0.5 * _dot(rows, last, last)
         _add_measured(rows, 0, i, SCANNER, k, chain, rest)
     return cost

@@ -18,7 +18,7 @@ from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR
 def walls_seen(
     X_DB: FloatArray, shared: FloatArray, twist: FloatArray, lines: FloatArray, walls: FloatArray, reach: FloatArray
 ) -> IntArray:
-    """The wall (k,) of each line (k, 9) of a scan, -1 where there is none or more than one that may be it.
+    """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it.
 
     X_DB: (3,) and twist (2,): the robot's. walls: (w, 2, 2) pairs of points in D, reach: (w, 2) m from the first
     towards the second.
@@ -56,7 +56,7 @@ def _scanner(X_DB: FloatArray, shared: FloatArray, twist: FloatArray, line: Floa
 def line_off(
     mean: FloatArray, shared: FloatArray, twist: FloatArray, line: FloatArray, p_DL: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """How far a line (9,) is turned from a wall through p_DL (2, 2), rad, and its middle off it, m, (2,); derivatives
+    """How far a line (11,) is turned from a wall through p_DL (2, 2), rad, and its middle off it, m, (2,); derivatives
     on the pose, the first three of the mean (2, 3), the parameters (2, 13), the wall's points (2, 4) and the twist (2,
     2)."""
     by_pose, by_shared, by_points = np.zeros((2, POSE)), np.zeros((2, SHARED)), np.empty((2, 4))
@@ -72,21 +72,26 @@ def line_off(
     a_x, a_y = a_x / length, a_y / length
     n_x, n_y, d_x, d_y = a_y, -a_x, mean[0] + p_x - p_DL[0, 0], mean[1] + p_y - p_DL[0, 1]
     share = (a_x * d_x + a_y * d_y) / length
-    turned = wrap(math.atan2(n_y, n_x) - angle + shared[SWEEP] * (line[7] - bearing) * twist[1])
-    off = n_x * d_x + n_y * d_y - shared[SWEEP] * twist[1] * line[8]
     n_ahead, by_turn = c * n_x + s * n_y, n_y * m_x - n_x * m_y
-    by_pose[0, 2], by_pose[1, 0], by_pose[1, 1], by_pose[1, 2] = -1.0, n_x, n_y, n_y * p_x - n_x * p_y
+    by_sweep = twist[1] * line[7:9] + twist[0] * n_ahead * line[9:]
+    turned = wrap(math.atan2(n_y, n_x) - angle - shared[SWEEP] * (bearing * twist[1] - by_sweep[0]))
+    off = n_x * d_x + n_y * d_y - shared[SWEEP] * by_sweep[1]
+    by_angle = shared[SWEEP] * twist[0] * (c * n_y - s * n_x) * line[9:]
+    by_pose[0, 2], by_pose[1, 0], by_pose[1, 1] = by_angle[0] - 1.0, n_x, n_y
+    by_pose[1, 2] = n_y * p_x - n_x * p_y - by_angle[1]
     by_shared[0, SCANNER_YAW], by_shared[0, SCANNER_CLOCK] = -1.0, twist[1]
-    by_shared[0, SWEEP] = twist[1] * line[7]
+    by_shared[0, SWEEP] = by_sweep[0]
     by_shared[1, SCANNER_YAW], by_shared[1, SCANNER_X], by_shared[1, SCANNER_Y] = by_turn, n_ahead, c * n_y - s * n_x
     by_shared[1, SCANNER_CLOCK] = -twist[0] * n_ahead - twist[1] * by_turn
-    by_shared[1, SWEEP] = bearing * by_shared[1, SCANNER_CLOCK] - twist[1] * line[8]
+    by_shared[1, SWEEP] = bearing * by_shared[1, SCANNER_CLOCK] - by_sweep[1]
     for i, n in enumerate((n_x, n_y)):
-        by_points[0, i], by_points[0, 2 + i] = n / length, -n / length
-        by_points[1, i], by_points[1, 2 + i] = (share - 1.0) * n, -share * n
+        turned_by = np.array([1.0 - by_angle[0], by_angle[1]]) * n / length
+        by_points[:, i], by_points[:, 2 + i] = turned_by, -turned_by
+        by_points[1, i] += (share - 1.0) * n
+        by_points[1, 2 + i] -= share * n
     earlier = shared[SCANNER_CLOCK] + shared[SWEEP] * bearing
-    by_rate = shared[SCANNER_CLOCK] + shared[SWEEP] * line[7], -earlier * by_turn - shared[SWEEP] * line[8]
-    by_twist = np.array([[0.0, by_rate[0]], [-earlier * n_ahead, by_rate[1]]])
+    by_twist = np.array([[0.0, shared[SCANNER_CLOCK]], [-earlier * n_ahead, -earlier * by_turn]])
+    by_twist += shared[SWEEP] * np.array([[n_ahead * line[9], line[7]], [-n_ahead * line[10], -line[8]]])
     return np.array([turned, off]), by_pose, by_shared, by_points, by_twist
 
 
@@ -99,7 +104,7 @@ def correct_by_walls(
     column: IntArray,
     p_DL: FloatArray,
 ) -> None:
-    """Correct the state, in place, by lines (k, 9) of a scan, each of the wall whose first point is considered from a
+    """Correct the state, in place, by lines (k, 11) of a scan, each of the wall whose first point is considered from a
     column (k,) on, the second next to it. p_DL: (s, 2) of what is considered. twist: (2,) and its
     variances (2,)."""
     (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)

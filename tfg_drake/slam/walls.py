@@ -55,10 +55,10 @@ LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
 class Looks(NamedTuple):
     """q looks of a turn at w walls.
 
-    node, wall: (q,) pose and wall of each. seen: (q, 9) direction of the normal in B, rad, the middle of what was seen,
-    in B, the deviations of the direction and of the distance normal to it, the robot's twist then, and how a
-    sweep moves both, as of `scan_lines`. ends: (q, 2)
-    along the wall, from that middle. anchor: (w, 2) in A. name: (w,) of each wall.
+    node, wall: (q,) pose and wall of each. seen: (q, 11) direction of the normal in B, rad, the middle of what was
+    seen, in B, the deviations of the direction and of the distance normal to it, the robot's twist then, and how a
+    sweep moves both, as of `scan_lines`. ends: (q, 2) along the wall, from that middle. anchor: (w, 2) in A. name: (w,)
+    of each wall.
     """
 
     node: IntArray
@@ -113,8 +113,8 @@ def no_walls() -> Walls:
 
 
 def no_lines() -> FloatArray:
-    """(0, 9) of a scan that saw none."""
-    return np.empty((0, 9))
+    """(0, 11) of a scan that saw none."""
+    return np.empty((0, 11))
 
 
 def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
@@ -124,7 +124,7 @@ def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
 
 
 def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArray) -> Looks:
-    """The lines (q, 9) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
+    """The lines (q, 11) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
     robot."""
     angle, (offset, begin, end, middle, deviation) = lines[:, 0], lines[:, [1, 2, 3, 4, 6]].T
     c, s = np.cos(angle), np.sin(angle)
