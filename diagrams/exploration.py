@@ -317,6 +317,7 @@ class Exploration:
             # What could have been reached is a run's summary's to say.
             np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_),
             self.X_WM,
+            mission.landmarks,
         )
 
     def _repr_png_(self) -> bytes:

@@ -52,13 +52,19 @@ _MESSAGES = {
     "people": People,
     "pushes": Pushes,
     "local_roadmap": Roadmap,
+    "landmarks": MapEstimate,
 }
 # What is written of all of a large map, and how seldom: bytes a simulated second, so that a larger one is written less
 # often. Between, what is near the newest view is.
 _WHOLE = ("map", "tfg", "roadmap")
 _WHOLE_RATE = 40e3
 # The layers of a message that has several.
-_LAYERS = {"goal": ("goal", "gains"), "tfg": ("tfg", "facing", "frontiers"), "roadmap": ("nodes", "roadmap")}
+_LAYERS = {
+    "map": ("map", "wall_landmarks"),
+    "goal": ("goal", "gains"),
+    "tfg": ("tfg", "facing", "frontiers"),
+    "roadmap": ("nodes", "roadmap"),
+}
 
 
 class LayerWriter(Protocol):
@@ -96,12 +102,13 @@ class TimelineRecorder(LeafSystem):
         - people
         - pushes
         - local_roadmap
+        - landmarks
         - enabled
         - truth
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
-    MissionStatus, pose: PoseEstimate, local_roadmap: Roadmap, all in M. scan: LaserScan. people: People, in W. pushes:
-    Pushes, what somebody does to the base.
+    MissionStatus, pose: PoseEstimate, local_roadmap: Roadmap, landmarks: MapEstimate of tags and walls, written when
+    map is, all in M. scan: LaserScan. people: People, in W. pushes: Pushes, what somebody does to the base.
 
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
     whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a large map only what is near the
@@ -198,7 +205,7 @@ class TimelineRecorder(LeafSystem):
         is_new = is_large and tfg is not None and tfg is not self._newest.get("near") and tfg.stage == estimate.stage
         if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
             self._newest["near"] = tfg
-            self._WriteNear(estimate, tfg, now)
+            self._WriteNear(estimate, tfg, context, now)
 
     def _IsDue(self, name: str, now: float) -> bool:
         return all(self._writer.is_due(layer, now) for layer in _LAYERS.get(name, (name,)))
@@ -206,7 +213,7 @@ class TimelineRecorder(LeafSystem):
     def _WriteMessage(self, name: str, message: Any, now: float, context: Context) -> None:
         write = self._writer.write
         if name == "map":
-            self._WriteMap(message, now, EVERYWHERE)
+            self._WriteMap(message, context, now, EVERYWHERE)
         elif name == "tfg":
             estimate = self._Get(context, "map")
             self._WriteTfg(message, estimate, now, EVERYWHERE)
@@ -234,19 +241,22 @@ class TimelineRecorder(LeafSystem):
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
 
-    def _WriteNear(self, estimate: MapEstimate, tfg: TfgMap, now: float) -> None:
+    def _WriteNear(self, estimate: MapEstimate, tfg: TfgMap, context: Context, now: float) -> None:
         """What is near the newest view."""
         here, radius = estimate.X_MA[-1, :2], radius_of(estimate)
         near = Near(here, radius)
         views = np.flatnonzero(within(tfg.star_centers, here, radius))
         estimate, tfg = local(estimate, tfg, radius, 0.0)
-        self._WriteMap(estimate, now, near)
+        self._WriteMap(estimate, context, now, near)
         self._WriteTfg(tfg, estimate, now, near)
         self._WriteStars(tfg, views, now)
 
-    def _WriteMap(self, estimate: MapEstimate, now: float, near: Near) -> None:
+    def _WriteMap(self, estimate: MapEstimate, context: Context, now: float, near: Near) -> None:
         told = {"stage": estimate.stage, "entropy": estimate.entropy, "views": len(estimate.X_MA)}
         self._WriteRows("map", now, tables.landmarks(estimate), near, **told)
+        with_walls = self._Get(context, "landmarks")
+        if with_walls is not None:
+            self._WriteRows("wall_landmarks", now, tables.wall_landmarks(with_walls), near)
 
     def _WriteTfg(self, tfg: TfgMap, estimate: MapEstimate | None, now: float, near: Near) -> None:
         self._WriteRows("tfg", now, tables.surfaces(tfg), near)

@@ -44,7 +44,8 @@ _log = logging.getLogger("tfg_drake.visualizer")
 
 
 # The layers that are tables, those of which there is one record at a time, and those seen while the robot drives.
-TABLES, RECORDS, DRIVING = ("map", "tfg", "frontiers", "gains"), ("path", "goal", "grid"), ("path", "goal")
+TABLES = ("map", "wall_landmarks", "tfg", "frontiers", "gains")
+RECORDS, DRIVING = ("path", "goal", "grid"), ("path", "goal")
 
 
 class TfgVisualizer(TimelineRecorder):

@@ -19,6 +19,7 @@ import pytest
 from tfg_drake import kernels
 from tfg_drake.cockpit.browser import BrowserMissing, open_browser
 from tfg_drake.diagrams.warm_up import MODULE
+from tfg_drake.messages import WALLS_BELOW
 
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
 hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=True)
@@ -80,6 +81,22 @@ def call(capsys, monkeypatch):
         return (caught.value.code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def walled_map(small_map):
+    """The small map with a wall as a landmark besides, from (1, 1) to (4, 5) in M, its points known across it to 0.02 m
+    and 0.3 m, along it hardly."""
+    normal, along = np.array([0.8, -0.6]), np.array([0.6, 0.8])
+    blocks = [sigma**2 * np.outer(normal, normal) + 100.0 * np.outer(along, along) for sigma in (0.02, 0.3)]
+    graph = small_map.graph
+    graph = dataclasses.replace(
+        graph,
+        ids=np.append(WALLS_BELOW + np.array([-2, -1]), graph.ids),
+        p_ML=np.vstack([[[1.0, 1.0], [4.0, 5.0]], graph.p_ML]),
+        landmark_covariance=np.concatenate([blocks, graph.landmark_covariance]),
+    )
+    return dataclasses.replace(small_map, graph=graph)
 
 
 @pytest.fixture(scope="session")

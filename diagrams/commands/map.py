@@ -88,7 +88,8 @@ def export(
                 export_page(timeline, out, map_file.name, viewer_script())
         else:
             rows = dict(map_rows(saved, map_file.stat().st_size))
-            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{rows['deviation']}", saved)
+            known = "; ".join(rows[name] for name in ("deviation", "walls") if rows.get(name, "-") != "-")
+            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{known}", saved)
     print(f"{out}: {len(saved.ids)} landmarks, {out.stat().st_size / 1e3:.0f} kB")
 
 

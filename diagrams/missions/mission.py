@@ -251,6 +251,12 @@ class Mission:
         return StateOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context))
 
     @property
+    def landmarks(self) -> MapEstimate | None:
+        """The newest map with the walls that are landmarks, in the end the final one; None of a method without one."""
+        state = self._estimator_state()
+        return state.map if state is not None else None
+
+    @property
     def world_then(self) -> World | None:
         """The world as the mission left it, None where it is not known."""
         if self.world is None or not self.scenario.reality.changes:

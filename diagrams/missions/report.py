@@ -82,7 +82,7 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM)
+    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
     folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
     return summary
 

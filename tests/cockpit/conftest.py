@@ -71,6 +71,9 @@ def stage(writer, number, time):
     tags = Table({"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k}, points, points, k)
     writer.write_rows("map", time, tags, stage=number, entropy=-5.0 * number, views=number)
     segments = np.array([[-0.9, -2.0, 1.5, -2.0], [1.5, -2.0, 3.0, -2.0], [5.0, -2.0, 5.0, 0.5]])[:number]
+    walls = np.array([[-0.9, -2.0, 1.5, -2.0], [5.0, -2.0, 5.0, 0.5]])[: number - 1]
+    known = {"segments": walls, "deviation": np.array([[0.1, 0.3], [1e-4, 1e-4]], dtype=np.float32)[: number - 1]}
+    writer.write_rows("wall_landmarks", time, Table(known, walls[:, :2], walls, k[1:]))
     facing = np.tile(np.array([0.0, 1.0], dtype=np.float32), (number, 1))
     kind = k.astype(np.uint8)
     writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, segments[:, :2], 1e3 * segments))

@@ -18,11 +18,12 @@ from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.commands.explore import table_rows
 from tfg_drake.diagrams.missions.run import viewer_script
+from tfg_drake.pictures.map_timeline import write_map_timeline
 from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_timeline
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
-LAYERS += ["free"]
+LAYERS += ["free", "wall_landmarks"]
 
 
 class Page:
@@ -331,6 +332,19 @@ def test_every_layer_can_be_shown_and_hidden(page, flat):
         assert page.picture(anew=True) == before, name
     if not flat:
         page.click("mode")
+
+
+def test_walls_that_are_landmarks_are_bands_of_three_deviations(page):
+    band = "return [...groups.wall_landmarks.getObjectByName('spread').geometry.attributes.position.array]"
+    named = "return groups.wall_landmarks.children.map((object) => object.name).sort()"
+    page.seek(3.0)
+    assert page(named) == []
+    page.seek(9.0)
+    assert page(named) == ["lines", "spread"]
+    # Of the second one the line is wider.
+    corners = np.reshape(page(band), (-1, 3))[1:, :2]
+    np.testing.assert_allclose(corners, [[-0.9, -2.3], [1.5, -2.9], [1.5, -1.1], [-0.9, -1.7]], atol=1e-3)
+    assert page("return document.getElementById('layer-wall_landmarks').parentElement.hidden") is False
 
 
 def test_from_above_and_in_space(page):
@@ -783,3 +797,11 @@ def test_a_page_that_cannot_draw_stops_the_robot_all_the_same(driver):
             assert time.monotonic() < limit
             time.sleep(0.01)
         assert requests == ["stop"]
+
+
+def test_where_no_wall_is_a_landmark_no_layer_is_named(driver, small_map, tmp_path):
+    write_map_timeline(small_map, tmp_path / "timeline.tfg", "tags")
+    export_page(tmp_path / "timeline.tfg", tmp_path / "map.html", "tags", viewer_script())
+    page = Page(driver, (tmp_path / "map.html").as_uri())
+    assert page("return document.getElementById('layer-map').parentElement.hidden") is False
+    assert page("return document.getElementById('layer-wall_landmarks').parentElement.hidden") is True

@@ -29,6 +29,7 @@ from tfg_drake.mapfile.saved_map import (
     state_of_map,
 )
 from tfg_drake.mapfile.summary import map_rows
+from tfg_drake.messages import WALLS_BELOW
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
@@ -277,6 +278,10 @@ def rewrite(path, **changes):
             "FILE is not a whole map: graph.view_keyframe does not fit graph.keyframes",
         ),
         ({"graph.ids": np.array([10, 11, 11, 13])}, "FILE is not a whole map: graph.ids is not ascending"),
+        (
+            {"graph.ids": np.array([WALLS_BELOW - 1, 10, 11, 12])},
+            "FILE is not a whole map: graph.ids has walls without two points",
+        ),
         (
             {"graph.ids": np.array([10, 11, 12, 14])},
             "FILE is not a whole map: graph.keyframes.ids does not fit graph.ids",

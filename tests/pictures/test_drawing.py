@@ -1,6 +1,6 @@
 import numpy as np
 
-from tfg_drake.pictures.drawing import bands, circles, ellipses, outline_segments, polyline_segments
+from tfg_drake.pictures.drawing import bands, circles, ellipses, outline_segments, polyline_segments, spreads
 
 
 def areas(outlines):
@@ -23,6 +23,13 @@ def test_every_point_of_an_ellipse_has_the_stated_mahalanobis_distance():
 def test_bands_cover_their_area():
     segments = np.array([[0.0, 0.0, 3.0, 4.0], [1.0, 1.0, 1.0, 1.0]])
     np.testing.assert_allclose(areas(bands(segments, 0.2)), [5.2 * 0.2, 0.2 * 0.2])
+
+
+def test_a_spread_is_three_deviations_to_either_side_of_each_end():
+    (outline,) = spreads(np.array([[1.0, 1.0, 4.0, 5.0]]), np.array([[0.1, 0.5]]))
+    assert areas(outline[None])[0] > 0.0
+    to_line = (outline - [1.0, 1.0]) @ np.array([[0.6, -0.8], [0.8, 0.6]])  # along, to the left
+    np.testing.assert_allclose(to_line, [[0.0, -0.3], [5.0, -1.5], [5.0, 1.5], [0.0, 0.3]], atol=1e-12)
 
 
 def test_circles_are_regular_polygons():

@@ -65,3 +65,31 @@ def test_doubtful_landmarks_have_a_colour_of_their_own(tmp_path, small_map):
 
     assert violet(small_map) == 0
     assert violet(replace(small_map, doubtful=small_map.ids[:1])) > 20
+
+
+def test_walls_that_are_landmarks_have_a_colour_of_their_own(tmp_path, small_map, walled_map):
+    def tinted(saved):
+        """Pixels of the line and of the band, as large as it is where nothing else lies over it."""
+        draw_map(tmp_path / "f.png", "a map", saved)
+        pixels = np.asarray(Image.open(tmp_path / "f.png").convert("RGB")).astype(float)
+        line, free = np.array([107, 41, 209]), np.array([241, 244, 238])
+        return [
+            np.count_nonzero(np.all(np.abs(pixels - colour) < 4, axis=-1)) for colour in (line, 0.3 * line + 0.7 * free)
+        ]
+
+    assert tinted(small_map) == [0, 0]
+    line, band = tinted(walled_map)
+    assert line > 100
+    assert band > 1000
+
+
+def test_a_run_shows_them_too(walled_map):
+    nothing = np.zeros((0, 3))
+    arguments = ("walls", WORLD, None, None, None, nothing, nothing, np.zeros(2, dtype=bool), np.zeros(3))
+
+    def labels(figure):
+        return [text.get_text() for text in figure.legends[0].get_texts()]
+
+    assert set(labels(run_figure(*arguments, walled_map.graph))) - set(labels(run_figure(*arguments))) == {
+        "wall (landmark), 3\u03c3"
+    }

@@ -76,3 +76,14 @@ def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
     arrays = {"points": segments[:2, :2], "covariance": covariance, "doubtful": np.array([True, False])}
     shown = {one.name: len(one.outlines) for one in solids("map", arrays, {}, 0.1)}
     assert shown == {"landmark": 1, "landmark_3sigma": 1, "doubtful": 1, "doubtful_3sigma": 0}  # it hides its own
+
+
+def test_a_wall_that_is_a_landmark_is_a_line_over_the_surfaces_and_where_that_is_seen_a_band():
+    arrays = {"segments": np.array([[0, 0, 4, 0], [5, 5, 6, 5]], dtype=float)}
+    arrays["deviation"] = np.array([[0.02, 0.1], [0.001, 0.001]])
+    line, band = solids("wall_landmarks", arrays, {}, 0.1)
+    (surface, *_) = solids("tfg", {"segments": np.zeros((1, 4)), "kind": np.zeros(1)}, {}, 0.1)
+    assert (len(line.outlines), len(band.outlines)) == (2, 1)
+    assert line.low == line.high > surface.high > band.high
+    vertices, faces = read(wavefront([band])[0])
+    assert areas(vertices, faces[band.name]).sum(axis=0)[2] == pytest.approx(4.0 * 3.0 * (0.02 + 0.1))

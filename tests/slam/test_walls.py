@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ from tfg_drake.slam.walls import (
     floor_of_points,
     grouped,
     identified,
+    known_walls,
     named,
     no_lines,
     no_walls,
@@ -358,3 +360,25 @@ def test_a_mirrored_scan_is_no_witness():
     assert not len(state.walls.first)
     assert state.map is not None
     assert not len(state.map.ids)
+
+
+def test_of_a_walls_points_the_deviation_normal_to_it_counts():
+    """Whatever they are said to be along it, and whichever way it runs."""
+    rng = np.random.default_rng(4)
+    ids = WALLS_BELOW + np.array([-6, -5, -2, -1, 0, 1])  # two walls and two tags
+    p_ML = rng.normal(size=(6, 2))
+    covariance = np.array([one @ one.T for one in rng.normal(size=(6, 2, 2))])
+    known = SimpleNamespace(ids=ids, p_ML=p_ML, landmark_covariance=covariance)
+    first, points, deviation = known_walls(known)
+    np.testing.assert_array_equal(first, ids[[0, 2]])
+    np.testing.assert_array_equal(points.reshape(-1, 2), p_ML[:4])
+    for k, row in np.ndindex(2, 2):
+        # As far as samples of the point are off its line.
+        some = rng.multivariate_normal(points[k, row], covariance[2 * k + row], size=20000)
+        turn = math.atan2(*(points[k, 1] - points[k, 0])[::-1])
+        off = (some - points[k, 0]) @ [-math.sin(turn), math.cos(turn)]
+        assert deviation[k, row] == pytest.approx(off.std(), rel=0.03)
+    assert [
+        len(some)
+        for some in known_walls(SimpleNamespace(ids=ids[4:], p_ML=p_ML[4:], landmark_covariance=covariance[4:]))
+    ] == [0, 0, 0]

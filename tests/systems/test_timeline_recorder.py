@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
-from tfg_drake.messages import GridMap, replace
+from tfg_drake.messages import WALLS_BELOW, GridMap, replace
 from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.simulation.people import People
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter, read_timeline
@@ -147,6 +147,41 @@ def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_sel
     maps = [record for record in recorded(writer, tmp_path) if record.layer == "map"]
     assert [record.time for record in maps] == [0.0, 0.5]
     assert [record.arrays["ids"].tolist() for record in maps] == [estimate.ids[:1].tolist(), estimate.ids.tolist()]
+
+
+def test_walls_that_are_landmarks_are_written_with_the_map(writer, tmp_path):
+    """Of a large map those that are near, too."""
+
+    def estimates(x):
+        """At two stages, tags alone and with walls at some x, seen from (89, 0) at the second."""
+        estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [90.0, 0.0]]))
+        estimate = replace(estimate, local=np.zeros(1, dtype=np.int64), covariance=estimate.covariance[2:, 2:])
+        ids = WALLS_BELOW - 2 * len(x) + np.arange(2 * len(x))
+        walls = np.array([[at, y] for at in x for y in (-1.0, 1.0)])
+        blocks = np.tile(np.diag([0.09, 25.0]), (len(ids), 1, 1))
+        with_walls = replace(
+            estimate,
+            ids=np.append(ids, estimate.ids),
+            p_ML=np.vstack([walls, estimate.p_ML]),
+            landmark_covariance=np.concatenate([blocks, estimate.landmark_covariance]),
+            local=estimate.local + len(ids),
+        )
+        X_MA = np.vstack([estimate.X_MA, [[89.0, 0.0, 0.0]]])
+        return [(one, replace(one, stage=2, X_MA=X_MA)) for one in (estimate, with_walls)]
+
+    tfg = replace(make_messages()["tfg"], stage=1)
+    ports = dict(zip(("map", "landmarks", "tfg"), [*estimates([0.0, 91.0]), (tfg, replace(tfg, stage=2))], strict=True))
+    builder = DiagramBuilder()
+    recorder = builder.AddSystem(TimelineRecorder(writer))
+    for name, messages in ports.items():
+        builder.Connect(builder.AddSystem(GrowingMap(*messages)).get_output_port(), recorder.GetInputPort(name))
+    recorder._whole_due |= {"map": 0.75, "tfg": 0.75}  # All of it has just been written.
+    Simulator(builder.Build()).AdvanceTo(0.6)
+    walls = [record for record in recorded(writer, tmp_path) if record.layer == "wall_landmarks"]
+    assert [record.time for record in walls] == [0.0, 0.5]
+    assert walls[0].arrays["segments"].tolist() == [[0.0, -1.0, 0.0, 1.0]]
+    assert walls[1].arrays["segments"].tolist() == [[0.0, -1.0, 0.0, 1.0], [91.0, -1.0, 91.0, 1.0]]
+    np.testing.assert_allclose(walls[1].arrays["deviation"], 0.3)
 
 
 def test_a_forced_publish_writes_what_was_held_back(writer, tmp_path):

@@ -18,6 +18,7 @@ from tests.systems.web_page import WebPage
 from tfg_drake.diagrams.commands.explore import open_meshcat
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.messages import (
+    WALLS_BELOW,
     GoalChoice,
     LaserScan,
     MapEstimate,
@@ -27,6 +28,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     Roadmap,
     TfgMap,
+    replace,
 )
 from tfg_drake.pictures import tables
 from tfg_drake.simulation.people import People, places_at
@@ -165,6 +167,12 @@ def test_draws_everything_that_is_there(meshcat):
         assert drawn(meshcat, path), path
     assert b"usemtl edge" in drawn(meshcat, "map/tfg/0_0/1")
     assert b"usemtl landmark_3sigma" in drawn(meshcat, "map/map/0_0/1")
+
+
+def test_draws_walls_that_are_landmarks(meshcat):
+    with_walls = replace(make_map(4), ids=np.append(WALLS_BELOW + np.array([-2, -1]), [0, 1]))
+    Simulator(make_diagram(meshcat, make_messages() | {"landmarks": with_walls}, make_world())).AdvanceTo(0.5)
+    assert b"usemtl wall_landmarks_3sigma" in drawn(meshcat, "map/wall_landmarks/0_0/1")
 
 
 def make_people(p_WP):

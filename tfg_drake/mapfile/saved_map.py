@@ -291,6 +291,9 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.view_keyframe does not fit graph.keyframes"
     if np.any(np.diff(known) <= 0):
         return "graph.ids is not ascending"
+    of_walls = known[~is_tag(known)]
+    if len(of_walls) % 2 or np.any(of_walls[1::2] - of_walls[::2] != 1):
+        return "graph.ids has walls without two points"
     if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
         return "graph.keyframes.ids does not fit graph.ids"
     if any(len(one.information) != 2 * len(one.ids) + 3 + SHARED for one in graph.keyframes):

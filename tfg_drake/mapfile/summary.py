@@ -6,7 +6,9 @@ import numpy as np
 
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.messages import FloatArray
 from tfg_drake.slam.shared import RANGE_SCALE
+from tfg_drake.slam.walls import known_walls
 
 # Of surfaces, by number.
 KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
@@ -18,11 +20,13 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     x, y, theta = saved.X_WM
     length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
     area = covered_area(tfg.star_offsets, tfg.star_vertices)
+    across = known_walls(saved.graph)[2]
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("views", f"{saved.stage} turns and glances, the last at {saved.stamp:.1f} s"),
         ("landmarks", f"{len(saved.ids)} landmarks" + _named_doubtful(saved)),
         ("deviation", _deviation(saved)),
+        *([("walls", _walls(across))] if len(across) else []),
         ("entropy", f"{saved.entropy:.1f} nats"),
     ]
     for kind, name in enumerate(KINDS):
@@ -49,6 +53,11 @@ def _deviation(saved: SavedMap) -> str:
     sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
     worst = int(np.argmax(sigma))
     return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
+
+
+def _walls(sigma: FloatArray) -> str:
+    """How many walls are landmarks, from the standard deviations (w, 2) of their points normal to them, m."""
+    return f"{len(sigma)} walls as landmarks, 1\u03c3 across {np.median(sigma):.4f} m median, {sigma.max():.4f} m worst"
 
 
 def _calibration(saved: SavedMap) -> str:

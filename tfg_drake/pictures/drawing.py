@@ -47,6 +47,16 @@ def bands(segments: FloatArray, width: float) -> FloatArray:
     return np.stack([start - side, end - side, end + side, start + side], axis=1)
 
 
+def spreads(segments: FloatArray, deviations: FloatArray, sigmas: float = 3.0) -> FloatArray:
+    """Segments (m, 4) as bands so many deviations (m, 2) of their ends to either side: outlines (m, 4, 2),
+    anticlockwise."""
+    along = segments[:, 2:] - segments[:, :2]
+    left = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    begin, end = (sigmas * deviations[:, [k]] * left for k in (0, 1))
+    start, finish = segments[:, :2], segments[:, 2:]
+    return np.stack([start - begin, finish - end, finish + end, start + begin], axis=1)
+
+
 def circles(centers: FloatArray, radius: float, corners: int = 16) -> FloatArray:
     """Regular polygons round centers (n, 2): outlines (n, corners, 2), anticlockwise."""
     return ellipses(centers, np.tile(np.eye(2), (len(centers), 1, 1)), radius, corners)

@@ -14,8 +14,11 @@ from matplotlib.transforms import Affine2D
 from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
-from tfg_drake.pictures.drawing import ellipses
+from tfg_drake.pictures.drawing import ellipses, spreads
 from tfg_drake.pictures.figure_file import write_figure
+from tfg_drake.pictures.palette import WALL_LANDMARK, css
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
 
 _WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
@@ -40,6 +43,7 @@ def run_figure(
     X_WB_true: FloatArray,
     reachable: BoolArray,
     X_WM: FloatArray | None = None,
+    with_walls: MapEstimate | None = None,
 ) -> Figure:
     """The building, the map made of it, and the way the robot went.
 
@@ -50,6 +54,7 @@ def run_figure(
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
         reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
         X_WM: (3,) pose of the map frame in W, that of the start where there is none.
+        with_walls: the estimate with the walls that are landmarks, None where there are none.
 
     Of a world that is not known the map frame takes the place, and the map says how large it is.
     """
@@ -79,6 +84,8 @@ def run_figure(
     mapped = np.zeros(0, dtype=np.int64)
     if tfg is not None:
         draw_surfaces(axes, X_WM, tfg)
+    if with_walls is not None:
+        _draw_walls(axes, X_WM, with_walls, 0.4 * symbol)
     if len(X_WB_true):
         axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
     if len(X_WB_estimated):
@@ -118,6 +125,7 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
     draw_surfaces(axes, X_WM, tfg)
+    _draw_walls(axes, X_WM, saved.graph, 0.4 * symbol)
     draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, np.isin(saved.ids, saved.doubtful), symbol)
     _draw_views(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
@@ -158,6 +166,21 @@ def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
     for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without tag")):
         if mask.any():
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+
+
+def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph, size: float) -> None:
+    """The walls that are landmarks onto axes of W: a thin line from point to point, three deviations to either side."""
+    _, p_ML, deviation = known_walls(known)
+    if not len(p_ML):
+        return
+    p_WL = transform(X_WM, p_ML.reshape(-1, 2))
+    outlines, pieces = spreads(p_WL.reshape(-1, 4), deviation), p_WL.reshape(-1, 2, 2)
+    colour = css(WALL_LANDMARK)
+    axes.add_collection(PolyCollection(list(outlines), facecolors=colour, edgecolors="none", alpha=0.3, zorder=1.9))
+    label = "wall (landmark), 3\u03c3"
+    axes.add_collection(LineCollection(list(pieces), colors=colour, linewidths=0.7, zorder=2.1))
+    axes.plot([], [], "o-", color=colour, linewidth=0.7, markersize=size, markeredgewidth=0, label=label)
+    axes.plot(*p_WL.T, "o", color=colour, markersize=size, markeredgewidth=0, zorder=2.1)
 
 
 def draw_landmarks(

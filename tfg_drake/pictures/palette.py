@@ -14,6 +14,7 @@ WALL_END: Colour = (0.52, 0.54, 0.58)
 BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
 LANDMARK: Colour = (0.07, 0.53, 0.44)
 DOUBTFUL: Colour = (0.64, 0.18, 0.66)
+WALL_LANDMARK: Colour = (0.42, 0.16, 0.82)
 FRONTIER: Colour = (0.10, 0.36, 0.88)
 PATH: Colour = (0.84, 0.15, 0.16)
 SCAN: Colour = (0.36, 0.72, 0.90)
@@ -45,6 +46,7 @@ LIGHT: dict[str, Colour] = {
     "bare_surface": BARE_SURFACE,
     "landmark": LANDMARK,
     "doubtful": DOUBTFUL,
+    "wall_landmark": WALL_LANDMARK,
     "frontier": FRONTIER,
     "path": PATH,
     "scan": SCAN,
@@ -64,6 +66,7 @@ DARK: dict[str, Colour] = LIGHT | {
     "wall_end": (0.60, 0.63, 0.68),
     "landmark": (0.20, 0.78, 0.64),
     "doubtful": (0.85, 0.42, 0.88),
+    "wall_landmark": (0.72, 0.56, 1.00),
     "frontier": (0.36, 0.60, 1.00),
     "path": (1.00, 0.36, 0.34),
     "robot": (0.42, 0.62, 0.95),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures import palette
-from tfg_drake.pictures.drawing import bands, circles, ellipses
+from tfg_drake.pictures.drawing import bands, circles, ellipses, spreads
 from tfg_drake.pictures.palette import Colour
 
 # Of true walls, of the robot's surfaces, of a landmark, of the robot and of a person, m.
@@ -57,6 +57,14 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
             yield Solid(name, circles(points[some], 1.4 * unit, 8), 0.0, TAG_HEIGHT, colour)
             outlines, z = ellipses(points[some & wide], covariance[some & wide], corners=20), SHEETS["ellipses"]
             yield Solid(f"{name}_3sigma", outlines, z, z, colour, 0.4)
+    elif layer == "wall_landmarks":
+        segments, deviation, z = arrays["segments"], arrays["deviation"], SHEETS["ellipses"]
+        top = SURFACE_HEIGHT + 0.01
+        yield Solid(layer, bands(segments, 0.6 * unit), top, top, palette.WALL_LANDMARK)
+        # Not those that are no wider than the surfaces over them.
+        wide = 6.0 * deviation.max(axis=1) > 1.2 * unit
+        outlines = spreads(segments[wide], deviation[wide])
+        yield Solid(f"{layer}_3sigma", outlines, z, z, palette.WALL_LANDMARK, 0.4)
     elif layer == "tfg":
         for kind, (name, colour) in enumerate(SURFACES):
             pieces = arrays["segments"][arrays["kind"] == kind]

@@ -8,10 +8,12 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.rows import Table
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
+    from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
 # Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
 POSITION = 0.01
@@ -34,6 +36,14 @@ def landmarks(estimate: MapEstimate | SavedMap) -> Table:
     values = np.column_stack([estimate.p_ML / POSITION, spread, correlation, 2.0 * layer["doubtful"]])
     arrays = {**layer, "covariance": layer["covariance"].astype(np.float32)}
     return Table(arrays, estimate.p_ML, values, estimate.ids)
+
+
+def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
+    """segments: (w, 4) from one point of a wall to the other, m. deviation: (w, 2) normal to the wall at these, m."""
+    ids, p_ML, deviation = known_walls(known)
+    segments = p_ML.reshape(-1, 4)
+    values = np.column_stack([segments / POSITION, np.log(deviation**2 + LEAST) / VARIANCE])
+    return Table({"segments": segments, "deviation": deviation.astype(np.float32)}, _middles(segments), values, ids)
 
 
 def surfaces(tfg: TfgMap) -> Table:

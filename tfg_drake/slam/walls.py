@@ -13,7 +13,7 @@ differ by pi.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +23,9 @@ from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, Map
 from tfg_drake.slam.keyframe import Keyframe, keyframe, rows_of, without_tags
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import SHARED
+
+if TYPE_CHECKING:
+    from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
 PROVISIONAL = 2 * WALLS_BELOW
 # Two looks of a turn are at one wall where their directions differ by no more than this, rad, the middle of one is off
@@ -115,6 +118,17 @@ def no_walls() -> Walls:
 def no_lines() -> FloatArray:
     """(0, 11) of a scan that saw none."""
     return np.empty((0, 11))
+
+
+def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The walls among some landmarks: ids (w,) of their first points, both points (w, 2, 2) in M, m, and the deviations
+    normal to the wall there (w, 2), m. Along a wall its points tell nothing."""
+    rows = ~is_tag(known.ids)
+    p_ML, covariance = known.p_ML[rows].reshape(-1, 2, 2), known.landmark_covariance[rows].reshape(-1, 2, 2, 2)
+    along = p_ML[:, 1] - p_ML[:, 0]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    variance = np.einsum("wi,wkij,wj->wk", normal, covariance, normal)
+    return known.ids[rows][::2], p_ML, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:

@@ -47,6 +47,16 @@ def test_info(call, path, small_map, monkeypatch):
     assert [line.rstrip() for line in out.splitlines()] == expected.splitlines()
 
 
+def test_walls_that_are_landmarks_are_told(call, tmp_path, walled_map, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    save_map(tmp_path / "map.npz", walled_map)
+    code, out, err = call("map", "info", tmp_path)
+    assert (code, err) == (0, "")
+    lines = [line.rstrip() for line in out.splitlines()]
+    assert "landmarks    4 landmarks" in lines
+    assert "walls        1 walls as landmarks, 1\u03c3 across 0.1600 m median, 0.3000 m worst" in lines
+
+
 @pytest.mark.parametrize("arguments", [["info", "RUN"], ["export", "RUN", "a.csv"], ["export", "RUN", "a.png"]])
 def test_a_runs_folder_stands_for_its_map(call, path, monkeypatch, arguments):
     monkeypatch.chdir(path.parent)

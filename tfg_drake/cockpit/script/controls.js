@@ -86,6 +86,7 @@ for (const [name, words, swatch, shown, hint] of LAYERS) {
   mark.dataset.layer = name;
   label.append(box, mark, words);
   groups[name].visible = shown;
+  label.hidden = name === "wall_landmarks"; // Until there is one.
   box.onchange = () => {
     groups[name].visible = box.checked;
     shownBounds = "";

@@ -83,7 +83,7 @@ function showFirstLook(t) {
 }
 
 /** Polygons (1 + corners, 2), each round its first point, as one mesh. */
-function fans(polygons, z, look) {
+function fans(polygons, z, look, order = 0) {
   const shown = polygons.filter((points) => points.length >= 8),
     vertices = shown.reduce((sum, points) => sum + points.length / 2, 0),
     triangles = vertices - shown.length;
@@ -111,5 +111,6 @@ function fans(polygons, z, look) {
   geometry.setIndex(new T.BufferAttribute(faces, 1));
   const mesh = new T.Mesh(geometry, look);
   mesh.frustumCulled = false;
+  mesh.renderOrder = order;
   return mesh;
 }

@@ -68,6 +68,26 @@ const draw = {
     }
   },
 
+  wall_landmarks(record) {
+    const { segments, deviation } = arrays(record),
+      width = 0.6 * unit,
+      spread = [];
+    for (let i = 0; 2 * i < deviation.length; i++) {
+      const [x0, y0, x1, y1] = segments.slice(4 * i, 4 * i + 4),
+        length = Math.hypot(x1 - x0, y1 - y0) || 1,
+        [nx, ny] = [(3 * (y0 - y1)) / length, (3 * (x1 - x0)) / length],
+        [a, b] = deviation.slice(2 * i, 2 * i + 2);
+      // What the line itself hides is not drawn.
+      if (6 * Math.max(a, b) < width) continue;
+      const sides = [x0 - a * nx, y0 - a * ny, x1 - b * nx, y1 - b * ny, x1 + b * nx, y1 + b * ny, x0 + a * nx, y0 + a * ny];
+      spread.push([(x0 + x1) / 2, (y0 + y1) / 2, ...sides]);
+    }
+    const look = material("wall_landmark", { opacity: 0.3, above: true });
+    put(groups.wall_landmarks, "spread", fans(spread, Z.uncertainty, look, 3));
+    const line = material("wall_landmark");
+    put(groups.wall_landmarks, "lines", boxes(segments, null, width, 0.004, MAP_HEIGHT + 0.01, line));
+  },
+
   tfg(record) {
     const { segments, kind } = arrays(record);
     ["edge", "wall_end", "bare_surface"].forEach((name, value) => {
@@ -185,7 +205,7 @@ const draw = {
     put(groups.free, "free", fans(starsAt(t), Z.free, material("free", { once: true })));
   },
 };
-const NEEDS_UNIT = ["world", "map", "tfg", "frontiers", "gains", "path", "goal", "sighted"];
+const NEEDS_UNIT = ["world", "map", "wall_landmarks", "tfg", "frontiers", "gains", "path", "goal", "sighted"];
 
 /** Where the rays of a scan met something. */
 function metPoints(record) {

@@ -99,6 +99,10 @@ const DRAWS_INTO = {
     ["uncertainty", "landmark outline"],
     ["uncertainty", "doubtful outline"],
   ],
+  wall_landmarks: [
+    ["wall_landmarks", "spread"],
+    ["wall_landmarks", "lines"],
+  ],
   goal: [
     ["path", "goal"],
     ["tour", "legs"],

@@ -66,6 +66,13 @@ const LAYERS = [
     true,
     "Ellipses of three standard deviations round each tag and the robot",
   ],
+  [
+    "wall_landmarks",
+    "wall landmarks",
+    "wall_landmark",
+    true,
+    "Walls that are landmarks, as tags are, between two points of each; round them bands of three standard deviations",
+  ],
   ["frontiers", "frontiers", "frontier", true, "Where known free space ends at the unknown"],
   [
     "gains",
@@ -91,7 +98,7 @@ const LAYERS = [
 const groups = {};
 for (const [name] of LAYERS) groups[name] = new T.Group();
 for (const name of ["walls"]) world.add(groups[name]);
-for (const name of ["map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "free"]) map.add(groups[name]);
+for (const name of ["map", "wall_landmarks", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "free"]) map.add(groups[name]);
 const trails = { pose: new T.Group(), truth: new T.Group() };
 map.add(trails.pose, groups.scan, groups.camera);
 world.add(trails.truth, groups.trail);

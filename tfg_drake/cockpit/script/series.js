@@ -66,6 +66,8 @@ timeline.listeners.push((layer, record) => {
     series.entropy.times.push(record.time);
     series.entropy.values.push(record.told.entropy);
     if (record.told.stage > stageTimes.length) stageTimes.push(record.time);
+  } else if (layer === "wall_landmarks") {
+    if (record.count) element("layer-wall_landmarks").parentElement.hidden = false;
   } else if (layer === "free") {
     addStars(record);
   } else if (layer === "scan") {
