@@ -8,7 +8,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
-from tfg_drake.planning.expected_view import Visibility, expected_landmarks, wall_points
+from tfg_drake.planning.expected_view import Visibility, wall_points
 from tfg_drake.planning.information_gain import (
     PRIOR_LENGTH,
     density_shown,
@@ -186,8 +186,8 @@ def nothing_new(points):
     return Visibility(np.zeros(len(points) + 1, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
-def judge_of(landmarks, tfg, **sensor):
-    return turns(landmarks, tfg, TagSensorConfig(**sensor), 10.0, OdometryConfig(), ExplorerConfig())
+def judge_of(landmarks, tfg, scan_range=10.0, **sensor):
+    return turns(landmarks, tfg, TagSensorConfig(**sensor), scan_range, OdometryConfig(), ExplorerConfig())
 
 
 def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none_of_its_points():
@@ -196,20 +196,19 @@ def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none
     # Towards the middle of the room, and so long that the angle is most of what the looks share.
     assert (np.einsum("ij,ij->i", walls.facing, walls.target) < 0.0).all()
     np.testing.assert_allclose(walls.deviation, np.repeat(np.hypot(2e-3, 1e-3 * np.array([4, 3, 4])), 2))
-    seen = expected_landmarks(np.zeros((1, 2)), landmarks, tfg, TagSensorConfig(), 10.0)
+    seen = judge_of(landmarks, tfg).seen(np.zeros((1, 2)))
     assert seen.index.tolist() == list(range(9))
     # The south wall is seen too aslant from near by; three ends of the others are out of range.
-    seen = expected_landmarks(np.array([[0.0, -2.9]]), landmarks, tfg, TagSensorConfig(), 6.0)
+    seen = judge_of(landmarks, tfg, 6.0).seen(np.array([[0.0, -2.9]]))
     assert seen.index.tolist() == [2, 6, 7, 8]
     # A tag sensor that sees half as far leaves the walls alone.
-    seen = expected_landmarks(np.zeros((1, 2)), landmarks, tfg, TagSensorConfig(range=3.5), 10.0)
+    seen = judge_of(landmarks, tfg, range=3.5).seen(np.zeros((1, 2)))
     assert seen.index.tolist() == [0, 1, 2, 3, 4, 5, 6, 8]
     # What stands before the east wall hides it.
     before = replace(tfg, segments=np.vstack([tfg.segments, [[3.0, -2.2, 3.0, 2.2]]]))
-    seen = expected_landmarks(np.zeros((1, 2)), landmarks, before, TagSensorConfig(), 10.0)
+    seen = judge_of(landmarks, before).seen(np.zeros((1, 2)))
     assert seen.index.tolist() == [0, 1, 4, 5, 6, 8]
-    seen = expected_landmarks(np.array([[4.5, 0.0]]), landmarks, replace(tfg, segments=np.zeros((0, 4))),
-                              TagSensorConfig(), 10.0)  # fmt: skip
+    seen = judge_of(landmarks, replace(tfg, segments=np.zeros((0, 4)))).seen(np.array([[4.5, 0.0]]))
     assert seen.index.tolist() == [0, 1, 4, 5, 6, 8]
 
 
@@ -219,7 +218,7 @@ def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(see
     landmarks, tfg = room(seed, tags=tags)
     judge, point = judge_of(landmarks, tfg), np.array([[1.0, -0.5]])
     arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
-    seen = expected_landmarks(point, landmarks, tfg, TagSensorConfig(), 10.0)
+    seen = judge.seen(point)
     assert len(seen.index) == len(landmarks.ids)
     n, noise = 2 * len(landmarks.ids), judge._noise
 
@@ -268,7 +267,7 @@ def test_nothing_brings_more_than_is_said_at_the_most(seed, walls, tags):
     points = np.random.default_rng(seed).uniform([-3.5, -2.7], [3.9, 2.7], (60, 2))
     way = np.hypot(*(points - landmarks.X_MD[:2]).T)
     arrival = judge.arrival(points, way, 2.0 * way)
-    seen = expected_landmarks(points, landmarks, tfg, TagSensorConfig(range=7.0), 10.0)
+    seen = judge.seen(points)
     gains = judge.gains(points, arrival, seen, nothing_new(points)).exploitation
     most = judge.most(points, arrival, nothing_new(points)).exploitation
     assert (most >= gains - 1e-9).all()
@@ -281,7 +280,7 @@ def test_walls_are_worth_something_beside_tags():
     found = []
     for landmarks in (tags, both):
         judge = judge_of(landmarks, tfg)
-        seen = expected_landmarks(point, landmarks, tfg, TagSensorConfig(), 10.0)
+        seen = judge.seen(point)
         arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
         found.append(judge.gains(point, arrival, seen, nothing_new(point)).exploitation[0])
     assert found[1] > found[0] + 1.0

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
+from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
-from tfg_drake.planning.expected_view import Visibility, expected_landmarks, expected_tags, local_visibility
+from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
 from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.tfg.star_polygon import looked_round
@@ -60,12 +60,6 @@ class Situation:
         """The input of the gains."""
         of = self.parameters
         return turns(self.landmarks, self.tfg, of.sensor, of.scan_range, of.odometry, of.explorer)
-
-    def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
-        """As `expected_landmarks`, from points (c, 2), m in M."""
-        return expected_landmarks(
-            points, self.landmarks, self.tfg, self.parameters.sensor, self.parameters.scan_range, grid
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +115,7 @@ def judged(now: Situation) -> Candidates:
     grid = segment_grid(tfg.segments)
 
     def expected(rows: IntArray) -> Gains:
-        seen, frontiers = now.seen(points[rows], grid), frontiers_seen.of(rows)
+        seen, frontiers = judge.seen(points[rows], grid), frontiers_seen.of(rows)
         gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), seen, frontiers)
         return _found_again(gains, local_visibility(seen, now.landmarks).count == seen.count)
 
@@ -141,7 +135,7 @@ def turn_gains(nodes: IntArray, now: Situation) -> Gains:
     roadmap, judge = now.roadmap, now.turns()
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
     frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
-    return judge.gains(points, judge.arrival(points, distance, time), now.seen(points), frontiers)
+    return judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:

@@ -66,10 +66,10 @@ class Visibility:
         count = np.bincount(point, minlength=len(self.count))
         return Visibility(np.append(0, np.cumsum(count)), self.index[keep])
 
-    def joined(self, others: Visibility) -> Visibility:
-        """The visibility of these targets and others, whose rows are behind them, from the same points."""
+    def joined(self, others: Visibility, rows: int) -> Visibility:
+        """The visibility of these targets, so many rows of them, and of others behind them from the same points."""
         point = np.concatenate([np.repeat(np.arange(len(of.count)), of.count) for of in (self, others)])
-        index = np.append(self.index, others.index)[np.argsort(point, kind="stable")]
+        index = np.append(self.index, others.index + rows)[np.argsort(point, kind="stable")]
         return Visibility(self.offsets + others.offsets, index)
 
     def thinned(self, most: int) -> Visibility:
@@ -229,23 +229,15 @@ def wall_points(landmarks: MapEstimate) -> WallPoints:
     return WallPoints(target.reshape(-1, 2), facing, np.repeat(np.hypot(0.5 * length * FLOOR[0], FLOOR[1]), 2))
 
 
-def expected_landmarks(
-    points: FloatArray,
-    landmarks: MapEstimate,
-    tfg: TfgMap,
-    sensor: TagSensorConfig,
-    scan_range: float,
-    grid: SegmentGrid | None = None,
+def expected_walls(
+    points: FloatArray, walls: WallPoints, tfg: TfgMap, scan_range: float, grid: SegmentGrid
 ) -> Visibility:
-    """Known tags and points of walls that a full turn at each point (c, 2), m in M, should see; index: rows of
-    landmarks.ids. scan_range: the scanner's, m. grid: as of `expected_tags`."""
-    walls, grid = wall_points(landmarks), grid or segment_grid(tfg.segments)
-    tags = expected_tags(points, landmarks, tfg, sensor, grid)
-    if not len(walls.target):
-        return tags
-    within = scan_range, math.acos(SLANT), SURFACE_TOLERANCE
-    seen = visible_targets(points, walls.target, walls.facing, tfg.segments, grid, *within, 0.0, 0.0)
-    return Visibility(*seen).joined(Visibility(tags.offsets, tags.index + len(walls.target)))
+    """Points of walls that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of `walls`.
+
+    scan_range: m. grid: the segment_grid of tfg.segments.
+    """
+    within = scan_range, math.acos(SLANT), SURFACE_TOLERANCE, 0.0, 0.0
+    return Visibility(*visible_targets(points, walls.target, walls.facing, tfg.segments, grid, *within))
 
 
 def expected_frontiers(

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
+from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
 from tfg_drake.planning.exact_gain import (
@@ -26,7 +27,14 @@ from tfg_drake.planning.exact_gain import (
     most_gain,
     to_arrival,
 )
-from tfg_drake.planning.expected_view import Visibility, WallPoints, local_visibility, wall_points
+from tfg_drake.planning.expected_view import (
+    Visibility,
+    WallPoints,
+    expected_tags,
+    expected_walls,
+    local_visibility,
+    wall_points,
+)
 from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.slam.scan_lines import SLANT
 
@@ -161,6 +169,17 @@ class Turns:
         X_MD = self.estimate.X_MD
         Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
+
+    def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
+        """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
+
+        grid: the segment_grid of tfg.segments, if it is there.
+        """
+        walls, tfg, grid = self._walls, self.tfg, grid or segment_grid(self.tfg.segments)
+        tags = expected_tags(points, self.estimate, tfg, self.sensor, grid)
+        if not len(walls.target):
+            return tags
+        return expected_walls(points, walls, tfg, self.scan_range, grid).joined(tags, len(walls.target))
 
     def gains(self, points: FloatArray, arrival: Arrival, seen: Visibility, frontiers: Visibility) -> Gains:
         """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.

@@ -42,7 +42,7 @@ def narrow_places(now: Situation) -> NarrowPlaces:
     distance = roadmap.travel_length[entry] + beyond
     time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
     frontiers = expected_frontiers(points, now.tfg, parameters.sensor)
-    gains = judge.gains(points, judge.arrival(points, distance, time), now.seen(points), frontiers)
+    gains = judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)
     return NarrowPlaces(nodes, entry, gains.gain, time)
 
 
