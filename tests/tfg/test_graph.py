@@ -9,7 +9,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import PoseEstimate, replace
+from tfg_drake.messages import PoseEstimate, TfgMap, replace
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.tfg.feature_graph import empty_graph
 from tfg_drake.tfg.frontier import (
@@ -623,22 +623,29 @@ def test_no_tag_is_expected_where_the_building_has_shown_none(inspected, tags, l
 
 
 def test_surface_is_looked_at_for_tags_until_there_seem_to_be_none_and_again_when_one_turns_up(simulate) -> None:
-    """A hall of 18 x 9 m without tags, seen from its west end: the far wall is too far off for a tag."""
-    hall = [[0.0, 0.0, 18.0, 0.0], [18.0, 0.0, 18.0, 9.0], [18.0, 9.0, 0.0, 9.0], [0.0, 9.0, 0.0, 0.0]]
+    """A hall of 18 x 9 m without tags, seen from its west end, and in it a thin wall."""
+    hall = [[0.0, 0.0, 18.0, 0.0], [18.0, 0.0, 18.0, 9.0], [18.0, 9.0, 0.0, 9.0], [0.0, 9.0, 0.0, 0.0],
+            [10.0, 4.0, 10.0, 5.0]]  # fmt: skip
     world = simulate(hall)
     world.p_WT, world.normal, world.tags = np.zeros((0, 2)), np.zeros((0, 2)), TagSensorConfig(range=5.0)
+
+    def for_tags(tfg: TfgMap) -> tuple[float, float]:
+        """Length of frontier along the north wall and behind the thin one."""
+        north = np.abs(tfg.frontiers[:, 1] - 8.7) < 0.05
+        behind = (np.abs(tfg.frontiers - [10.2, 4.5]) < [0.2, 0.5]).all(axis=1)
+        return tfg.frontier_length[north].sum(), tfg.frontier_length[behind].sum()
+
     few = world.observe(np.array([4.0, 4.5, 0.0]))
     assert few.inspected < 30.0
-    poorly = np.abs(few.frontiers[:, 1] - 8.7) < 0.05
-    assert few.frontier_length[poorly].sum() > 1.0
-    for x, y in ((4.0, 2.0), (4.0, 7.0), (8.0, 2.0), (8.0, 7.0)):
+    assert for_tags(few)[0] > 1.0
+    walls_only = dataclasses.replace(world.explorer, landmarks="walls")
+    assert for_tags(resolve(world.graph, world.estimate, world.robot, walls_only))[0] == 0.0
+    for x, y in ((4.0, 2.0), (4.0, 7.0), (8.0, 2.0), (8.0, 7.0), (9.9, 1.0), (9.9, 8.0)):
         none = world.observe(np.array([x, y, 0.0]))
     assert none.inspected > 30.0
-    on_surface = np.abs(none.frontiers[:, 1] - 8.7) < 0.05
-    assert not on_surface.any()
+    assert for_tags(none) == (0.0, 0.0)
     # A tag that is sighted on the way counts before it is mapped.
     sighted = replace(no_sightings(), ids=np.array([7]), p_MU=np.array([[8.0, 9.0]]), p_MS=np.array([[8.0, 7.0]]))
     again = world.observe(np.array([8.0, 6.0, 0.0]), sighted)
-    assert again.frontier_length[np.abs(again.frontiers[:, 1] - 8.7) < 0.05].sum() > 1.0
-    walls_only = dataclasses.replace(world.explorer, landmarks="walls")
-    assert len(resolve(world.graph, world.estimate, world.robot, walls_only).frontiers) < len(again.frontiers)
+    assert for_tags(again)[0] > 2.0
+    assert for_tags(again)[1] > 0.5

@@ -350,7 +350,8 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
     if not expects_tags(inspected, len(estimate.ids) + len(graph.sighted.p), explorer.landmarks):
-        graph = replace(graph, uninspected=no_points())
+        # What lies behind a thin wall has been seen, too: only a tag would be on its other face.
+        graph = replace(graph, uninspected=no_points(), unseen_backs=no_points())
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
@@ -384,7 +385,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
 
 
 def expects_tags(inspected: float, tags: int, landmarks: str) -> bool:
-    """Whether surface that was not seen well enough to find a tag is worth a look for tags alone.
+    """Whether surface that was not seen, or not well enough to find a tag, is worth a look for tags alone.
 
     inspected: m of surface that was. tags: how many were seen. landmarks: as in ExplorerConfig.
     """
