@@ -212,6 +212,15 @@ def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none
     assert seen.index.tolist() == [0, 1, 4, 5, 6, 8]
 
 
+def test_each_of_many_points_sees_what_it_sees_alone():
+    judge = judge_of(*room(0), 6.0, range=5.0)
+    points = np.random.default_rng(0).uniform([-3.5, -2.7], [5.0, 2.7], (20, 2))
+    seen = judge.seen(points)
+    for i, point in enumerate(points):
+        assert seen.of(np.array([i])).index.tolist() == judge.seen(point[None]).index.tolist()
+    assert set(seen.index) == set(range(9))
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("tags", [True, False])
 def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(seed, tags):
