@@ -110,8 +110,8 @@ class InfoGainGoalSelector(LeafSystem):
         self, context: Context, previous: GoalChoice, landmarks: MapEstimate, tfg: TfgMap, near: Roadmap
     ) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
-        estimate, parameters = landmarks.of_tags, self._parameters
-        is_large, radius = not estimate.is_joint, planning_radius(estimate, parameters.explorer)
+        tags, parameters = eval_message(self._map, context, MapEstimate), self._parameters
+        is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
         explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))
         parameters = dataclasses.replace(parameters, explorer=explorer)
         if math.isfinite(radius):
