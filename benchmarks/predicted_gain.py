@@ -60,7 +60,8 @@ def predicted(
         departure_given_landmarks(before),
         odometry_covariance(before.X_MD, place, np.array([distance]), time, scenario.odometry),
     )
-    known = Known(np.array([0, len(rows)]), rows, before.p_ML[before.local], before.covariance)
+    p_ML = before.local_p_ML
+    known = Known(np.array([0, len(rows)]), rows, p_ML, before.covariance, np.zeros_like(p_ML))
     offsets, each = np.array([0, len(new)]), np.arange(len(new))
     unknown = New(offsets, each, new, np.ones(len(new)), scenario.explorer.prior_sigma, IN_REACH)
     return exact_gain(place, arrival, known, unknown, turn_noise(scenario.tags, sightings))[0, :2]

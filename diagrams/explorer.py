@@ -118,7 +118,7 @@ def MakeTfgExplorer(
         "goal_selector",
         "goal_selector",
         goal_selector,
-        lambda _: InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed),
+        lambda _: InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed, scenario.scan.range),
     )
     parameters = robot, scenario.odometry, tags, explorer, scenario.planner, scenario.seed, scenario.scan.least_range
     prm = add("prm_planner", "planner", planner, lambda _: PrmPlanner(*parameters))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
+from tfg_drake.planning.information_gain import density_shown
 from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
@@ -35,6 +37,7 @@ class InfoGainGoalSelector(LeafSystem):
         name: InfoGainGoalSelector
         input_ports:
         - map
+        - landmarks
         - tfg
         - roadmap
         - local_roadmap
@@ -45,7 +48,8 @@ class InfoGainGoalSelector(LeafSystem):
         - goal
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, local_roadmap: Roadmap, mission: MissionStatus, goal: GoalChoice,
-    all in M. local_roadmap: as much of roadmap as planning works on.
+    all in M. local_roadmap: as much of roadmap as planning works on. landmarks: MapEstimate of tags and walls,
+    optional; without it, and with the approximations to the exact gain, tags alone count.
 
     On a large map the goal is looked for near the newest view first, see `tfg_drake.planning.goal_choice.choose_near`.
     recall: (1,), 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any
@@ -61,12 +65,14 @@ class InfoGainGoalSelector(LeafSystem):
         sensor: TagSensorConfig,
         explorer: ExplorerConfig,
         seed: int = 0,
+        scan_range: float = ScanConfig.range,
     ):
-        """seed: of the goals, where explorer.goal is random."""
+        """seed: of the goals, where explorer.goal is random. scan_range: the scanner's, m."""
         super().__init__()
         keep_to_one_thread()
-        self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed)
+        self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed, scan_range)
         self._map = declare_message_input(self, "map")
+        self._landmarks = declare_message_input(self, "landmarks")
         self._tfg = declare_message_input(self, "tfg")
         self._roadmap = declare_message_input(self, "roadmap")
         self._local_roadmap = declare_message_input(self, "local_roadmap")
@@ -88,29 +94,33 @@ class InfoGainGoalSelector(LeafSystem):
         now = self._state(context)
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
-        estimate = eval_message(self._map, context, MapEstimate).given_shared()
+        estimate = eval_message(self._map, context, MapEstimate)
+        if self._parameters.explorer.gain == "exact":
+            estimate = eval_optional(self._landmarks, context, MapEstimate) or estimate
         tfg = eval_message(self._tfg, context, TfgMap)
         near = eval_message(self._local_roadmap, context, Roadmap)
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
-        chosen = _SelectorState(self._Choose(context, now.goal, estimate, tfg, near), now.sent)
+        chosen = _SelectorState(self._Choose(context, now.goal, estimate.given_shared(), tfg, near), now.sent)
         self._state.set(state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 
     @metered("goal")
     def _Choose(
-        self, context: Context, previous: GoalChoice, estimate: MapEstimate, tfg: TfgMap, near: Roadmap
+        self, context: Context, previous: GoalChoice, landmarks: MapEstimate, tfg: TfgMap, near: Roadmap
     ) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
-        parameters, is_large = self._parameters, not estimate.is_joint
-        radius = planning_radius(estimate, parameters.explorer)
+        tags, parameters = eval_message(self._map, context, MapEstimate), self._parameters
+        is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
+        explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))
+        parameters = dataclasses.replace(parameters, explorer=explorer)
         if math.isfinite(radius):
-            part = local(estimate, tfg, radius, parameters.sensor.range)
+            part = local(landmarks, tfg, radius, parameters.sensor.range)
             goal = choose_near(Situation(*part, near, parameters, is_large), previous, radius, recalled=recalled)
             if goal is not None:
                 return goal
         roadmap = eval_message(self._roadmap, context, Roadmap)
-        return choose(Situation(estimate, tfg, roadmap, parameters, is_large), previous, recalled=recalled)
+        return choose(Situation(landmarks, tfg, roadmap, parameters, is_large), previous, recalled=recalled)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""

@@ -398,7 +398,7 @@ class ExplorerConfig:
     # Whether the robot, when all is explored, looks again where the landmarks' error falls by a larger share than the
     # mission grows longer (tour only).
     revisit: bool = True
-    # Landmarks expected per metre of unexplored surface.
+    # Landmarks expected per metre of unexplored surface, until the building has shown how many there are.
     density: float = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.
     prior_sigma: float = 10.0

@@ -205,7 +205,7 @@ class MapEstimate:
     def of_tags(self) -> MapEstimate:
         """The map without its walls."""
         tags = is_tag(self.ids)
-        return replace(self.of_landmarks(tags), by_walls=not tags.all())
+        return self if tags.all() else replace(self.of_landmarks(tags), by_walls=True)
 
     @property
     def is_joint(self) -> bool:
@@ -283,7 +283,7 @@ class TfgMap:
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
     given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map
-    lacks were seen on the way.
+    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there.
     """
 
     stage: int
@@ -301,6 +301,7 @@ class TfgMap:
     given_up_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     given_up_normal: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     viewpoints: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    inspected: float = dataclasses.field(default=0.0, metadata={"kept": False})
 
 
 @message

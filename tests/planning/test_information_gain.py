@@ -4,16 +4,22 @@ import numpy as np
 import pytest
 
 from tests.arrays import frozen
-from tfg_drake.config import OdometryConfig, TagSensorConfig
-from tfg_drake.messages import replace
+from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
+from tfg_drake.geometry.se2 import rotation
+from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
+from tfg_drake.planning.expected_view import Visibility, wall_points
 from tfg_drake.planning.information_gain import (
+    PRIOR_LENGTH,
+    density_shown,
     departure_given_landmarks,
     sightings_of_turn,
     turn_noise,
+    turns,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 
 def whitened(p_AL, noise):
@@ -80,7 +86,7 @@ def problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma
     return (
         point[None],
         Arrival(frozen(X_MD), given, Q),
-        Known(np.array([0, len(rows)]), rows, p_ML, frozen(S)),
+        Known(np.array([0, len(rows)]), rows, p_ML, frozen(S), np.zeros((len(p_ML), 2))),
         New(np.array([0, len(p_MU)]), np.arange(len(p_MU)), frozen(p_MU), count, prior_sigma, np.array([SEE_ALL, 1.0])),
     )
 
@@ -147,3 +153,158 @@ def test_a_turn_sees_a_tag_as_often_as_it_is_detected_while_in_view():
     few, many = turn_noise(sensor, 4.0), turn_noise(sensor, 1e9)
     np.testing.assert_allclose(few, [0.01, 0.005, 0.01, 0.005])
     np.testing.assert_allclose(many[2:], [0.01, 0.002])
+
+
+def room(seed, walls=True, tags=True):
+    """A room of 8 x 6 m round the origin with a tag and a wall on every side but the west, as seen from inside, and a
+    covariance by which all moves together, too."""
+    rng, corners = np.random.default_rng(seed), np.array([[-4.0, -3], [4, -3], [4, 3], [-4, 3]])
+    sides = np.stack([corners[:-1], corners[1:]], axis=1)  # seen from their left
+    inwards = np.array([[0.0, 1], [-1, 0], [0, -1]])
+    first = WALLS_BELOW - 2 - 2 * np.arange(3)[::-1]
+    ids = np.stack([first, first + 1], axis=1).ravel()
+    p_ML = np.vstack([sides[::-1].reshape(-1, 2), sides.mean(axis=1)])
+    keep = np.append(np.full(6, walls), np.full(3, tags))
+    ids, p_ML = np.append(ids, np.arange(3))[keep], p_ML[keep]
+    root = rng.normal(0, 0.02, (2 * len(ids) + 3, 2 * len(ids) + 3))
+    root[-1] *= 0.2
+    X_MD = np.append(rng.uniform(-1, 1, 2), 0.3)
+    together = np.zeros((2 * len(ids) + 3, 3))
+    for i, p in enumerate([*p_ML, X_MD[:2]]):
+        together[2 * i : 2 * i + 2] = [[1, 0, -p[1]], [0, 1, p[0]]]
+    together[-1, 2] = 1
+    covariance = root @ root.T + 0.09 * together @ np.diag([1, 1, 0.01]) @ together.T + 1e-6 * np.eye(len(root))
+    landmarks = replace(
+        empty_map(), stage=1, ids=ids, p_ML=p_ML, local=np.arange(len(ids)), covariance=covariance, X_MD=X_MD
+    )
+    segments = np.hstack([corners, np.roll(corners, -1, axis=0)])[:3]
+    facing = inwards if tags else np.zeros((0, 2))
+    return landmarks, replace(empty_tfg(), stage=1, segments=segments, facing=facing)
+
+
+def nothing_new(points):
+    return Visibility(np.zeros(len(points) + 1, dtype=np.int64), np.zeros(0, dtype=np.int64))
+
+
+def judge_of(landmarks, tfg, scan_range=10.0, **sensor):
+    return turns(landmarks, tfg, TagSensorConfig(**sensor), scan_range, OdometryConfig(), ExplorerConfig())
+
+
+def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none_of_its_points():
+    landmarks, tfg = room(0)
+    walls = wall_points(landmarks)
+    # Towards the middle of the room, and so long that the angle is most of what the looks share.
+    assert (np.einsum("ij,ij->i", walls.facing, walls.target) < 0.0).all()
+    np.testing.assert_allclose(walls.deviation, np.repeat(np.hypot(2e-3, 1e-3 * np.array([4, 3, 4])), 2))
+    seen = judge_of(landmarks, tfg).seen(np.zeros((1, 2)))
+    assert seen.index.tolist() == list(range(9))
+    # The south wall is seen too aslant from near by; three ends of the others are out of range.
+    seen = judge_of(landmarks, tfg, 6.0).seen(np.array([[0.0, -2.9]]))
+    assert seen.index.tolist() == [2, 6, 7, 8]
+    # A tag sensor that sees half as far leaves the walls alone.
+    seen = judge_of(landmarks, tfg, range=3.5).seen(np.zeros((1, 2)))
+    assert seen.index.tolist() == [0, 1, 2, 3, 4, 5, 6, 8]
+    # What stands before the east wall hides it.
+    before = replace(tfg, segments=np.vstack([tfg.segments, [[3.0, -2.2, 3.0, 2.2]]]))
+    seen = judge_of(landmarks, before).seen(np.zeros((1, 2)))
+    assert seen.index.tolist() == [0, 1, 4, 5, 6, 8]
+    seen = judge_of(landmarks, replace(tfg, segments=np.zeros((0, 4)))).seen(np.array([[4.5, 0.0]]))
+    assert seen.index.tolist() == [0, 1, 4, 5, 6, 8]
+
+
+def test_each_of_many_points_sees_what_it_sees_alone():
+    judge = judge_of(*room(0), 6.0, range=5.0)
+    points = np.random.default_rng(0).uniform([-3.5, -2.7], [5.0, 2.7], (20, 2))
+    seen = judge.seen(points)
+    for i, point in enumerate(points):
+        assert seen.of(np.array([i])).index.tolist() == judge.seen(point[None]).index.tolist()
+    assert set(seen.index) == set(range(9))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("tags", [True, False])
+def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(seed, tags):
+    landmarks, tfg = room(seed, tags=tags)
+    judge, point = judge_of(landmarks, tfg), np.array([[1.0, -0.5]])
+    arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
+    seen = judge.seen(point)
+    assert len(seen.index) == len(landmarks.ids)
+    n, noise = 2 * len(landmarks.ids), judge._noise
+
+    # The Gaussian of landmarks and arrival pose, and the measurements' Jacobian by differences.
+    F = np.eye(n + 3)
+    F[n : n + 2, -1] = [landmarks.X_MD[1] - point[0, 1], point[0, 0] - landmarks.X_MD[0]]
+    S = F @ landmarks.covariance @ F.T
+    S[n:, n:] += arrival.odometry[0]
+
+    def measured(state):
+        p, x, R = state[:n].reshape(-1, 2), state[n : n + 2], rotation(state[-1])
+        z, walls = [], wall_points(landmarks)
+        for i in seen.index:
+            p_B = R.T @ (p[i] - x)
+            if landmarks.ids[i] < WALLS_BELOW:
+                z.append(-walls.facing[i] @ p_B / walls.deviation[i])
+            else:
+                r = np.hypot(*p_B)
+                z += [r / max(noise[0] + noise[1] * r, noise[2]), np.arctan2(p_B[1], p_B[0]) / noise[3]]
+        return np.array(z)
+
+    at = np.concatenate([landmarks.p_ML.ravel(), point[0], [0.0]])
+    J = np.column_stack([(measured(at + d) - measured(at - d)) / 2e-6 for d in 1e-6 * np.eye(n + 3)])
+    # The noise of a range is that at its mean: only the numerator varies.
+    for k, i in enumerate(np.flatnonzero(landmarks.ids >= 0)):
+        d = landmarks.p_ML[i] - point[0]
+        row = int(np.count_nonzero(landmarks.ids < 0)) + 2 * k
+        J[row] = 0.0
+        J[row, 2 * i : 2 * i + 2] = whitened(d, noise)[0]
+        J[row, n : n + 2] = -whitened(d, noise)[0]
+    S_x_given_L = S[n:, n:] - S[n:, :n] @ np.linalg.solve(S[:n, :n], S[:n, n:])
+    of_both, of_pose = J @ S @ J.T, J[:, n:] @ S_x_given_L @ J[:, n:].T
+    expected = 0.5 * (np.linalg.slogdet(np.eye(len(J)) + of_both)[1] - np.linalg.slogdet(np.eye(len(J)) + of_pose)[1])
+
+    gains = judge.gains(point, arrival, seen, nothing_new(point))
+    assert gains.exploitation[0] == pytest.approx(expected, rel=1e-5)
+    price_free = 0.5 * np.linalg.slogdet(np.eye(len(J)) + J[:, :n] @ S[:n, :n] @ J[:, :n].T)[1]
+    assert gains.pose_price[0] == pytest.approx(price_free - expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(("walls", "tags"), [(True, True), (True, False), (False, True)])
+def test_nothing_brings_more_than_is_said_at_the_most(seed, walls, tags):
+    landmarks, tfg = room(seed, walls, tags)
+    judge = judge_of(landmarks, tfg, range=7.0)
+    points = np.random.default_rng(seed).uniform([-3.5, -2.7], [3.9, 2.7], (60, 2))
+    way = np.hypot(*(points - landmarks.X_MD[:2]).T)
+    arrival = judge.arrival(points, way, 2.0 * way)
+    seen = judge.seen(points)
+    gains = judge.gains(points, arrival, seen, nothing_new(points)).exploitation
+    most = judge.most(points, arrival, nothing_new(points)).exploitation
+    assert (most >= gains - 1e-9).all()
+    assert np.median(gains / most) > 0.1
+
+
+def test_walls_are_worth_something_beside_tags():
+    (both, tfg), (tags, _) = room(1), room(1, walls=False)
+    point = np.array([[1.0, -0.5]])
+    found = []
+    for landmarks in (tags, both):
+        judge = judge_of(landmarks, tfg)
+        seen = judge.seen(point)
+        arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
+        found.append(judge.gains(point, arrival, seen, nothing_new(point)).exploitation[0])
+    assert found[1] > found[0] + 1.0
+
+
+def test_new_landmarks_are_as_dense_as_the_building_has_shown():
+    explorer, (tags, tfg) = ExplorerConfig(density=0.7), room(0, walls=False)
+    tfg = replace(tfg, inspected=12.0)
+    assert density_shown(tags, tfg, explorer) == 0.7
+    both, walls = room(0)[0], room(0, tags=False)[0]
+    # 22 m of surface, of which 12 m were inspected.
+    of_walls, prior = 3 / (22.0 + PRIOR_LENGTH), 0.7 * PRIOR_LENGTH
+    assert density_shown(both, tfg, explorer) == pytest.approx((3 + prior) / (12.0 + PRIOR_LENGTH) + of_walls)
+    assert density_shown(walls, tfg, explorer) == pytest.approx(prior / (12.0 + PRIOR_LENGTH) + of_walls)
+    # What nobody has inspected tells nothing of tags.
+    assert density_shown(walls, replace(tfg, inspected=0.0), explorer) == pytest.approx(0.7 + of_walls)
+    # In a large building without tags walls alone are left.
+    assert density_shown(walls, replace(tfg, inspected=1e6), explorer) == pytest.approx(of_walls, abs=1e-4)

@@ -6,7 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import MissionStatus, Roadmap, TfgMap
+from tfg_drake.messages import WALLS_BELOW, MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
 from tfg_drake.planning.candidates import time_all_round, time_at_goal
 from tfg_drake.planning.planner import with_frontiers
@@ -577,3 +577,63 @@ def test_denser_landmarks_are_expected_to_bring_more():
         selector.ready()
         gains.append(selector.goal().exploration)
     assert (gains[1] > 1.5 * gains[0]).all()
+
+
+def with_walls():
+    """The half-known room with its three walls as landmarks, too, all known as badly as the tags."""
+    estimate, tfg = half_known_room()
+    first = WALLS_BELOW - np.array([6, 4, 2])
+    ends = np.array([[4.0, 4, -4, 4], [4, -4, 4, 4], [-4, -4, 4, -4]]).reshape(-1, 2)
+    return dataclasses.replace(
+        estimate, ids=np.append(np.stack([first, first + 1], axis=1).ravel(), estimate.ids),
+        p_ML=np.vstack([ends, estimate.p_ML]), local=np.arange(9), covariance=1e-2 * np.eye(21),
+        landmark_covariance=np.zeros((9, 2, 2)),
+    ), dataclasses.replace(tfg, inspected=24.0)  # fmt: skip
+
+
+def said(goal):
+    return [goal.node, goal.reason, goal.candidates, goal.exploitation, goal.exploration, goal.pose_price, goal.value]
+
+
+@pytest.mark.parametrize("goal", ["tour", "argmax"])
+def test_landmarks_that_are_tags_alone_change_nothing(goal):
+    with_port, without = Selector(goal=goal), Selector(goal=goal)
+    without.ready()
+    with_port.ready(landmarks=half_known_room()[0])
+    for one, other in zip(said(with_port.goal()), said(without.goal()), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_walls_count_beside_tags():
+    tags, both = Selector(goal="argmax"), Selector(goal="argmax")
+    landmarks, tfg = with_walls()
+    tags.ready(map=landmarks.of_tags, tfg=tfg)
+    both.ready(map=landmarks.of_tags, tfg=tfg, landmarks=landmarks)
+    np.testing.assert_array_equal(both.goal().candidates, tags.goal().candidates)
+    best = int(np.argmax(both.goal().value))
+    assert both.goal().exploitation[best] > tags.goal().exploitation[best] + 5.0
+    # The building has shown fewer tags than were expected, and walls.
+    assert 0.3 < both.goal().exploration[best] / tags.goal().exploration[best] < 1.0
+
+
+def test_a_building_without_tags_is_explored_by_its_walls():
+    landmarks, tfg = with_walls()
+    tagless = landmarks.of_landmarks(landmarks.ids < WALLS_BELOW)
+    tfg = dataclasses.replace(tfg, facing=NONE)
+    selector = Selector()
+    selector.ready(map=tagless.of_tags, landmarks=tagless, tfg=tfg)
+    goal = selector.goal()
+    best = int(np.argmax(goal.value))
+    assert goal.verdict == "goal"
+    assert goal.exploitation[best] > 5.0
+    assert goal.exploration[best] > 5.0
+
+
+@pytest.mark.parametrize("gain", ["limit", "paper", "authors"])
+def test_the_published_formulas_count_tags_alone(gain):
+    tags, both = Selector(gain=gain), Selector(gain=gain)
+    landmarks, tfg = with_walls()
+    tags.ready(map=landmarks.of_tags, tfg=tfg)
+    both.ready(map=landmarks.of_tags, tfg=tfg, landmarks=landmarks)
+    for one, other in zip(said(both.goal()), said(tags.goal()), strict=True):
+        np.testing.assert_array_equal(one, other)

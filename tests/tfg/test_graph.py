@@ -9,7 +9,7 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import PoseEstimate, replace
+from tfg_drake.messages import PoseEstimate, TfgMap, replace
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.tfg.feature_graph import empty_graph
 from tfg_drake.tfg.frontier import (
@@ -23,6 +23,7 @@ from tfg_drake.tfg.frontier import (
 from tfg_drake.tfg.graph import (
     UnmappedSightings,
     empty_map,
+    expects_tags,
     explored_elsewhere,
     no_sightings,
     note_sightings,
@@ -593,3 +594,58 @@ def test_a_tag_without_a_surface_faces_where_it_was_seen_from(simulate) -> None:
     world.p_WT, world.normal = np.vstack([world.p_WT, [1.0, -3.0]]), np.vstack([world.normal, [0.0, 1.0]])
     tfg = world.observe(np.array([0.0, 0.0, 2.0]))
     np.testing.assert_allclose(tfg.facing[-1], np.array([-1.0, 3.0]) / np.sqrt(10.0), atol=1e-9)
+
+
+def test_surface_inspected_is_what_was_seen_well_enough_to_find_a_tag(simulate) -> None:
+    """A corridor 9 m long from its near end: of its sides the near parts."""
+    world = simulate([[0.0, 0.0, 9.0, 0.0], [9.0, 0.0, 9.0, 1.2], [9.0, 1.2, 0.0, 1.2], [0.0, 1.2, 0.0, 0.0]])
+    near = world.observe(np.array([0.6, 0.6, 0.0])).inspected
+    # Both ends, and of either side as far as a tag could be read for certain.
+    read = 0.6 + 0.6 * np.tan(TagSensorConfig().max_incidence)
+    assert 2.4 + 2.0 * 2.0 < near < 2.4 + 2.0 * read + 0.3
+    for x in (3.0, 6.0, 8.5):
+        tfg = world.observe(np.array([x, 0.6, 0.0]))
+    assert tfg.inspected == pytest.approx(20.4, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("inspected", "tags", "landmarks", "expects"),
+    [
+        (29.0, 0, "both", True),
+        (31.0, 0, "both", False),
+        (31.0, 1, "both", True),
+        (31.0, 0, "tags", True),
+        (1.0, 0, "walls", False),
+    ],
+)
+def test_no_tag_is_expected_where_the_building_has_shown_none(inspected, tags, landmarks, expects) -> None:
+    assert expects_tags(inspected, tags, landmarks) == expects
+
+
+def test_surface_is_looked_at_for_tags_until_there_seem_to_be_none_and_again_when_one_turns_up(simulate) -> None:
+    """A hall of 18 x 9 m without tags, seen from its west end, and in it a thin wall."""
+    hall = [[0.0, 0.0, 18.0, 0.0], [18.0, 0.0, 18.0, 9.0], [18.0, 9.0, 0.0, 9.0], [0.0, 9.0, 0.0, 0.0],
+            [10.0, 4.0, 10.0, 5.0]]  # fmt: skip
+    world = simulate(hall)
+    world.p_WT, world.normal, world.tags = np.zeros((0, 2)), np.zeros((0, 2)), TagSensorConfig(range=5.0)
+
+    def for_tags(tfg: TfgMap) -> tuple[float, float]:
+        """Length of frontier along the north wall and behind the thin one."""
+        north = np.abs(tfg.frontiers[:, 1] - 8.7) < 0.05
+        behind = (np.abs(tfg.frontiers - [10.2, 4.5]) < [0.2, 0.5]).all(axis=1)
+        return tfg.frontier_length[north].sum(), tfg.frontier_length[behind].sum()
+
+    few = world.observe(np.array([4.0, 4.5, 0.0]))
+    assert few.inspected < 30.0
+    assert for_tags(few)[0] > 1.0
+    walls_only = dataclasses.replace(world.explorer, landmarks="walls")
+    assert for_tags(resolve(world.graph, world.estimate, world.robot, walls_only))[0] == 0.0
+    for x, y in ((4.0, 2.0), (4.0, 7.0), (8.0, 2.0), (8.0, 7.0), (9.9, 1.0), (9.9, 8.0)):
+        none = world.observe(np.array([x, y, 0.0]))
+    assert none.inspected > 30.0
+    assert for_tags(none) == (0.0, 0.0)
+    # A tag that is sighted on the way counts before it is mapped.
+    sighted = replace(no_sightings(), ids=np.array([7]), p_MU=np.array([[8.0, 9.0]]), p_MS=np.array([[8.0, 7.0]]))
+    again = world.observe(np.array([8.0, 6.0, 0.0]), sighted)
+    assert for_tags(again)[0] > 2.0
+    assert for_tags(again)[1] > 0.5

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
-from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.information_gain import Gains
 
 # Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
@@ -38,8 +37,7 @@ def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gain
     """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
     estimate, tfg, roadmap = stage.estimate, stage.tfg, stage.roadmap
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
-    tags = expected_tags(roadmap.points[nodes], estimate, tfg, parameters.sensor)
-    return nodes, turn_gains(nodes, tags, Situation(estimate, tfg, roadmap, parameters))
+    return nodes, turn_gains(nodes, Situation(estimate, tfg, roadmap, parameters))
 
 
 def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:

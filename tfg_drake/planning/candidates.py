@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
-from tfg_drake.planning.information_gain import Gains, frontier_reach, turns
+from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -28,25 +29,37 @@ MOST_LOOKS = 6
 
 @dataclasses.dataclass(frozen=True)
 class GoalParameters:
-    """The parameters of robot, sensors and explorer for the choice of a goal, and the seed of the rule `random`."""
+    """The parameters of robot, sensors and explorer for the choice of a goal, the seed of the rule `random`, and the
+    scanner's range, m."""
 
     robot: RobotConfig
     sensor: TagSensorConfig
     odometry: OdometryConfig
     explorer: ExplorerConfig
     seed: int = 0
+    scan_range: float = ScanConfig.range
 
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
     """The input of a choice at one stage: map, TFG and roadmap of that stage, or what is near of them, and the
-    parameters. is_large: not all of the map's landmarks are known jointly."""
+    parameters. landmarks: the map with or without its walls. is_large: not all tags of the map are known jointly."""
 
-    estimate: MapEstimate
+    landmarks: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
     parameters: GoalParameters
     is_large: bool = False
+
+    @functools.cached_property
+    def estimate(self) -> MapEstimate:
+        """The map of the tags."""
+        return self.landmarks.of_tags
+
+    def turns(self) -> Turns:
+        """The input of the gains."""
+        of = self.parameters
+        return turns(self.landmarks, self.tfg, of.sensor, of.scan_range, of.odometry, of.explorer)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,14 +110,14 @@ def judged(now: Situation) -> Candidates:
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     nodes = thin_candidates(nodes, sees.count[nodes], explorer.samples)
     points, time, frontiers_seen = roadmap.points.take(nodes, axis=0), roadmap.travel_time[nodes], sees.of(nodes)
-    judge = turns(estimate, tfg, sensor, now.parameters.odometry, explorer)
+    judge = now.turns()
     arrival = judge.arrival(points, roadmap.travel_length[nodes], time)
     grid = segment_grid(tfg.segments)
 
     def expected(rows: IntArray) -> Gains:
-        tags, frontiers = expected_tags(points[rows], estimate, tfg, sensor, grid), frontiers_seen.of(rows)
-        gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), tags, frontiers)
-        return _found_again(gains, local_visibility(tags, estimate).count == tags.count)
+        seen, frontiers = judge.seen(points[rows], grid), frontiers_seen.of(rows)
+        gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), seen, frontiers)
+        return _found_again(gains, local_visibility(seen, now.landmarks).count == seen.count)
 
     # The most that a place can bring is known of the exact gain alone.
     all_at_once = explorer.gain != "exact" or not explorer.pose_price
@@ -117,14 +130,12 @@ def judged(now: Situation) -> Candidates:
     return Candidates(nodes, roadmap.node_ids(nodes), points, time, expected_gains, in_view, open_ahead)
 
 
-def turn_gains(nodes: IntArray, tags: Visibility, now: Situation) -> Gains:
-    """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap. tags: the landmarks visible from
-    them."""
-    roadmap, parameters = now.roadmap, now.parameters
+def turn_gains(nodes: IntArray, now: Situation) -> Gains:
+    """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap."""
+    roadmap, judge = now.roadmap, now.turns()
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
     frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
-    judge = turns(now.estimate, now.tfg, parameters.sensor, parameters.odometry, parameters.explorer)
-    return judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
+    return judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:

@@ -2,8 +2,8 @@
 
     I(L; z) = 1/2 log|I + J S J^T| - 1/2 log|I + K S_x|L K^T|,   J = [G K]
 
-with G and K the whitened Jacobians of ranges and bearings by landmarks and arrival pose x, S the joint covariance of
-both and S_x|L the covariance of the pose given all landmarks.
+with G and K the whitened Jacobians of the tags' ranges and bearings and of the distances of walls' points by landmarks
+and arrival pose x, S the joint covariance of both and S_x|L the covariance of the pose given all landmarks.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ class Known(NamedTuple):
     """The known landmarks and which of them c candidates see.
 
     Candidate i sees rows[offsets[i]:offsets[i + 1]] of p_ML (n, 2), m in M. covariance: (2n + 3, 2n + 3) of p_ML row by
-    row and of the departure pose.
+    row and of the departure pose. wall: (n, 2) of a wall's point, whose distance along the wall's normal is all that is
+    measured, that normal over the distance's deviation, 1/m in M; zero of a tag.
     """
 
     offsets: IntArray
     rows: IntArray
     p_ML: FloatArray
     covariance: FloatArray
+    wall: FloatArray
 
 
 class New(NamedTuple):
@@ -92,34 +94,36 @@ _share_seen = njit(cache=True)(share_seen)  # for kernels
 def known_terms(
     x: float, y: float, c: int, known: Known, noise: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Of the known landmarks that candidate c sees from (x, y): their rows (m,), the whitened Jacobians G (m, 2, 2) by
-    each and K (2m, 3) by the pose, and C (2m, 2m) = I + G S_LL G^T. noise: as in _whitened."""
+    """The k measurements of the known landmarks that candidate c sees from (x, y): the first column (k,) of each one's
+    landmark in the covariance, the whitened Jacobians G (k, 2) by it and K (k, 3) by the pose, and C (k, k) = I + G
+    S_LL G^T. noise: as in _whitened."""
     rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
-    p_ML, covariance = known.p_ML, known.covariance
-    m = len(rows)
-    G = np.empty((m, 2, 2))
-    K = np.zeros((2 * m, 3))
-    C = np.empty((2 * m, 2 * m))
-    for i in range(m):
-        a = 2 * rows[i]
-        g00, g01, g10, g11 = _whitened(p_ML[rows[i], 0] - x, p_ML[rows[i], 1] - y, noise)
-        G[i, 0, 0], G[i, 0, 1], G[i, 1, 0], G[i, 1, 1] = g00, g01, g10, g11
-        K[2 * i, 0], K[2 * i, 1], K[2 * i + 1, 0], K[2 * i + 1, 1] = -g00, -g01, -g10, -g11
-        K[2 * i + 1, 2] = -1.0 / noise[3]
+    covariance, most = known.covariance, 2 * len(rows)
+    column, G, K, k = np.empty(most, dtype=np.int64), np.empty((most, 2)), np.zeros((most, 3)), 0
+    for row in rows:
+        dx, dy = known.p_ML[row, 0] - x, known.p_ML[row, 1] - y
+        wx, wy = known.wall[row, 0], known.wall[row, 1]
+        if wx != 0.0 or wy != 0.0:
+            G[k, 0], G[k, 1], K[k, 2] = wx, wy, dy * wx - dx * wy
+            column[k], k = 2 * row, k + 1
+        else:
+            G[k, 0], G[k, 1], G[k + 1, 0], G[k + 1, 1] = _whitened(dx, dy, noise)
+            K[k + 1, 2] = -1.0 / noise[3]
+            column[k], column[k + 1], k = 2 * row, 2 * row, k + 2
+    column, G, K = column[:k], G[:k], K[:k]
+    K[:, :2] = -G
+    C = np.empty((k, k))
+    for i in range(k):
+        a, b = column[i], -1
         for j in range(i + 1):
-            b = 2 * rows[j]
-            s00, s01 = covariance[a, b], covariance[a, b + 1]
-            s10, s11 = covariance[a + 1, b], covariance[a + 1, b + 1]
-            for q in range(2):
-                t0 = G[i, q, 0] * s00 + G[i, q, 1] * s10
-                t1 = G[i, q, 0] * s01 + G[i, q, 1] * s11
-                C[2 * i + q, 2 * j] = t0 * G[j, 0, 0] + t1 * G[j, 0, 1]
-                C[2 * i + q, 2 * j + 1] = t0 * G[j, 1, 0] + t1 * G[j, 1, 1]
-    for i in range(2 * m):
-        C[i, i] += 1.0
-        for j in range(i):
+            if column[j] != b:
+                b = column[j]
+                t0 = G[i, 0] * covariance[a, b] + G[i, 1] * covariance[a + 1, b]
+                t1 = G[i, 0] * covariance[a, b + 1] + G[i, 1] * covariance[a + 1, b + 1]
+            C[i, j] = t0 * G[j, 0] + t1 * G[j, 1]
             C[j, i] = C[i, j]
-    return rows, G, K, C
+        C[i, i] += 1.0
+    return column, G, K, C
 
 
 @njit(cache=True)
@@ -200,6 +204,7 @@ def _terms(
     known_rows: IntArray,
     p_ML: FloatArray,
     covariance: FloatArray,
+    wall: FloatArray,
     new_offsets: IntArray,
     new_rows: IntArray,
     p_MU: FloatArray,
@@ -210,23 +215,22 @@ def _terms(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """As terms. Known and New are passed field by field: numba dispatches on arrays many times quicker than on named
     tuples."""
-    known = Known(known_offsets, known_rows, p_ML, covariance)
+    known = Known(known_offsets, known_rows, p_ML, covariance, wall)
     new = New(new_offsets, new_rows, p_MU, number, prior_sigma, reach)
     logs, T, B = np.zeros((len(points), 2)), np.zeros((len(points), 6, 6)), np.zeros((len(points), 3, 3, 3))
     pose = 2 * len(p_ML)
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
-        rows, G, K, C = known_terms(x, y, c, known, noise)
-        W = np.empty((2 * len(rows), 6))
-        for i in range(len(rows)):
-            a = 2 * rows[i]
-            for q in range(2):
-                for k in range(3):
-                    W[2 * i + q, k] = G[i, q, 0] * covariance[a, pose + k] + G[i, q, 1] * covariance[a + 1, pose + k]
+        column, G, K, C = known_terms(x, y, c, known, noise)
+        W = np.empty((len(column), 6))
+        for i in range(len(column)):
+            a = column[i]
+            for k in range(3):
+                W[i, k] = G[i, 0] * covariance[a, pose + k] + G[i, 1] * covariance[a + 1, pose + k]
         W[:, 0] += F[c, 0, 2] * W[:, 2]
         W[:, 1] += F[c, 1, 2] * W[:, 2]
         W[:, 3:] = K
-        if len(rows) > 0:
+        if len(column) > 0:
             B[c, 0] = K.T.copy() @ K
             logs[c, 0] = solved_by_cholesky(C, W)
             T[c] = W.T.copy() @ W
@@ -257,6 +261,7 @@ def most_gain(
     p_ML: FloatArray,
     facing: FloatArray,
     covariance: FloatArray,
+    wall: FloatArray,
     range_max: float,
     max_incidence: float,
     new_offsets: IntArray,
@@ -273,8 +278,8 @@ def most_gain(
         I(L; z) <= I(L; x) + I(L; z | x),   I(L; z | x) <= the sum over all landmarks that could be in view.
 
     S_xx, S_x_given_L: (c, 3, 3) covariance of the arrival pose, also given all landmarks, F: (c, 3, 3), see
-    `to_arrival`. p_ML (n, 2), m in M, that face facing (n, 2), and their covariance as in Known. What is farther away
-    than range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
+    `to_arrival`. p_ML (n, 2), m in M, that face facing (n, 2); their covariance and wall as in Known. What is farther
+    away than range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
     _whitened.
     """
     most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), 2 * len(p_ML)
@@ -307,12 +312,16 @@ def most_gain(
             xy = covariance[p, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
             u0, u1, u2 = a * y0 + b * y1 + d * y2, b * y0 + e * y1 + f * y2, d * y0 + f * y1 + g * y2
             yy = covariance[q, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
-            r = max(r, 0.05)
-            ux, uy, sigma = dx / r, dy / r, max(noise[0] + noise[1] * r, noise[2])
-            of_range = (ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy) / sigma**2
-            of_bearing = (uy * uy * xx - 2.0 * ux * uy * xy + ux * ux * yy) / (r * noise[3]) ** 2
-            of_both = (ux * uy * (yy - xx) + (ux * ux - uy * uy) * xy) / (sigma * r * noise[3])
-            product *= max(1.0, (1.0 + of_range) * (1.0 + of_bearing) - of_both**2)
+            wx, wy = wall[i, 0], wall[i, 1]
+            if wx != 0.0 or wy != 0.0:
+                product *= max(1.0, 1.0 + wx * wx * xx + 2.0 * wx * wy * xy + wy * wy * yy)
+            else:
+                r = max(r, 0.05)
+                ux, uy, sigma = dx / r, dy / r, max(noise[0] + noise[1] * r, noise[2])
+                of_range = (ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy) / sigma**2
+                of_bearing = (uy * uy * xx - 2.0 * ux * uy * xy + ux * ux * yy) / (r * noise[3]) ** 2
+                of_both = (ux * uy * (yy - xx) + (ux * ux - uy * uy) * xy) / (sigma * r * noise[3])
+                product *= max(1.0, (1.0 + of_range) * (1.0 + of_bearing) - of_both**2)
             if product > 1e100:
                 most[c, 0], product = most[c, 0] + 0.5 * math.log(product), 1.0
         most[c, 0] += 0.5 * math.log(product)

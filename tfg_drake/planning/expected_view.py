@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -13,11 +14,15 @@ from tfg_drake.geometry.distance import crossed, segments_cross
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag
+from tfg_drake.slam.scan_lines import SLANT
+from tfg_drake.slam.walls import FLOOR
 from tfg_drake.tfg.frontier import GRAZE
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
 SURFACE_TOLERANCE = 0.1
+# A wall's point is looked for so far from its end, m, at most a quarter of the wall: the next wall does not hide it.
+FROM_CORNER = 0.2
 # A frontier point lies a little inside the unknown: count it only well within range.
 FRONTIER_RANGE_SHARE = 0.9
 # So many entries of a grid are few.
@@ -60,6 +65,12 @@ class Visibility:
         point = np.repeat(np.arange(len(self.count)), self.count)[keep]
         count = np.bincount(point, minlength=len(self.count))
         return Visibility(np.append(0, np.cumsum(count)), self.index[keep])
+
+    def joined(self, others: Visibility, rows: int) -> Visibility:
+        """The visibility of these targets, so many rows of them, and of others behind them from the same points."""
+        point = np.concatenate([np.repeat(np.arange(len(of.count)), of.count) for of in (self, others)])
+        index = np.append(self.index, others.index + rows)[np.argsort(point, kind="stable")]
+        return Visibility(self.offsets + others.offsets, index)
 
     def thinned(self, most: int) -> Visibility:
         """The visibility with at most so many targets a point, evenly taken."""
@@ -186,14 +197,47 @@ def _hiding(
 def expected_tags(
     points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, grid: SegmentGrid | None = None
 ) -> Visibility:
-    """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
+    """Known tags that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.of_tags.ids.
 
-    A landmark is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
+    A tag is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
     grid: the segment_grid of tfg.segments, if it is there.
     """
-    surfaces = tfg.segments, grid or segment_grid(tfg.segments)
+    surfaces, p_ML = (tfg.segments, grid or segment_grid(tfg.segments)), estimate.p_ML[is_tag(estimate.ids)]
     within = sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
-    return Visibility(*visible_targets(points, estimate.p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
+    return Visibility(*visible_targets(points, p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
+
+
+class WallPoints(NamedTuple):
+    """The w points of a map's walls, the first of its landmarks. target: (w, 2) where they are looked for, m in M.
+    facing: (w, 2) the side they were seen from. deviation: (w,) m, of their distances along the walls' normals, by what
+    all looks of a turn share."""
+
+    target: FloatArray
+    facing: FloatArray
+    deviation: FloatArray
+
+
+def wall_points(landmarks: MapEstimate) -> WallPoints:
+    """The points of the map's walls."""
+    p = landmarks.p_ML[~is_tag(landmarks.ids)].reshape(-1, 2, 2)
+    along = p[:, 1] - p[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])[:, None]
+    along = along / length
+    inwards = np.minimum(FROM_CORNER, 0.25 * length) * along
+    target = p + np.stack([inwards, -inwards], axis=1)
+    facing = np.repeat(np.column_stack([-along[:, 1], along[:, 0]]), 2, axis=0)
+    return WallPoints(target.reshape(-1, 2), facing, np.repeat(np.hypot(0.5 * length * FLOOR[0], FLOOR[1]), 2))
+
+
+def expected_walls(
+    points: FloatArray, walls: WallPoints, tfg: TfgMap, scan_range: float, grid: SegmentGrid
+) -> Visibility:
+    """Points of walls that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of `walls`.
+
+    scan_range: m. grid: the segment_grid of tfg.segments.
+    """
+    within = scan_range, math.acos(SLANT), SURFACE_TOLERANCE, 0.0, 0.0
+    return Visibility(*visible_targets(points, walls.target, walls.facing, tfg.segments, grid, *within))
 
 
 def expected_frontiers(
@@ -213,9 +257,9 @@ def expected_frontiers(
     return visible.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
 
 
-def local_visibility(tags: Visibility, estimate: MapEstimate) -> Visibility:
+def local_visibility(seen: Visibility, estimate: MapEstimate) -> Visibility:
     """A visibility of rows of estimate.ids as rows of the landmarks known jointly; the others are left out."""
     if estimate.is_joint:
-        return tags
-    index = estimate.local_entry[tags.index]
-    return Visibility(tags.offsets, index).kept(index >= 0)
+        return seen
+    index = estimate.local_entry[seen.index]
+    return Visibility(seen.offsets, index).kept(index >= 0)

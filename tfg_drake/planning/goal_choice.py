@@ -21,7 +21,6 @@ from tfg_drake.planning.candidates import (
     turn_gains,
 )
 from tfg_drake.planning.doubtful_tags import best_views
-from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, stops, tour
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
@@ -257,11 +256,11 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
 
     The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
     """
-    estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
+    estimate, roadmap = now.estimate, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, time_all_round(sensor, explorer))
     explored = min(previous.explored, estimate.stamp)
-    nodes = places(roadmap, tfg, estimate.X_MD[:2])
+    nodes = places(roadmap, now.tfg, estimate.X_MD[:2])
     affordable = budget.affords(roadmap, nodes)
     if now.is_large and not previous.is_explored:
         if not affordable.any():
@@ -275,7 +274,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         return None
     asked, node = nodes[[best]], int(nodes[best])
     node_ids, points = roadmap.node_ids(asked), roadmap.points[asked]
-    gains = turn_gains(asked, expected_tags(points, estimate, tfg, sensor), now)
+    gains = turn_gains(asked, now)
     return GoalChoice(
         stage=estimate.stage,
         node=int(node_ids[0]),

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
-from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
 from tfg_drake.planning.exact_gain import (
     Arrival,
@@ -26,8 +27,16 @@ from tfg_drake.planning.exact_gain import (
     most_gain,
     to_arrival,
 )
-from tfg_drake.planning.expected_view import Visibility, local_visibility
+from tfg_drake.planning.expected_view import (
+    Visibility,
+    WallPoints,
+    expected_tags,
+    expected_walls,
+    local_visibility,
+    wall_points,
+)
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.slam.scan_lines import SLANT
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
 # and tie all tags of a view together.
@@ -35,6 +44,8 @@ RANGE_FLOOR = 0.01
 BEARING_FLOOR = 0.002
 # A frontier yields its full number of new landmarks to a view that reaches this share of the sensor's range beyond it.
 FRONTIER_DEPTH = 0.5
+# What is said beforehand of the number of tags on a metre of surface is worth as much as so many metres inspected.
+PRIOR_LENGTH = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +96,19 @@ def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray 
     )
 
 
+def density_shown(landmarks: MapEstimate, tfg: TfgMap, explorer: ExplorerConfig) -> float:
+    """New landmarks to be expected on a metre of surface, by what this building has shown so far: tags on surface that
+    was inspected, and walls, as two points that tell one freedom each are worth a tag. A map without walls tells no
+    more than explorer.density."""
+    tags = np.count_nonzero(is_tag(landmarks.ids))
+    walls = (len(landmarks.ids) - tags) // 2
+    if not walls:
+        return explorer.density
+    surface = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T).sum()
+    of_tags = (tags + PRIOR_LENGTH * explorer.density) / (tfg.inspected + PRIOR_LENGTH)
+    return float(of_tags + walls / (surface + PRIOR_LENGTH))
+
+
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
     """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
     S = estimate.covariance
@@ -100,11 +124,12 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
 @dataclasses.dataclass(frozen=True)
 class Turns:
     """The input of the gains at one stage: map, TFG and settings, and the covariance (3, 3) of the departure pose given
-    all landmarks (see `departure_given_landmarks`), which is computed once."""
+    all landmarks (see `departure_given_landmarks`), which is computed once. scan_range: the scanner's, m."""
 
     estimate: MapEstimate
     tfg: TfgMap
     sensor: TagSensorConfig
+    scan_range: float
     odometry: OdometryConfig
     explorer: ExplorerConfig
     departure_given_map: FloatArray
@@ -117,6 +142,17 @@ class Turns:
     def _noise(self) -> FloatArray:
         sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
         return turn_noise(self.sensor, sightings, self.estimate.tag_error)
+
+    @functools.cached_property
+    def _walls(self) -> WallPoints:
+        return wall_points(self.estimate)
+
+    @functools.cached_property
+    def _wall(self) -> FloatArray:
+        """As Known has it."""
+        wall = np.zeros((len(self.estimate.ids), 2))
+        wall[: len(self._walls.facing)] = -self._walls.facing / self._walls.deviation[:, None]
+        return wall[self.estimate.local]
 
     @functools.cached_property
     def _number(self) -> FloatArray:
@@ -134,17 +170,28 @@ class Turns:
         Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
 
-    def gains(self, points: FloatArray, arrival: Arrival, tags: Visibility, frontiers: Visibility) -> Gains:
+    def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
+        """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
+
+        grid: the segment_grid of tfg.segments, if it is there.
+        """
+        walls, tfg, grid = self._walls, self.tfg, grid or segment_grid(self.tfg.segments)
+        tags = expected_tags(points, self.estimate, tfg, self.sensor, grid)
+        if not len(walls.target):
+            return tags
+        return expected_walls(points, walls, tfg, self.scan_range, grid).joined(tags, len(walls.target))
+
+    def gains(self, points: FloatArray, arrival: Arrival, seen: Visibility, frontiers: Visibility) -> Gains:
         """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.
 
-        tags and frontiers: what the points see. Each metre of frontier in view stands for explorer.density new
+        seen, of landmarks, and frontiers: what is in view. Each metre of frontier stands for explorer.density new
         landmarks, seen where the frontier point is, less where the view ends soon behind it. Landmarks that are not
         known jointly with the departure pose count for nothing. explorer.gain names the formula.
         """
         estimate, explorer = self.estimate, self.explorer
-        tags = local_visibility(tags, estimate)
+        seen = local_visibility(seen, estimate)
         points = np.ascontiguousarray(points)
-        known = Known(tags.offsets, tags.index, self._p_ML, estimate.covariance)
+        known = Known(seen.offsets, seen.index, self._p_ML, estimate.covariance, self._wall)
         new, noise = self._new(frontiers), self._noise
         if explorer.gain == "authors":
             out = authors_gain(points, known, new, self.tfg.frontier_normal)
@@ -161,15 +208,20 @@ class Turns:
         estimate, sensor = self.estimate, self.sensor
         points = np.ascontiguousarray(points)
         F, new = to_arrival(arrival.X_MD, points), self._new(frontiers)
+        target, facing = self._walls.target, np.vstack([self._walls.facing, self.tfg.facing])
+        range_max, max_incidence = sensor.range, sensor.max_incidence
+        if len(target):
+            range_max, max_incidence = max(range_max, self.scan_range), max(max_incidence, math.acos(SLANT))
         out = most_gain(
             points,
             *arrival_covariance(F, arrival, estimate.covariance),
             F,
-            self._p_ML,
-            self.tfg.facing[estimate.is_local],
+            np.vstack([target, estimate.p_ML[len(target) :]])[estimate.local],
+            facing[estimate.local],
             estimate.covariance,
-            sensor.range,
-            sensor.max_incidence,
+            self._wall,
+            range_max,
+            max_incidence,
             *new,  # type: ignore[arg-type]
             self._noise,
         )
@@ -177,7 +229,12 @@ class Turns:
 
 
 def turns(
-    estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, odometry: OdometryConfig, explorer: ExplorerConfig
+    estimate: MapEstimate,
+    tfg: TfgMap,
+    sensor: TagSensorConfig,
+    scan_range: float,
+    odometry: OdometryConfig,
+    explorer: ExplorerConfig,
 ) -> Turns:
     """The input of the gains with this map, its TFG and these settings."""
-    return Turns(estimate, tfg, sensor, odometry, explorer, departure_given_landmarks(estimate))
+    return Turns(estimate, tfg, sensor, scan_range, odometry, explorer, departure_given_landmarks(estimate))

@@ -14,7 +14,7 @@ import numpy as np
 
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, replace
+from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, is_tag, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
 from tfg_drake.tfg.near import radius_of, within
 from tfg_drake.tfg.polyline import taken
@@ -41,15 +41,17 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     here = estimate.X_MA[-1, :2]
     far = radius + sight
     landmarks, stars = within(estimate.p_ML, here, far), within(tfg.star_centers, here, far)
+    tags = is_tag(estimate.ids)
+    landmarks[~tags] = np.repeat(landmarks[~tags].reshape(-1, 2).any(axis=1), 2)  # A wall has two points.
     near = {
         ("segments", "segment_kind", "segment_ids"): clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,
-        ("facing",): landmarks,
+        ("facing",): landmarks[tags],
         ("star_centers",): stars,
         ("frontiers", "frontier_length", "frontier_normal"): within(tfg.frontiers, here, radius),
         ("given_up", "given_up_length", "given_up_normal"): within(tfg.given_up, here, radius),
         ("viewpoints",): within(tfg.viewpoints, here, radius),
     }
-    if all(rows.all() for rows in near.values()):
+    if landmarks.all() and all(rows.all() for rows in near.values()):
         return estimate, tfg
     star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
     columns: dict[str, Any] = {name: getattr(tfg, name)[rows] for names, rows in near.items() for name in names}

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.messages import FloatArray, IntArray, Roadmap
 from tfg_drake.planning.candidates import Situation
-from tfg_drake.planning.expected_view import expected_frontiers, expected_tags
-from tfg_drake.planning.information_gain import turns
+from tfg_drake.planning.expected_view import expected_frontiers
 
 # Nodes as near as this lie before the same passage, m.
 SAME_PASSAGE = 2.0
@@ -36,16 +35,14 @@ class NarrowPlaces:
 
 def narrow_places(now: Situation) -> NarrowPlaces:
     """All such places of the roadmap, with their gains."""
-    estimate, tfg, roadmap, parameters = now.estimate, now.tfg, now.roadmap, now.parameters
-    sensor = parameters.sensor
+    roadmap, parameters, judge = now.roadmap, now.parameters, now.turns()
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
     entry, points = roadmap.entry[nodes], roadmap.points[nodes]
     beyond = np.hypot(*(points - roadmap.points[entry]).T)
     distance = roadmap.travel_length[entry] + beyond
     time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
-    tags, frontiers = expected_tags(points, estimate, tfg, sensor), expected_frontiers(points, tfg, sensor)
-    judge = turns(estimate, tfg, sensor, parameters.odometry, parameters.explorer)
-    gains = judge.gains(points, judge.arrival(points, distance, time), tags, frontiers)
+    frontiers = expected_frontiers(points, now.tfg, parameters.sensor)
+    gains = judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)
     return NarrowPlaces(nodes, entry, gains.gain, time)
 
 

@@ -42,6 +42,7 @@ from tfg_drake.tfg.frontier import (
     in_front,
     join,
     most_within,
+    no_points,
     open_frontiers,
     place_points,
     points_of,
@@ -70,6 +71,8 @@ SLANT_KNOWN = math.radians(2.5)
 TORN = 1.0
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
+# Where a building has shown no tag on so much surface that was inspected, m, none is looked for.
+WITHOUT_TAGS = 30.0
 
 
 @message
@@ -344,6 +347,11 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     Landmarks that anchor no other surface get no facing, so they count as visible from nowhere.
     """
     placed = _placed(graph, np.arange(graph.stage), estimate, np.zeros(len(estimate.ids), dtype=np.bool_))
+    surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
+    inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
+    if not expects_tags(inspected, len(estimate.ids) + len(graph.sighted.p), explorer.landmarks):
+        # What lies behind a thin wall has been seen, too: only a tag would be on its other face.
+        graph = replace(graph, uninspected=no_points(), unseen_backs=no_points())
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
@@ -372,7 +380,16 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         given_up_length=given_up.length,
         given_up_normal=given_up.normal,
         viewpoints=place_points(graph.viewpoints, estimate.X_MA).p,
+        inspected=inspected,
     )
+
+
+def expects_tags(inspected: float, tags: int, landmarks: str) -> bool:
+    """Whether surface that was not seen, or not well enough to find a tag, is worth a look for tags alone.
+
+    inspected: m of surface that was. tags: how many were seen. landmarks: as in ExplorerConfig.
+    """
+    return landmarks == "tags" or (landmarks == "both" and (tags > 0 or inspected < WITHOUT_TAGS))
 
 
 def empty_map() -> TfgMap:

@@ -142,8 +142,8 @@ function tellChoice() {
   const cell = (v) => made("td", {}, number(v, Math.abs(v) < 9.95 ? 1 : 0));
   const head = [
     ["goal", ""],
-    ["known", "What seeing mapped tags again is worth, nats: exploitation; the pose's price is off it"],
-    ["new", "What new tags are worth, nats: exploration"],
+    ["known", "What seeing mapped tags and walls again is worth, nats: exploitation; the pose's price is off it"],
+    ["new", "What new ones are worth, nats: exploration"],
     ["price", "The price of driving there less certain, nats"],
     ["gain", "known + new, nats"],
     ["s", "Time to get there"],
