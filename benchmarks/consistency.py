@@ -22,6 +22,7 @@ import missions
 import numpy as np
 import reality
 import results
+from wall_errors import OFF, wall_errors
 
 from tfg_drake.io.files import write_atomic
 
@@ -50,11 +51,14 @@ def run(key: tuple[str, int], rows: Rows, version: str) -> dict | None:
         arguments += ["--set", setting]
     with tempfile.TemporaryDirectory() as folder:
         summary = missions.run_seed(arguments, seed, Path(folder))
+        run_folder = Path(folder) / f"seed-{seed}"
+        off = wall_errors(run_folder) if (run_folder / "map.npz").exists() else np.zeros(0)
     if "sim_time_s" not in summary:
         print(f"{world}, seed {seed}: {summary['outcome']}: {summary['reason']}", flush=True)
         return None
     figures = {"world": world, "seed": seed, "version": version, "outcome": summary["outcome"]}
     figures["position_error_mean_m"] = summary["position_error_m"]["mean"]
+    figures |= {"walls": len(off), "false_walls": int(np.count_nonzero(off > OFF))}
     return figures | {name: summary.get(name) for name in FIELDS}
 
 
@@ -80,7 +84,10 @@ def line(world: str, runs: list[dict]) -> str:
         )
     )
     cells += [f" {rmse:>8s} {position:>8s} {seen:>8s} {phantom:>8s} {time:>6s} {cpu:>6s}"]
-    return "".join(cells) + f" {int(values('contacts').sum()):8d}"
+    return (
+        "".join(cells)
+        + f" {int(values('contacts').sum()):8d} {int(values('false_walls').sum()):5d} of {int(values('walls').sum())}"
+    )
 
 
 def main(described: str | None = __doc__, rows_of: Rows = ROWS, out: Path = Path("runs/consistency.jsonl")) -> None:
@@ -108,6 +115,7 @@ def main(described: str | None = __doc__, rows_of: Rows = ROWS, out: Path = Path
     print(f"{'':37s}{'NEES: online pose':>21s}{'departures':>21s}{'landmarks, jointly':>21s}")
     print(
         f"{'':24s}   n complete{3 * '   mean median  worst'}     rmse position  surface  phantom   time    cpu contacts"
+        "  false walls"
     )
     counted = [row for row in rows if (row["world"], row["seed"]) in wanted and row["version"] == version]
     for world in options.rows:
