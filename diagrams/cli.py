@@ -74,11 +74,21 @@ _GROUPS = {
 World = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
 ]
+
+
+def _spacing(text: str) -> float:
+    """Metres between tags, inf for none."""
+    try:
+        return math.inf if text == "none" else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is neither a distance in metres nor none") from None
+
+
 TagSpacing = Annotated[
     float | None,
     typer.Option(
         metavar="M|none",
-        parser=lambda text: math.inf if text == "none" else float(text),
+        parser=_spacing,
         help="Place tags along every reachable surface, this far apart, or none at all.",
     ),
 ]
@@ -338,7 +348,8 @@ def compare(
                 _make_writable(out)
             folder = run_folder.make_run_folder(out, f"compare-{name}")
             wait_for_kernels(show)
-            given = [("--world", world), ("--tag-spacing", tag_spacing), ("--start", start), ("--methods", methods)]
+            spacing = "none" if tag_spacing == math.inf else tag_spacing
+            given = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
             given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
             command = _command_line(["compare", scenario], given)
             with run_folder.claimed(folder):
