@@ -227,6 +227,19 @@ def test_a_name_tells_nothing_of_the_parameters():
     np.testing.assert_allclose(after, before, atol=1e-3)
 
 
+def test_what_is_free_along_walls_spoils_nothing_across_them(monkeypatch):
+    """However free: rounding leaves what is known to a millimetre beside kilometres."""
+    begin, frames, end = turn(np.random.default_rng(4))
+    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    p_AL = one.given(np.zeros(SHARED))[0].reshape(-1, 2, 2)
+    names = Names(one.ids[::2], WALLS_BELOW - 2 - 2 * np.arange(len(p_AL)), p_AL, np.zeros(len(p_AL), dtype=bool))
+    least = []
+    for free in (1.0, 3000.0):
+        monkeypatch.setattr("tfg_drake.slam.walls.FREE", free)
+        least.append(np.linalg.eigvalsh(named(one, names, np.zeros(SHARED)).conditional()[0])[:3])
+    np.testing.assert_allclose(least[1], least[0], rtol=0.01)
+
+
 def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_tags_ranges():
     begin, frames, end = turn()
     tag = replace(no_detections(0.0), **{name: np.array([value]) for name, value in SEEN.items()})

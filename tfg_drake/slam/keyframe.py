@@ -65,8 +65,14 @@ class Keyframe:
 
     def conditional(self) -> tuple[FloatArray, FloatArray]:
         """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 8) of its mean on them."""
-        m = len(self.information) - SHARED
-        covariance = np.linalg.inv(self.information[:m, :m])
+        m, n = len(self.information) - SHARED, len(self.ids)
+        i, axes = np.arange(n), np.eye(m)
+        # Each landmark in its own axes: what is free along a wall would be taken off what is known across it.
+        blocks = self.information[: 2 * n, : 2 * n].reshape(n, 2, n, 2)
+        axes[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[i, :, i, :] = np.linalg.eigh(blocks[i, :, i, :])[1]
+        own = axes.T @ self.information[:m, :m] @ axes
+        axes /= np.sqrt(np.diag(own))
+        covariance = axes @ np.linalg.inv(axes.T @ self.information[:m, :m] @ axes) @ axes.T
         covariance = 0.5 * (covariance + covariance.T)
         return covariance, -covariance @ self.information[:m, m:]
 
