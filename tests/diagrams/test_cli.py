@@ -30,7 +30,8 @@ from tfg_drake.mission.interruption import TOGETHER
         ("explore --realtime-rate -1", "--realtime-rate -1: must be 0 (no limit) or more"),
         (
             "explore --tag-spacing x",
-            "invalid value for '--tag-spacing': 'x' is neither a distance in metres nor none; see tfg-drake explore --help",
+            "invalid value for '--tag-spacing': 'x' is neither a distance in metres nor none; "
+            "see tfg-drake explore --help",
         ),
         ("explore --tag-spacing 0", "--tag-spacing 0: must be greater than 0 m"),
         ("explore --tag-spacing 1e-4", "--tag-spacing 0.0001: must be 0.05 m at least; tags are no smaller"),
