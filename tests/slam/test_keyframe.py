@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
 from tests.slam.rings import NOTHING, dense_solution, observed, reckoned
 from tfg_drake.geometry import se2
-from tfg_drake.messages import replace
-from tfg_drake.slam.keyframe import fusion, keyframe, linearised, residual, rows_of, way, without_tags
+from tfg_drake.messages import WALLS_BELOW, replace
+from tfg_drake.slam.keyframe import fusion, keyframe, linearised, of_places, residual, rows_of, way, without_tags
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, RANGE_SCALE, SHARED, Shared
 from tfg_drake.slam.turn import reduced
@@ -227,3 +228,18 @@ def test_rows_of_known_ids():
     assert row[known].tolist() == [0, 1]
     row, known = rows_of(np.array([3]), np.empty(0, dtype=np.int64))
     assert not known.any()
+
+
+def test_lines_that_are_not_quite_parallel_do_not_cross():
+    """Two looks at a wall, 5 mrad and 3 mm apart: fused, its points are where they were along it, and how far the robot
+    drove along the wall is no better known."""
+    ids, along = np.array([WALLS_BELOW - 2, WALLS_BELOW - 1]), np.diag(np.tile([30.0, 1e-3], 2)) ** 2
+    covariance = scipy.linalg.block_diag(along, np.diag([0.05, 0.05, 0.002]) ** 2)
+    first = of_places(ids, np.array([[0.0, 2.0], [1.5, 2.0]]), np.array([1.0, 0.0, 0.0]), covariance)
+    turned = np.array([[-1.0, 2.003], [0.5, 2.003 + 0.005 * 1.5]])
+    second = of_places(ids, turned, np.array([1.0, 0.0, 0.0]), covariance)
+    both, X_AB, _ = fusion(first, second, np.zeros(SHARED))
+    p_AL, X_AD, after = both.given(np.zeros(SHARED))
+    np.testing.assert_allclose(p_AL[:, 0], [0.0, 1.5], atol=0.01)
+    np.testing.assert_allclose([X_AB[0], X_AD[0]], [1.0, 2.0], atol=0.01)
+    assert np.sqrt(after[-3, -3]) == pytest.approx(np.hypot(0.05, 0.05), rel=0.01)

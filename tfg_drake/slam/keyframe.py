@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, is_tag, message, replace
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED, scale_of
 
@@ -166,6 +166,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
+            one = _along_lines(one, se2.transform(se2.inverse(begin), y_AL[row]))
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
             H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, METRES, W, v, begin, end, shared)
             if errors:
@@ -198,6 +199,27 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
     return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
+
+
+def _along_lines(one: Keyframe, p_AL: FloatArray) -> Keyframe:
+    """The keyframe with what it tells of walls told normal to the lines through p_AL (n, 2), where both their points
+    are; along these it holds them as before.
+
+    Two keyframes hardly ever see a wall in quite the same direction. By their own normals both lines would cross
+    somewhere, and tell where along the wall its points are and the robot is.
+    """
+    walls = np.flatnonzero(~is_tag(one.ids))
+    if not len(walls):
+        return one
+    # Walls come first, each with its two points.
+    along = p_AL[walls ^ 1] - p_AL[walls]
+    along /= np.hypot(*along.T)[:, None]
+    across, held = np.eye(len(one.information)), np.zeros(one.information.shape)
+    for k, direction in zip(walls, along, strict=True):
+        of_point, square = slice(2 * k, 2 * k + 2), np.outer(direction, direction)
+        across[of_point, of_point] -= square
+        held[of_point, of_point] = np.linalg.eigvalsh(one.information[of_point, of_point])[0] * square
+    return replace(one, information=across @ one.information @ across + held)
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:

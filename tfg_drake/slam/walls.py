@@ -36,8 +36,8 @@ DRIFT = 0.02
 # What all looks of a keyframe at one wall share: its direction (rad) and distance (m) as a scanner sees it, no surface
 # being quite a plane. How walls agree that are seen again says which of some multiples it is; their prior.
 FLOOR = np.array([1e-3, 2e-3])
-FLOORS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
-PRIOR = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
+FLOORS = np.array([0.5, 1.0, 2.0, 4.0])
+PRIOR = np.array([0.25, 0.4, 0.25, 0.1])
 # Deviation (m) along a wall of its points, in the keyframe that they are of and in others.
 HELD, FREE = 0.01, 30.0
 # A wall is the map's where the squared error of both points is less than this (2 freedoms: 1 in 3000), its direction
@@ -90,7 +90,7 @@ class Looks(NamedTuple):
 @message
 class Walls:
     """The walls of a map. first: (w,) ids of the first point of each, reach: (w, 2) how far each has been seen, m from
-    that point towards the second. by_floor: (5,) logarithm of the likelihood of what was seen again by each of FLOORS,
+    that point towards the second. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS,
     floor: of these the most likely, between them."""
 
     first: IntArray
