@@ -69,7 +69,7 @@ def test_consistency_goes_on_where_it_stopped(run, monkeypatch, tmp_path) -> Non
     assert "reality.odometry.gyro_noise=0.015" in asked[-1][0]
     assert "--set" not in asked[0][0]
     rows = [line.split() for line in last if line.startswith("house")]
-    assert [row[-18:-13] for row in rows] == [["2", "2", "1.50", "1.50", "2.00"]] * 2
+    assert [row[-21:-16] for row in rows] == [["2", "2", "1.50", "1.50", "2.00"]] * 2
     monkeypatch.setattr(results, "version", lambda: "def")
     run("consistency.py", *arguments)
     assert len(asked) == 9

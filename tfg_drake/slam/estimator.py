@@ -357,12 +357,11 @@ def _step(
     turn, piece = state.turn, state.piece
     looks = len(lines) > 0 and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
     taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan)
-    if only_scan and not looks:
-        pass
-    elif turn is not None:
-        turn = replace(turn, frames=(*turn.frames, taken))
+    more = (taken,) if looks or not only_scan else ()
+    if turn is not None:
+        turn = replace(turn, frames=(*turn.frames, *more))
     elif piece is not None:
-        piece = replace(piece, frames=(*piece.frames, taken))
+        piece = replace(piece, frames=(*piece.frames, *more))
     localizer, known, ignored = step_localizer(
         state.localizer,
         state.noise.now.walks,
