@@ -66,7 +66,7 @@ def test_what_may_be_two_walls_is_neither():
 
 @pytest.mark.parametrize("twist", [(0.0, 0.5), (0.4, 0.0)], ids=["turning", "driving"])
 def test_a_sweep_is_known(twist):
-    """Of a robot that moves rays taken later are from another place."""
+    """Rays taken later are from another place where the robot moves."""
     shared, X_DB, twist = np.zeros(SHARED), np.array([0.0, 0.0, 0.3]), np.array(twist)
     shared[SWEEP] = 0.005
     ranges = np.empty(len(ANGLES))

@@ -150,7 +150,7 @@ def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_sel
 
 
 def test_walls_that_are_landmarks_are_written_with_the_map(writer, tmp_path):
-    """Of a large map those that are near, too."""
+    """Walls near the newest view are written of a large map, too."""
 
     def estimates(x):
         """At two stages, tags alone and with walls at some x, seen from (89, 0) at the second."""

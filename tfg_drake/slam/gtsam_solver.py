@@ -30,7 +30,7 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
     graph: `exploration.look("estimator_state").graph` of a mission, `load_run(folder).map.graph` of a run that is kept.
 
     The keys: L(row), (2,) landmark graph.ids[row], m. X(j), (3,) the pose graph.X_MN[j] in which keyframe j - 1 ends
-    and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's origin and no variable. S(0), (8,) the
+    and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's origin and no variable. S(0), (13,) the
     parameters that all keyframes share, in the order of `tfg_drake.slam.shared`. All are vectors, in the map frame M.
     Factor 0 is the prior of S(0), factor j + 1 keyframe j: a `CustomFactor`, which GTSAM cannot serialise. Constant
     errors of tags (graph.tag_error) are in none.

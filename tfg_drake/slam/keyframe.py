@@ -30,7 +30,7 @@ class Keyframe:
 
     With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
     + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
-    parameter that is the scale of its lengths, or METRES. information: W, (2n + 11, 2n + 11). vector: v, (8,).
+    parameter that is the scale of its lengths, or METRES. information: W, (2n + 16, 2n + 16). vector: v, (13,).
     on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. errors: see
     `by_errors`, empty where it follows from on_error.
     """
@@ -45,7 +45,7 @@ class Keyframe:
     errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
 
     def by_errors(self) -> FloatArray:
-        """What the cost has beside on the tags' errors, (4n + 11, 2n + 1): its Hessian by (e, the errors) on these, and
+        """What the cost has beside on the tags' errors, (4n + 16, 2n + 1): its Hessian by (e, the errors) on these, and
         in the last column its gradient where all are zero."""
         if len(self.errors) or not len(self.ids):
             return self.errors
@@ -56,7 +56,7 @@ class Keyframe:
         return np.column_stack([np.vstack([across, on.T @ across[: 2 * n]]), np.zeros(4 * n + 3 + SHARED)])
 
     def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (8,)."""
+        """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (13,)."""
         covariance, by_shared = self.conditional()
         y = np.append(self.y_AL.ravel(), self.y_AD) + by_shared @ shared
         scale = np.append(np.full(len(y) - 1, 1.0 / scale_of(self.unit, shared)), 1.0)
@@ -64,7 +64,7 @@ class Keyframe:
         return y[:-3].reshape(-1, 2), y[-3:], covariance * np.outer(scale, scale)
 
     def conditional(self) -> tuple[FloatArray, FloatArray]:
-        """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 8) of its mean on them."""
+        """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 13) of its mean on them."""
         m, n = len(self.information) - SHARED, len(self.ids)
         i, axes = np.arange(n), np.eye(m)
         # Each landmark in its own axes: what is free along a wall would be taken off what is known across it.
@@ -77,7 +77,7 @@ class Keyframe:
         return covariance, -covariance @ self.information[:m, m:]
 
     def alone(self) -> tuple[FloatArray, FloatArray]:
-        """What it says of the parameters by itself: information (8, 8), and gradient (8,) where they are zero."""
+        """What it says of the parameters by itself: information (13, 13), and gradient (13,) where they are zero."""
         m = len(self.information) - SHARED
         _, by_shared = self.conditional()
         own = self.information[m:, m:] + self.information[m:, :m] @ by_shared
@@ -93,8 +93,8 @@ def keyframe(
     g: FloatArray,
     on_error: FloatArray,
 ) -> Keyframe:
-    """The keyframe of a cost that has gradient g (2n + 11,) and Hessian W (2n + 11, 2n + 11) at (y, shared), y: (2n +
-    3,), shared: (8,)."""
+    """The keyframe of a cost that has gradient g (2n + 16,) and Hessian W (2n + 16, 2n + 16) at (y, shared), y: (2n +
+    3,), shared: (13,)."""
     m = len(y)
     back = np.linalg.solve(W[:m, :m], W[:m, m:] @ shared - g[:m])
     y_0 = y + back
@@ -122,7 +122,7 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
 
 
 def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArray:
-    """by_errors() with some tags marginalised out, whose own errors count as zero. rows (2n + 11,), keep (n,): which
+    """by_errors() with some tags marginalised out, whose own errors count as zero. rows (2n + 16,), keep (n,): which
     remain."""
     m, columns = len(rows), np.append(np.repeat(keep, 2), True)
     W, across = one.information, one.errors[:m, columns]
@@ -146,8 +146,8 @@ def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: Flo
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
-    """Two keyframes that follow each other as one, linearised at the parameters (8,); the pose (3,) between them in the
-    first's frame, m and rad, and the standard deviation of its position, m.
+    """Two keyframes that follow each other as one, linearised at the parameters (13,); the pose (3,) between them in
+    the first's frame, m and rad, and the standard deviation of its position, m.
 
     Both have the same unit, so no scale is in how they lie to each other.
     """
@@ -238,7 +238,7 @@ def residual(
     D: FloatArray,
     shared: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """The error (2n + 11,) of a keyframe, see Keyframe, and its Jacobian (2n + 11, 11) on A and the parameters.
+    """The error (2n + 16,) of a keyframe, see Keyframe, and its Jacobian (2n + 16, 16) on A and the parameters.
 
     p_ML: (n, 2) its tags. unit: of the keyframe's lengths.
     """
@@ -278,7 +278,7 @@ def linearised(
     D: FloatArray,
     shared: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian (2n + 14, 2n + 14) and gradient (2n + 14,) of a keyframe's cost, in the order of tags, D, A and
+    """Hessian (2n + 19, 2n + 19) and gradient (2n + 19,) of a keyframe's cost, in the order of tags, D, A and
     parameters, and twice the cost.
 
     The Jacobian on tags and D's position is a scaled rotation, so that their block of the Hessian is the information,

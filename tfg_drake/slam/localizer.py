@@ -35,8 +35,8 @@ class Localizer:
     """The filter's Gaussian in D.
 
     map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
-    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (8 + 2s, 8 + 2s)
-    covariance of the parameters and of these in D, with_D: (8 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 8 + 2s), W.
+    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (13 + 2s, 13 + 2s)
+    covariance of the parameters and of these in D, with_D: (13 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 13 + 2s), W.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w,) rows in map.local
     of the first points of walls, wall_points: (w, 2, 2) in D, reach: (w, 2) and floor as of `walls.Walls`.
     """
@@ -198,7 +198,7 @@ def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]
 
 
 def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """considered (8 + 2s, 8 + 2s), with_D (8 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
+    """considered (13 + 2s, 13 + 2s), with_D (13 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
 
     p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D. The constant errors of
     tags add what they make of where tags seem to be from there, and walls the floor of what a keyframe tells of them.

@@ -11,9 +11,9 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.odometry_model import predict_increment, wrap
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED
 
-# mean (3 + 2k,), covariance P (3 + 2k, 3 + 2k) and sensitivity W (3 + 2k, 8 + 2s).
+# mean (3 + 2k,), covariance P (3 + 2k, 3 + 2k) and sensitivity W (3 + 2k, 13 + 2s).
 State = tuple[FloatArray, FloatArray, FloatArray]
-# The shared parameters (8,), and C (8 + 2s, 8 + 2s), the covariance of these and of the landmarks seen.
+# The shared parameters (13,), and C (13 + 2s, 13 + 2s), the covariance of these and of the landmarks seen.
 Considered = tuple[FloatArray, FloatArray]
 # An increment (3,) of `odometry_model.arc`, over so many seconds, and the noise (3,) of `random_walks`.
 Motion = tuple[FloatArray, float, FloatArray]
@@ -51,7 +51,7 @@ def whereabouts(
 def pose_in_map(
     state: State, considered: Considered, motion: Motion, X_MD: FloatArray, with_D: FloatArray, of_map: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MB (3,) and its covariance (3, 3), an odometry increment on. with_D: (8 + 2s, 3) covariance with X_MD (3,),
+    """X_MB (3,) and its covariance (3, 3), an odometry increment on. with_D: (13 + 2s, 3) covariance with X_MD (3,),
     whose own is the end of of_map."""
     mean, P, W = state[0][:POSE].copy(), state[1][:POSE, :POSE].copy(), state[2][:POSE].copy()
     _predict((mean, P, W), considered, motion)
@@ -122,7 +122,7 @@ def _sighting(
     mean: FloatArray, shared: FloatArray, twist: FloatArray, X_DC: FloatArray, x: float, y: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Range and bearing (2,) of a tag at (x, y) from a camera at X_DC (3,), and their derivatives on its place (2, 2),
-    the pose (2, 3) and the parameters (2, 8)."""
+    the pose (2, 3) and the parameters (2, 13)."""
     dx, dy, c, s = x - X_DC[0], y - X_DC[1], math.cos(mean[2]), math.sin(mean[2])
     r, scale = max(math.hypot(dx, dy), 1e-3), 1.0 + shared[RANGE_SCALE]
     on = np.array([[scale * dx / r, scale * dy / r], [-dy / (r * r), dx / (r * r)]])

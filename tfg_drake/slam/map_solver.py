@@ -81,7 +81,7 @@ def known_jointly(graph: KeyframeGraph) -> int:
 
 
 def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
-    """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 11, 2m + 11):
+    """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 16, 2m + 16):
     of the landmarks in rows local (m,), of the pose of a node, and of the parameters."""
     nothing = np.zeros(graph.p_ML.shape)
     values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))

@@ -40,7 +40,7 @@ LEAST_TOLD = 1e-9
 @message
 class _Told:
     """What a keyframe says in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
-    of these u^T s = told within one, u: (8, r)."""
+    of these u^T s = told within one, u: (13, r)."""
 
     mean: FloatArray
     by_shared: FloatArray
@@ -51,7 +51,7 @@ class _Told:
 
 @message
 class _Update:
-    """An update by m tags and what is told of the parameters, linearised at its result. H: (2m + r, 2m + 11) by the
+    """An update by m tags and what is told of the parameters, linearised at its result. H: (2m + r, 2m + 16) by the
     tags, A and the parameters. root: lower Cholesky factor of the innovation's covariance, nu: the innovation from the
     prior mean, in units of that root."""
 
@@ -170,7 +170,7 @@ def estimate_of(
     local: IntArray,
     joint: FloatArray,
 ) -> MapEstimate:
-    """The message of a graph, at some values of its landmarks and newest pose; joint: (2m + 11, 2m + 11) covariance of
+    """The message of a graph, at some values of its landmarks and newest pose; joint: (2m + 16, 2m + 16) covariance of
     its local landmarks, that pose and the parameters."""
     return MapEstimate(
         stage=len(graph.view_keyframe),

@@ -163,7 +163,7 @@ def factors_of(graph: KeyframeGraph) -> Factors:
 @njit(cache=True)
 def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Of keyframe k: the rows (n,) of its landmarks, where they are, (n, 2), its y_AL, (n, 2), and its information
-    (2n + 11, 2n + 11)."""
+    (2n + 16, 2n + 16)."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
     rows = keyframes.rows[some]
     m = 2 * len(rows) + 3 + SHARED
@@ -173,7 +173,7 @@ def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, Float
 
 @njit(cache=True)
 def _errors(k: int, rows: IntArray, keyframes: Keyframes, values: Values) -> tuple[FloatArray, FloatArray]:
-    """by_errors (4n + 11, 2n + 1) of keyframe k, and the errors (2n,) of its landmarks."""
+    """by_errors (4n + 16, 2n + 1) of keyframe k, and the errors (2n,) of its landmarks."""
     n = len(rows)
     flat = keyframes.by_errors[keyframes.starts_of_errors[k] : keyframes.starts_of_errors[k + 1]]
     return flat.reshape(4 * n + 3 + SHARED, 2 * n + 1), values.errors[rows].copy().reshape(2 * n)

@@ -1,4 +1,4 @@
-"""What the lines of a scan tell the localiser: which of the map's walls they are, and how far off them."""
+"""Corrects the localiser by the lines of a scan: matched to the map's walls, and how far they are off these."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def correct_by_walls(
     p_DL: FloatArray,
 ) -> None:
     """Correct the state, in place, by lines (k, 11) of a scan, each of the wall whose first point is considered from a
-    column (k,) on, the second next to it. p_DL: (s, 2) of what is considered. twist: (2,) and its
-    variances (2,)."""
+    column (k,) on, the second next to it. p_DL: (s, 2) of what is considered. twist: (2,) and
+    its variances (2,)."""
     (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
     for j in range(len(lines)):
