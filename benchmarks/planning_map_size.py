@@ -81,22 +81,12 @@ class Copies:
             elif name == "surfaces" or isinstance(value, FrontierPoints):
                 columns = {column: self.tiled(of) for column, of in vars(value).items()}
                 changed[name] = replace(value, **columns | {"view": self.shifted(value.view, views)})
-        surfaces = replace(
-            changed["surfaces"],
-            ids=self.shifted(graph.surfaces.ids, IDS),
-            offsets=self.offsets(graph.surfaces.offsets),
-        )
-        order = np.argsort(surfaces.kind, kind="stable")
-        starts = surfaces.offsets[:-1][order]
-        vertices = [surfaces.vertices[a : a + n] for a, n in zip(starts, np.diff(surfaces.offsets)[order], strict=True)]
-        sorted_by_kind = {name: getattr(surfaces, name)[order] for name in ("kind", "ids", "view", "range")}
         changed |= {
             "stage": views * self.count,
             "surfaces": replace(
-                surfaces,
-                **sorted_by_kind,
-                offsets=np.append(0, np.cumsum([len(each) for each in vertices])),
-                vertices=np.concatenate(vertices),
+                changed["surfaces"],
+                ids=self.shifted(graph.surfaces.ids, IDS),
+                offsets=self.offsets(graph.surfaces.offsets),
             ),
             "tag_ids": self.shifted(graph.tag_ids, IDS),
             "tag_view": self.shifted(graph.tag_view, views),

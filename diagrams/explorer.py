@@ -226,7 +226,7 @@ def MapOfExplorer(
         return None, estimate, tfg
     tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
     if final is not None and scenario is not None and tfg_graph.stage == estimate.stage:
-        tfg = resolve(tfg_graph, estimate, scenario.robot, scenario.explorer)
+        tfg = resolve(tfg_graph, state.map or estimate, scenario.robot, scenario.explorer)
     return saved_map(map_frame(X_WS), state, tfg_graph, tfg), estimate, tfg
 
 

@@ -46,6 +46,7 @@ def MakeManualExplorer(
 
     wiring.Feed(estimator, "pose", tfg_builder, driver, planner, follower)
     wiring.Feed(estimator, "map", tfg_builder, driver, planner, sequencer)
+    wiring.Feed(estimator, "landmarks", tfg_builder)
     wiring.Feed(tfg_builder, "tfg", driver, planner, sequencer)
     wiring.Feed(planner, "roadmap", driver)
     wiring.Feed(planner, "local_roadmap")

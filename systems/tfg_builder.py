@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
 from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
 from tfg_drake.tfg.graph import UnmappedSightings, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
@@ -38,14 +38,16 @@ class TfgBuilder(LeafSystem):
         input_ports:
         - scan
         - map
+        - landmarks
         - pose
         - mission
         output_ports:
         - tfg
         - tfg_graph
 
-    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. tfg: TfgMap, in M. tfg_graph:
-    TfgGraph in the coordinates of its landmarks and views, for whoever keeps the map.
+    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. landmarks: MapEstimate of tags and
+    walls, optional: without it surfaces hang on views alone. tfg: TfgMap, in M. tfg_graph: TfgGraph in the coordinates
+    of its walls and views, for whoever keeps the map.
 
     tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
     was missed.
@@ -56,6 +58,7 @@ class TfgBuilder(LeafSystem):
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._scan = declare_message_input(self, "scan")
         self._map = declare_message_input(self, "map")
+        self._landmarks = declare_message_input(self, "landmarks")
         self._pose = declare_message_input(self, "pose")
         self._mission = declare_message_input(self, "mission")
         # One value: Drake copies every abstract state at every event of any system.
@@ -72,7 +75,8 @@ class TfgBuilder(LeafSystem):
         estimate = eval_message(self._map, context, MapEstimate)
         mission = eval_message(self._mission, context, MissionStatus)
         if estimate.stage > now.graph.stage:
-            after = self._AddView(now, estimate, mission.moving)
+            landmarks = eval_optional(self._landmarks, context, MapEstimate)
+            after = self._AddView(now, landmarks or estimate, mission.moving)
         else:
             after = self._Collect(context, now, mission.phase)
         if after is now:

@@ -135,7 +135,6 @@ def small_map():
     graph, estimate, _ = updated(graph, estimate, keyframe([0, 1, 3], np.array([1.0, 0.0, 0.1]), [0.01, 0.0, 0.0], 2))
     graph, estimate = solve(graph, 20.25, no_observation())
     surfaces = Surfaces(
-        kind=np.array([0, 1, 2]),
         ids=np.array([[11, 10], [12, -1], [-1, -1]]),
         view=np.array([0, 0, 1]),
         range=np.array([2.3, 2.4, 1.0]),

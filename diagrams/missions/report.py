@@ -222,12 +222,12 @@ def _title(summary: dict[str, Any]) -> str:
 
     parts = []
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
-    if mapped is not None and reachable is not None:
+    if mapped is not None and reachable:
         parts.append(
             f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
-    elif mapped is not None:
+    elif mapped:
         parts.append(f"{mapped} landmarks")
     if summary["contacts"] is not None:
         parts.append(

@@ -46,7 +46,7 @@ ELLIPSE_CORNERS = 16
 
 GOAL: Colour = (0.84, 0.15, 0.16)
 # The surfaces' names and colours, by TfgMap.segment_kind.
-_SURFACES = (("edges", EDGE), ("wall ends", WALL_END), ("surfaces without tag", BARE_SURFACE))
+_SURFACES = (("edges", EDGE), ("wall ends", WALL_END), ("surfaces without landmark", BARE_SURFACE))
 
 
 def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:

@@ -381,7 +381,7 @@ def test_a_published_recording_plays_the_mission(driver, tmp_path):
     def in_sight():
         return mission.status.drives, mission.look("path").id, mission.look("map").stage
 
-    for soon in (20.0, 40.0, 42.0, 50.0, 61.0):
+    for soon in (20.0, 40.0, 42.0, 50.0, 55.0, 61.0):
         mission.advance(soon - mission.time)
         before, there = None, in_sight()
         while there != before:  # It is recorded eight times a second.

@@ -10,7 +10,7 @@ import pytest
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
-from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, replace
+from tfg_drake.messages import WALLS_BELOW, LaserScan, MapEstimate, Observation, TfgMap, replace
 from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
 from tfg_drake.tfg.graph import UnmappedSightings, no_sightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
@@ -33,6 +33,8 @@ class Simulation:
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     explorer: ExplorerConfig = field(default_factory=ExplorerConfig)
+    # Faces (w, 4) of walls that are landmarks, seen from their left.
+    landmarks: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     # What the map makes of the tags: their error (n, 2) and its standard deviation (n,), m.
     error: np.ndarray | None = None
     sigma: np.ndarray | None = None
@@ -73,15 +75,17 @@ class Simulation:
         error = np.zeros_like(self.p_WT) if self.error is None else self.error
         sigma = np.full(len(self.p_WT), 1e-3) if self.sigma is None else self.sigma
         observation = Observation(seen, stamps, X_AB)
+        of_walls = np.full(2 * len(self.landmarks), 1e-3)
+        each = np.concatenate([of_walls, sigma[ids]])
         self.estimate = MapEstimate(
             len(self.X_MA),
             self.stamp,
-            ids,
-            self.p_WT[ids] + error[ids],
+            np.concatenate([WALLS_BELOW - len(of_walls) + np.arange(len(of_walls)), ids]),
+            np.vstack([self.landmarks.reshape(-1, 2), self.p_WT[ids] + error[ids]]),
             X_WA,
-            np.arange(len(ids)),
-            np.diag(np.concatenate([np.repeat(sigma[ids], 2), np.full(3, 1e-3)])) ** 2,
-            sigma[ids, None, None] ** 2 * np.eye(2),
+            np.arange(len(each)),
+            np.diag(np.append(np.repeat(each, 2), np.full(3, 1e-3))) ** 2,
+            each[:, None, None] ** 2 * np.eye(2),
             np.array(self.X_MA),
             observation,
             0.0,

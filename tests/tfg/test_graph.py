@@ -115,14 +115,12 @@ def test_neighbouring_tags_are_joined_and_opposite_faces_never(two_rooms) -> Non
     assert degree.max() == 2
 
 
-def test_edges_come_first_and_name_their_landmarks(two_rooms) -> None:
+def test_surfaces_name_the_tags_that_they_join(two_rooms) -> None:
     tfg = two_rooms.observe(TOUR[0])
-    assert (np.diff(tfg.segment_kind) >= 0).all()
     assert {EDGE, END} <= set(tfg.segment_kind.tolist())
-    assert (tfg.segment_ids[tfg.segment_kind == EDGE] >= 0).all()
-    ends = tfg.segment_ids[tfg.segment_kind == END]
-    assert (ends[:, 0] >= 0).all()
-    assert (ends[:, 1] == -1).all()
+    known = tfg.segment_ids >= 0
+    np.testing.assert_array_equal(known.sum(axis=1), 2 - tfg.segment_kind)
+    assert (tfg.segment_ids[~known] == -1).all()
 
 
 def test_facing_is_the_normal_of_the_tags_surface(two_rooms) -> None:
@@ -155,16 +153,38 @@ def test_everything_moves_with_the_map(two_rooms) -> None:
     np.testing.assert_allclose(moved.frontier_normal, transform(turn, tfg.frontier_normal), atol=1e-6)
 
 
-def test_an_edge_follows_its_two_landmarks(two_rooms) -> None:
+def test_what_is_seen_on_a_wall_is_a_piece_of_it_and_follows_it(two_rooms) -> None:
+    two_rooms.landmarks = np.array([[2.0, 0.0, 4.0, 0.0]])
     tfg = two_rooms.observe(TOUR[0])
+    (on_wall,) = np.flatnonzero(tfg.segment_ids[:, 0] < -1)
+    first = two_rooms.estimate.ids[0]
+    assert (tfg.segment_ids[on_wall].tolist(), tfg.segment_kind[on_wall]) == ([first, first + 1], EDGE)
+    # As much as is seen of it, from its left, straight whatever the noise.
+    np.testing.assert_allclose(tfg.segments[on_wall], [0.0, 0.0, 6.0, 0.0], atol=0.1)
+    assert tfg.segments[on_wall, [1, 3]].tolist() == pytest.approx([0.0, 0.0], abs=1e-12)
     e = two_rooms.estimate
-    shift = np.array([0.3, 0.2])
-    a, b = tfg.segment_ids[0]
     p_ML = e.p_ML.copy()
-    p_ML[np.isin(e.ids, [a, b])] += shift
+    p_ML[1] += [0.0, 0.02]
     moved = resolve(two_rooms.graph, dataclasses.replace(e, p_ML=p_ML), two_rooms.robot, two_rooms.explorer)
-    own = (tfg.segment_ids == [a, b]).all(axis=1)
-    np.testing.assert_allclose(moved.segments[own], tfg.segments[own] + np.tile(shift, 2), atol=1e-9)
+    by = 0.01 * (tfg.segments[on_wall, ::2] - 2.0)
+    np.testing.assert_allclose(moved.segments[on_wall, 1::2], by, atol=1e-9)
+    np.testing.assert_array_equal(
+        moved.segments[tfg.segment_ids[:, 0] >= -1], tfg.segments[tfg.segment_ids[:, 0] >= -1]
+    )
+
+
+def test_pieces_of_one_wall_become_one_and_cover_what_was_seen_before(two_rooms) -> None:
+    before = two_rooms.observe(TOUR[0])
+    assert (before.segment_ids >= -1).all()
+    two_rooms.landmarks = np.array([[2.0, 0.0, 4.0, 0.0]])
+    for X_WA in TOUR[1:]:
+        tfg = two_rooms.observe(X_WA)
+    on_wall = tfg.segment_ids[:, 0] < -1
+    # The door is in another wall; the lower walls of both rooms are one.
+    np.testing.assert_allclose(tfg.segments[on_wall], [[0.0, 0.0, 12.0, 0.0]], atol=0.1)
+    middle = 0.5 * (tfg.segments[~on_wall, :2] + tfg.segments[~on_wall, 2:])
+    left = tfg.segments[~on_wall][middle[:, 1] < 0.05]
+    assert (np.hypot(*(left[:, 2:] - left[:, :2]).T) < 0.1).all()
 
 
 def test_a_tag_found_later_splits_the_edge_it_lies_on(simulate) -> None:
@@ -340,6 +360,7 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
     for sigma, held in ((0.2, True), (1e-3, False)):
         world.error, world.sigma = error, np.where(far, sigma, 1e-3)
         graph, views = world.graph, list(world.X_MA)
+        world.X_MA[0] = views[0] + [0.0, -0.5, 0.0]
         tfg = world.observe(np.array([0.0, 0.0, 0.0]))
         # It stands in what is seen free, so there is nothing there now ...
         assert far_face(tfg) == 0.0
@@ -347,7 +368,7 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
         assert missed.any() != held
         # ... until the map is corrected.
         world.error = None
-        corrected = replace(world.estimate, p_ML=world.p_WT[world.estimate.ids])
+        corrected = replace(world.estimate, p_ML=world.p_WT[world.estimate.ids], X_MA=np.array([*views, np.zeros(3)]))
         later = resolve(world.graph, corrected, RobotConfig(), ExplorerConfig())
         assert (far_face(later) > 6.0) == held
         world.graph, world.X_MA = graph, views
@@ -577,16 +598,15 @@ def test_of_two_views_of_a_wall_without_tags_the_nearer_stands(simulate) -> None
         np.testing.assert_allclose(segments[:, 1::2], 3.0, atol=0.04)
 
 
-def test_what_is_left_of_a_broken_edge_moves_with_the_landmark_beside_it(simulate) -> None:
-    world = simulate([[-3.0, 2.0, 3.0, 2.0]], spacing=3.0)
+def test_a_wall_that_a_turn_sees_through_is_two_pieces_of_it(simulate) -> None:
+    """A door opens in a wall."""
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]], landmarks=np.array([[1.0, 2.0, -1.0, 2.0]]))
     world.observe(np.array([0.0, 0.0, 0.0]))
     world.walls = np.array([[-3.0, 2.0, -0.5, 2.0], [0.5, 2.0, 3.0, 2.0]])
-    world.observe(np.array([0.1, 0.0, 1.0]))
-    e = world.estimate
-    p_ML = e.p_ML + np.where(e.p_ML[:, [0]] < 0.0, [0.0, 0.3], 0.0)
-    tfg = resolve(world.graph, replace(e, p_ML=p_ML), RobotConfig(), ExplorerConfig())
-    ends = tfg.segments.reshape(-1, 2)
-    np.testing.assert_allclose(ends[:, 1], np.where(ends[:, 0] < 0.0, 2.3, 2.0), atol=0.1)
+    tfg = world.observe(np.array([0.1, 0.0, 1.0]))
+    assert (tfg.segment_ids < -1).all()
+    ends = np.sort(tfg.segments[:, ::2], axis=None)
+    np.testing.assert_allclose(ends, [-3.0, -0.5, 0.5, 3.0], atol=0.15)
 
 
 def test_a_tag_without_a_surface_faces_where_it_was_seen_from(simulate) -> None:

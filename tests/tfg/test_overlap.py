@@ -48,7 +48,6 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_
     polylines = [np.array([[1.0, -0.5], [1.0, 0.5]]), np.array([[0.8, 0.5], [0.8, -0.5]]), far, far]
     ids = np.array([[-1, -1], [-1, -1], [3, 7], [seen_by_newest, -1]])
     surfaces = Surfaces(
-        kind=np.full(4, 1),
         ids=ids,
         view=np.array([0, 2, 0, 4]),
         range=np.ones(4),
@@ -85,7 +84,6 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share,
         observation=seen,
     )
     surfaces = Surfaces(
-        kind=np.zeros(5, dtype=np.int64),
         ids=np.array([[1, 2], [1, -1], [2, 3], [-1, -1], [-1, -1]]),
         view=np.array([0, 1, 2, 2, 3]),
         range=np.ones(5),

@@ -28,7 +28,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 11
+SCHEMA = 12
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -137,7 +137,6 @@ REGISTRY: Registry = {
         "met_stamp": ("p",),
     },
     Surfaces: {
-        "kind": ("s",),
         "ids": ("s", 2),
         "view": ("s",),
         "range": ("s",),
@@ -327,7 +326,7 @@ def _contradiction(saved: SavedMap) -> str:
             return f"tfg_graph.{name} does not fit tfg_graph.stage"
     ids = {"tfg_graph.tag_ids": tfg_graph.tag_ids, "tfg_graph.surfaces.ids": tfg_graph.surfaces.ids}
     for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():
-        if not _within(some[some >= 0], known):
+        if not _within(some[some != -1], known):
             return f"{name} does not fit graph.ids"
     for name, offsets, length in (
         ("tfg_graph.surfaces.offsets", tfg_graph.surfaces.offsets, len(tfg_graph.surfaces.vertices)),

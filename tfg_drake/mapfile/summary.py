@@ -11,7 +11,7 @@ from tfg_drake.slam.shared import RANGE_SCALE
 from tfg_drake.slam.walls import known_walls
 
 # Of surfaces, by number.
-KINDS = ("edges between landmarks", "wall ends at a landmark", "surfaces without one")
+KINDS = ("on walls or between tags", "that end at a tag", "without a landmark")
 
 
 def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:

@@ -160,10 +160,10 @@ def _corners(grid: GridMap) -> FloatArray:
 
 
 def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
-    """The surfaces of a map onto axes of W, those without a tag in a colour of their own."""
+    """The surfaces of a map onto axes of W, those without a landmark in a colour of their own."""
     pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
     tagged = tfg.segment_kind < 2
-    for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without tag")):
+    for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without landmark")):
         if mask.any():
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
 

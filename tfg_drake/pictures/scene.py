@@ -62,7 +62,7 @@ def landmarks(estimate: MapEstimate | SavedMap) -> Layer:
 
 
 def surfaces(tfg: TfgMap) -> Layer:
-    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a tag."""
+    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark."""
     return {"segments": tfg.segments, "kind": tfg.segment_kind}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.tfg.frontier import FrontierPoints, join, no_points, place_points, select
 from tfg_drake.tfg.near import within
 from tfg_drake.tfg.polyline import taken
@@ -17,7 +17,7 @@ from tfg_drake.tfg.surfaces import Surfaces, no_surfaces, place
 
 @message
 class TfgGraph:
-    """The graph in the coordinates of its landmarks and views.
+    """The graph in the coordinates of its walls and views.
 
     stage: number of views in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_view: (n,) and tag_facing:
     (n, 2): the side each landmark faces, a unit vector in that view's frame; tag_range: (n,) m from where it was seen.
@@ -89,7 +89,7 @@ class Part:
 
     surfaces: (s,), tags: (n,), views: (k,) and points, of each kind: which of the whole graph's are in it; all tags
     that were sighted are. graph: the part by itself, with the stars of its views only. estimate: the map with the
-    landmarks that are near, or that something near is anchored to.
+    landmarks that are near, or that something near is anchored to or joins.
     """
 
     surfaces: BoolArray
@@ -126,7 +126,9 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
         **rows,
     )
     anchors = np.concatenate([part.tag_ids, part.surfaces.ids.ravel(), estimate.observation.ids])
-    landmarks = near(estimate.p_ML) | np.isin(estimate.ids, anchors)
+    # Of a wall both points, if one is near.
+    walls = estimate.ids[near(estimate.p_ML) & ~is_tag(estimate.ids)]
+    landmarks = near(estimate.p_ML) | np.isin(estimate.ids, np.concatenate([anchors, walls ^ 1]))
     return Part(surfaces, tags, views, points, part, estimate.of_landmarks(landmarks))
 
 
@@ -152,9 +154,9 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
     old, new = graph.surfaces, changed.surfaces
     both: dict[str, Any] = {name: np.concatenate([column, getattr(new, name)]) for name, column in vars(old).items()}
     surfaces = Surfaces(**both | {"offsets": _chained(old.offsets, new.offsets)})
-    kept = np.append(np.flatnonzero(~part.surfaces), len(old.kind) + np.arange(len(new.kind)))
+    kept = np.append(np.flatnonzero(~part.surfaces), len(old.view) + np.arange(len(new.view)))
     # In the order in which they were found: where two overlap, the first is believed.
-    kept = kept[np.lexsort([surfaces.view[kept], surfaces.kind[kept]])]
+    kept = kept[np.lexsort([surfaces.view[kept], ~surfaces.on_wall[kept]])]
     return replace(
         changed, surfaces=_some(surfaces, kept), star_offsets=star_offsets, star_vertices=star_vertices, **rows
     )
@@ -163,8 +165,7 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
 def _some(surfaces: Surfaces, rows: IntArray) -> Surfaces:
     """Some of the surfaces, in this order."""
     offsets, vertices = taken(rows, surfaces.offsets, surfaces.vertices)
-    kind, ids, view, farthest = surfaces.kind[rows], surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows]
-    return Surfaces(kind, ids, view, farthest, offsets, vertices)
+    return Surfaces(surfaces.ids[rows], surfaces.view[rows], surfaces.range[rows], offsets, vertices)
 
 
 def _chained(first: IntArray, second: IntArray) -> IntArray:

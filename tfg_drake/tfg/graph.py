@@ -2,7 +2,7 @@
 
 Sections III and IV of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
 runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
-all anchored to landmarks or views, so that they move with the map when a loop closes.
+all anchored to walls or views, so that they move with the map when a loop closes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,17 @@ from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import surely_visible
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, PoseEstimate, TfgMap, message, replace
+from tfg_drake.messages import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    MapEstimate,
+    PoseEstimate,
+    TfgMap,
+    is_tag,
+    message,
+    replace,
+)
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
 from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
 from tfg_drake.tfg.frontier import (
@@ -114,8 +124,9 @@ def update(
 ) -> TfgGraph:
     """The graph with the newest view of the estimate added. On a large map only what is near that view changes.
 
-    estimate: the map at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival frame. sightings:
-    tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open there.
+    estimate: the map of tags and walls at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival
+    frame. sightings: tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open
+    there.
 
     Raises ValueError where the estimate is of another stage.
     """
@@ -341,32 +352,34 @@ def _without_dynamic(
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
-    """The graph in the map frame, with the estimate's landmarks and views; the estimate's stage is the graph's.
+    """The graph in the map frame, with the estimate's tags, walls and views; the estimate's stage is the graph's.
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
-    Landmarks that anchor no other surface get no facing, so they count as visible from nowhere.
+    Tags that no other surface joins get no facing, so they count as visible from nowhere.
     """
+    tags = is_tag(estimate.ids)
+    tag_ids, p_ML = estimate.ids[tags], estimate.p_ML[tags]
     placed = _placed(graph, np.arange(graph.stage), estimate, np.zeros(len(estimate.ids), dtype=np.bool_))
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
-    if not expects_tags(inspected, len(estimate.ids) + len(graph.sighted.p), explorer.landmarks):
+    if not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks):
         # What lies behind a thin wall has been seen, too: only a tag would be on its other face.
         graph = replace(graph, uninspected=no_points(), unseen_backs=no_points())
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
-    bare = clearance(np.hstack([estimate.p_ML, estimate.p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
-    posts = estimate.ids[bare]
+    bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
+    posts = tag_ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
-    facing = np.zeros((len(estimate.ids), 2))
-    facing[np.searchsorted(estimate.ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
+    facing = np.zeros((len(tag_ids), 2))
+    facing[np.searchsorted(tag_ids, graph.tag_ids)] = _facing(graph, estimate.X_MA)
     if not placed.here.all():
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
-        facing[np.isin(estimate.ids, drifted)] = 0.0
+        facing[np.isin(tag_ids, drifted)] = 0.0
     in_vain = _attempts(graph, free_space_frontiers, estimate) >= explorer.frontier_attempts
     given_up = _openings(select(free_space_frontiers, in_vain), robot)
     return TfgMap(
         stage=graph.stage,
-        segments=np.vstack([placed.segments, np.hstack([estimate.p_ML[bare], estimate.p_ML[bare]])]),
+        segments=np.vstack([placed.segments, np.hstack([p_ML[bare], p_ML[bare]])]),
         segment_kind=np.append(kind[placed.here], np.full(len(posts), END)),
         segment_ids=np.vstack([ids[placed.here], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,

@@ -115,7 +115,7 @@ def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[Int
     """Pairs (p,) of a view and a landmark that it saw, from the surfaces and from tag_ids and tag_view (n,)."""
     view = np.concatenate([np.repeat(surfaces.view, 2), tag_view])
     ids = np.concatenate([surfaces.ids.ravel(), tag_ids])
-    return view[ids >= 0], ids[ids >= 0]
+    return view[ids != -1], ids[ids != -1]
 
 
 def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate: MapEstimate) -> FloatArray:

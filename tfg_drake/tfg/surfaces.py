@@ -1,9 +1,11 @@
-"""Obstacle surfaces anchored to landmarks, so that they move with the map.
+"""Obstacle surfaces anchored to walls and views, so that they move with the map.
 
-Three kinds of polylines (Sec. III of the paper knows only the first):
-EDGE: between two landmarks; vertices in similarity coordinates of the two, (0, 0) the first and (1, 0) the second.
-END: a wall end, anchored to one landmark; vertices as offsets from it along the axes of the view that saw it, m.
-LOOSE: a surface without a landmark; vertices in the frame A of the view that saw it, m.
+A surface that lies on a wall of the map is a piece of its line; vertices in similarity coordinates of the wall's two
+points, (0, 0) the first and (1, 0) the second. Any other one is a polyline in the frame A of the view that saw it, m.
+What it joins makes it one of three kinds (Sec. III of the paper knows only the first):
+EDGE: a piece of a wall, or of another surface between two tags.
+END: a surface with a tag at one end only.
+LOOSE: a surface without a landmark.
 A surface was seen from the left of its polyline.
 """
 
@@ -19,10 +21,11 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
+from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import (
+    SAME_FACE,
     arc_length,
     covered,
     nearest,
@@ -40,17 +43,20 @@ EDGE, END, LOOSE = 0, 1, 2
 # A tag seen in this turn belongs to a surface this close, m; one known from earlier turns must lie closer, m.
 SEEN_TAG_DISTANCE = 0.2
 KNOWN_TAG_DISTANCE = 0.1
-# A detour longer than this many times the distance of its tags is not an edge: similarity would magnify their errors.
-LONGEST_DETOUR = 3.0
-# Wall ends and loose surfaces are cut where an edge runs this close, m, new ones also where any older surface does, m.
-EDGE_COVERS = 0.15
+# What is seen this close to a wall's line, m, is on the wall, if so much of it hangs together, m.
+ON_WALL = 0.06
+LEAST_ON_WALL = 0.15
+# How far beyond its points a wall may go on, m.
+GOES_ON = 20.0
+# Other surfaces are cut where a wall runs this close, m, new ones also where any older surface does, m.
+WALL_COVERS = 0.15
 SURFACE_COVERS = 0.1
 # Samples for that, m; shorter remains are dropped, m.
 SPACING = 0.05
 LEAST_LENGTH = 0.04
 # What is left overlaps what covers the rest by this, m, so that no line of sight slips between them.
 OVERLAP = 0.06
-# A wall end or loose surface this far inside what a turn saw to be free was an error or is gone, m.
+# A surface this far inside what a turn saw to be free was an error or is gone, m.
 REFUTED_DEPTH = 0.15
 # An edge falls only where that much of it was, m.
 REFUTED_LENGTH = 0.15
@@ -64,30 +70,42 @@ REFUTED_INCIDENCE = np.deg2rad(75.0)
 
 @message
 class Surfaces:
-    """All surfaces, edges first.
+    """All surfaces.
 
-    kind: (s,). ids: (s, 2) the landmarks it is anchored to, counter-clockwise seen from the view that saw it, -1 for
-    none. view: (s,) index of that view. range: (s,) m, its farthest vertex from there. offsets: (s + 1,) and vertices:
-    (v, 2), see the module.
+    ids: (s, 2) the landmarks that each joins: the points of the wall that it lies on, or the tags where it begins and
+    ends, -1 for none. view: (s,) index of the view that saw it. range: (s,) m, its farthest vertex from there. offsets:
+    (s + 1,) and vertices: (v, 2), see the module.
     """
 
-    kind: IntArray
     ids: IntArray
     view: IntArray
     range: FloatArray
     offsets: IntArray
     vertices: FloatArray
 
+    @property
+    def kind(self) -> IntArray:
+        """EDGE, END or LOOSE (s,)."""
+        return np.asarray(np.where(self.on_wall, EDGE, np.count_nonzero(self.ids < 0, axis=1)))
+
+    @property
+    def on_wall(self) -> BoolArray:
+        """Which surfaces (s,) are pieces of walls."""
+        return ~is_tag(self.ids[:, 0])
+
 
 class _Surface(NamedTuple):
     """One surface that is new or has changed; the polyline (v, 2) is in the newest view's frame, m."""
 
-    kind: int
     first: int
     second: int
     view: int
     range: float
     polyline: FloatArray
+
+    @property
+    def on_wall(self) -> bool:
+        return self.first < WALLS_BELOW
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,15 +119,15 @@ class _Draft:
     def add(self, surface: _Surface) -> int:
         """The row of a new surface."""
         self.made.append(surface)
-        return len(self.old.kind) + len(self.made) - 1
+        return len(self.old.view) + len(self.made) - 1
 
     def __getitem__(self, row: int) -> _Surface:
-        old, count = self.old, len(self.old.kind)
+        old, count = self.old, len(self.old.view)
         if row >= count:
             return self.made[row - count]
         first, second = old.ids[row].tolist()
         polyline = old.vertices[old.offsets[row] : old.offsets[row + 1]]
-        return _Surface(int(old.kind[row]), first, second, int(old.view[row]), float(old.range[row]), polyline)
+        return _Surface(first, second, int(old.view[row]), float(old.range[row]), polyline)
 
     def packed(self, rows: Sequence[int]) -> tuple[IntArray, FloatArray]:
         """offsets (n + 1,) and vertices (v, 2) of the polylines of some rows (n,), in this order."""
@@ -118,19 +136,13 @@ class _Draft:
         offsets = np.concatenate([old.offsets, old.offsets[-1] + offsets[1:]])
         return taken(np.array(rows, dtype=np.int64), offsets, np.concatenate([old.vertices, vertices]))
 
-    def numbers(self, rows: Sequence[int]) -> IntArray:
-        """kind, first, second and view (n, 4) of some rows (n,), in this order."""
-        old = self.old
-        made = np.array([(s.kind, s.first, s.second, s.view) for s in self.made], dtype=np.int64).reshape(-1, 4)
-        return np.concatenate([np.column_stack([old.kind, old.ids, old.view]), made])[np.array(rows, dtype=np.int64)]
-
     def surfaces(self, rows: Sequence[int]) -> Surfaces:
-        """Some of the surfaces, by kind and else in this order, with vertices in A."""
-        numbers = self.numbers(rows)
-        order = np.argsort(numbers[:, 0], kind="stable")
-        numbers, rows = numbers[order], np.array(rows, dtype=np.int64)[order].tolist()
-        ranges = np.concatenate([self.old.range, [s.range for s in self.made]])[rows]
-        return Surfaces(numbers[:, 0], numbers[:, 1:3], numbers[:, 3], ranges, *self.packed(rows))
+        """Some of the surfaces, in this order, with vertices in A."""
+        old, made = self.old, self.made
+        of = np.array(rows, dtype=np.int64)
+        ids = np.concatenate([old.ids, np.array([(s.first, s.second) for s in made], dtype=np.int64).reshape(-1, 2)])
+        view = np.concatenate([old.view, np.array([s.view for s in made], dtype=np.int64)])
+        return Surfaces(ids[of], view[of], np.append(old.range, [s.range for s in made])[of], *self.packed(rows))
 
 
 class _SeenTags(NamedTuple):
@@ -143,42 +155,43 @@ class _SeenTags(NamedTuple):
     normal: FloatArray
 
 
+class _Walls(NamedTuple):
+    """Walls in A: ids (w,) of their first points, both points (w, 2, 2), m."""
+
+    first: IntArray
+    p_AL: FloatArray
+
+
 def no_surfaces() -> Surfaces:
     """The surfaces of an empty map."""
     none = np.zeros(0, dtype=np.int64)
     offsets = np.zeros(1, dtype=np.int64)
-    return Surfaces(none, np.zeros((0, 2), dtype=np.int64), none, np.zeros(0), offsets, np.zeros((0, 2)))
+    return Surfaces(np.zeros((0, 2), dtype=np.int64), none, np.zeros(0), offsets, np.zeros((0, 2)))
 
 
-def place(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
-    """The vertices (v, 2) of all surfaces in the map frame, m, with the estimate's landmarks and views."""
+def place(surfaces: Surfaces, landmarks: MapEstimate) -> FloatArray:
+    """The vertices (v, 2) of all surfaces in the map frame, m, with the estimate's walls and views."""
+    origin, x, y = _frames(surfaces, landmarks)
+    u, v = surfaces.vertices.T
+    return np.asarray(origin + np.stack([x * u - y * v, y * u + x * v], axis=1))
+
+
+def _frames(surfaces: Surfaces, landmarks: MapEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """For each vertex the origin (v, 2), m in M, of its coordinates, and the direction and length (v,), (v,) of their
+    first axis: along a wall from point to point, or that of the view."""
+    pose, axis = landmarks.X_MA[surfaces.view], np.empty((len(surfaces.view), 2))
+    origin, axis[:, 0], axis[:, 1] = pose[:, :2].copy(), np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    walls = np.flatnonzero(surfaces.on_wall)
+    if len(walls):
+        first, second = landmarks.p_ML[np.searchsorted(landmarks.ids, surfaces.ids[walls].T)]
+        origin[walls], axis[walls] = first, second - first
     count = np.diff(surfaces.offsets)
-    kind = np.repeat(surfaces.kind, count)
-    theta = np.repeat(estimate.X_MA[surfaces.view, 2], count)
-    origin = np.repeat(_anchors(surfaces, estimate), count, axis=0)
-    # Edges are scaled and turned by the vector between their landmarks, the others turned by their view's heading.
-    span = np.repeat(_positions(surfaces.ids[:, 1], estimate), count, axis=0) - origin
-    x = np.where(kind == EDGE, span[:, 0], np.cos(theta))
-    y = np.where(kind == EDGE, span[:, 1], np.sin(theta))
-    u, v = surfaces.vertices[:, 0], surfaces.vertices[:, 1]
-    return origin + np.stack([x * u - y * v, y * u + x * v], axis=1)
-
-
-def _positions(ids: IntArray, estimate: MapEstimate) -> FloatArray:
-    """p_ML (n, 2) of landmarks (n,); anything for the id -1."""
-    if not len(estimate.ids):
-        return np.zeros((len(ids), 2))
-    return estimate.p_ML[np.minimum(np.searchsorted(estimate.ids, ids), len(estimate.ids) - 1)]
-
-
-def _anchors(surfaces: Surfaces, estimate: MapEstimate) -> FloatArray:
-    on_view = (surfaces.kind == LOOSE)[:, None]
-    return np.where(on_view, estimate.X_MA[surfaces.view, :2], _positions(surfaces.ids[:, 0], estimate))
+    return np.repeat(origin, count, axis=0), *np.repeat(axis, count, axis=0).T
 
 
 def add_observation(
     surfaces: Surfaces,
-    estimate: MapEstimate,
+    landmarks: MapEstimate,
     components: Components,
     panorama: Panorama,
     known_ids: IntArray,
@@ -186,33 +199,29 @@ def add_observation(
 ) -> tuple[Surfaces, IntArray, FloatArray]:
     """The surfaces with those of the newest view added.
 
-    estimate: the map with that view. components, panorama: seen from it. known_ids: (n,) ascending, landmarks seen
-    before, known_facing: (n, 2) unit vectors in M of the side they face.
+    landmarks: the map with that view, of tags and walls. components, panorama: seen from it. known_ids: (n,) ascending,
+    tags seen before, known_facing: (n, 2) unit vectors in M of the side they face.
     Returns the surfaces, and which tags of this turn lie on one, ids (t,), and its normals there in A (t, 2).
     """
-    view = estimate.stage - 1
-    X_MA = estimate.X_MA[view]
+    view, estimate = landmarks.stage - 1, landmarks.of_tags
+    X_MA = landmarks.X_MA[view]
     X_AM = inverse(X_MA)
     tags = _find_tags(estimate, X_AM, components, panorama.range_max, known_ids, known_facing)
-    edges, pieces = _from_components(components, tags, view)
+    walls = _near_walls(landmarks, X_AM, panorama.range_max)
+    seen, others = _from_components(components, tags, walls, view)
 
-    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, estimate))), [])
-    all_edges, ends = _break_refuted(draft, panorama, estimate)
-    _split_edges(all_edges, draft, tags, ~np.isin(tags.ids, known_ids))
-    for key, edge in edges.items():
-        if key not in all_edges or edge.range <= draft[all_edges[key]].range:
-            all_edges[key] = draft.add(edge)
-    kept_edges = list(all_edges.values())
-    edge_segments = _segments(draft, kept_edges)
-
-    others = np.flatnonzero(surfaces.kind != EDGE).tolist()
-    kept = _trim(draft, ends + others, edge_segments, EDGE_COVERS, panorama, estimate)
-    new = _trim(draft, [draft.add(piece) for piece in pieces], edge_segments, EDGE_COVERS)
-    kept = _farther_left(draft, kept, new)
+    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, landmarks))), [])
+    old = _trim(draft, range(len(surfaces.view)), np.zeros((0, 4)), 0.0, panorama, landmarks)
+    pieces = [row for row in old if draft[row].on_wall]
+    on_walls = [draft.add(piece) for piece in _joined([*(draft[row] for row in pieces), *seen], walls)]
+    wall_segments = _segments(draft, on_walls)
+    kept = _trim(draft, [row for row in old if row not in pieces], wall_segments, WALL_COVERS)
+    new = _trim(draft, [draft.add(piece) for piece in others], wall_segments, WALL_COVERS)
+    kept = _split(draft, _farther_left(draft, kept, new), tags, ~np.isin(tags.ids, known_ids))
     new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
-    merged = draft.surfaces(kept_edges + kept + new)
+    merged = draft.surfaces(on_walls + kept + new)
     observed = np.isin(tags.ids, estimate.observation.ids)
-    return _packed(merged, estimate, X_MA), tags.ids[observed], tags.normal[observed]
+    return _packed(merged, landmarks), tags.ids[observed], tags.normal[observed]
 
 
 def _find_tags(
@@ -238,69 +247,106 @@ def _find_tags(
     return _SeenTags(ids[on], p_AL[on], component[on], along[on], normal[on])
 
 
+def _near_walls(landmarks: MapEstimate, X_AM: FloatArray, reach: float) -> _Walls:
+    """The walls of a map in A, those of whose lines a part may lie within reach, m."""
+    of_walls = ~is_tag(landmarks.ids)
+    first, p_AL = landmarks.ids[of_walls][::2], transform(X_AM, landmarks.p_ML[of_walls]).reshape(-1, 2, 2)
+    return _Walls(first, p_AL)
+
+
 def _from_components(
-    components: Components, tags: _SeenTags, view: int
-) -> tuple[dict[tuple[int, int], _Surface], list[_Surface]]:
-    """Edges between neighbouring tags of each component by their sorted ids, then wall ends and loose surfaces."""
-    edges: dict[tuple[int, int], _Surface] = {}
-    ends: list[_Surface] = []
-    loose: list[_Surface] = []
-    for c, (begin, end) in enumerate(itertools.pairwise(components.offsets.tolist())):
-        mine = np.flatnonzero(tags.component == c)
-        mine = mine[np.argsort(tags.along[mine], kind="stable")]
-        polyline, along = components.vertices[begin:end], tags.along[mine]
-        if not len(mine):
-            loose.append(_Surface(LOOSE, -1, -1, view, _farthest(polyline), polyline))
+    components: Components, tags: _SeenTags, walls: _Walls, view: int
+) -> tuple[list[_Surface], list[_Surface]]:
+    """The pieces of the components that lie on walls, and all others, cut at the tags on them."""
+    samples = sample(components.offsets, components.vertices, SPACING)
+    wall, (_, _, component, start, stop) = _wall_of(samples, walls), samples
+    on_walls: list[_Surface] = []
+    others: list[_Surface] = []
+    for i, j in zip(*_runs(component, wall), strict=True):
+        c, begin, end = int(component[i]), float(start[i]), float(stop[j])
+        whole = components.vertices[components.offsets[c] : components.offsets[c + 1]]
+        polyline = sub_polyline(whole, begin, end)
+        if wall[i] >= 0:
+            first, (origin, second) = int(walls.first[wall[i]]), walls.p_AL[wall[i]]
+            along = (second - origin) / np.hypot(*(second - origin))
+            polyline = origin + ((polyline[[0, -1]] - origin) @ along)[:, None] * along
+            on_walls.append(_Surface(first, first + 1, view, _farthest(polyline), polyline))
             continue
-        total = float(arc_length(polyline)[-1])
-        if components.closed:
-            # Begin and end at the first tag, so that the last edge leads back to it.
-            first = along[0]
-            if 0.0 < first < total:
-                polyline = np.concatenate(
-                    [sub_polyline(polyline, first, total), sub_polyline(polyline, 0.0, first)[1:]]
-                )
-            mine = np.append(mine, mine[0])
-            along = np.append(along - first, total)
-        else:
-            ends += _end(
-                tags, int(mine[0]), sub_polyline(polyline, 0.0, along[0]) if along[0] > 0.0 else polyline[:1], -1, view
-            )
-            ends += _end(
-                tags,
-                int(mine[-1]),
-                sub_polyline(polyline, along[-1], total) if along[-1] < total else polyline[-1:],
-                0,
-                view,
-            )
-        for i, j, start, stop in zip(mine[:-1], mine[1:], along[:-1], along[1:], strict=True):
-            if stop <= start:
-                continue
-            part = sub_polyline(polyline, start, stop)
-            edge = _edge(tags, int(i), int(j), part, view)
-            key = (min(edge.first, edge.second), max(edge.first, edge.second))
-            if _detour(edge.polyline) <= LONGEST_DETOUR and (key not in edges or edge.range < edges[key].range):
-                edges[key] = edge
-            else:
-                middle = 0.5 * (stop - start)
-                ends += _end(tags, int(i), sub_polyline(part, 0.0, middle), 0, view)
-                ends += _end(tags, int(j), sub_polyline(part, middle, stop - start), -1, view)
-    return edges, ends + loose
+        mine = np.flatnonzero((tags.component == c) & (tags.along >= begin) & (tags.along <= end))
+        mine = mine[np.argsort(tags.along[mine], kind="stable")]
+        piece = _Surface(-1, -1, view, _farthest(polyline), polyline)
+        if components.closed and len(mine) and begin == 0.0 and end >= arc_length(whole)[-1]:
+            piece = piece._replace(first=int(tags.ids[mine[-1]]), second=int(tags.ids[mine[0]]))
+        others += _cut(piece, tags.ids[mine], tags.along[mine] - begin)
+    return on_walls, others
 
 
-def _edge(tags: _SeenTags, i: int, j: int, part: FloatArray, view: int) -> _Surface:
-    polyline = part.copy()
-    polyline[0], polyline[-1] = tags.p_AL[i], tags.p_AL[j]
-    return _Surface(EDGE, int(tags.ids[i]), int(tags.ids[j]), view, _farthest(polyline), polyline)
+def _wall_of(samples: tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray], walls: _Walls) -> IntArray:
+    """The row (n,) of the wall that each of the samples (n,) of components lies on, -1 for none: see `sample`."""
+    points, normals, component, start, stop = samples
+    along = walls.p_AL[:, 1] - walls.p_AL[:, 0]
+    beyond = GOES_ON * along / np.hypot(*along.T)[:, None]
+    lines = np.stack([walls.p_AL[:, 0] - beyond, walls.p_AL[:, 1] + beyond], axis=1).reshape(-1, 2)
+    wall, _, distance, normal = nearest(points, 2 * np.arange(len(along) + 1), lines)
+    wall[(distance > ON_WALL) | (np.sum(normal * normals, axis=1) < SAME_FACE)] = -1
+    for i, j in zip(*_runs(component, wall), strict=True):
+        if stop[j] - start[i] < LEAST_ON_WALL:
+            wall[i : j + 1] = -1
+    return wall
 
 
-def _end(tags: _SeenTags, i: int, polyline: FloatArray, at: int, view: int) -> list[_Surface]:
-    """The wall end from tag i, at the polyline's start (at = 0) or end (at = -1); none where it has no length."""
-    if len(polyline) < 2:
-        return []
-    polyline = polyline.copy()
-    polyline[at] = tags.p_AL[i]
-    return [_Surface(END, int(tags.ids[i]), -1, view, _farthest(polyline), polyline)]
+def _runs(component: IntArray, wall: IntArray) -> tuple[list[int], list[int]]:
+    """First and last of the samples (n,) that follow each other on one component and one wall."""
+    changes = np.flatnonzero((np.diff(component) != 0) | (np.diff(wall) != 0)) + 1
+    bounds = np.concatenate([[0], changes, [len(wall)]]) if len(wall) else np.zeros(1, dtype=np.int64)
+    return bounds[:-1].tolist(), (bounds[1:] - 1).tolist()
+
+
+def _cut(piece: _Surface, ids: IntArray, along: FloatArray) -> list[_Surface]:
+    """The parts of a piece between its ends and the tags (t,) on it, at arc lengths (t,), m, ascending."""
+    at = [0.0, *along.tolist(), float(arc_length(piece.polyline)[-1])]
+    parts = []
+    for (a, b), (begin, end) in zip(
+        itertools.pairwise([piece.first, *ids.tolist(), piece.second]), itertools.pairwise(at), strict=True
+    ):
+        if end - begin > 1e-6:
+            polyline = sub_polyline(piece.polyline, begin, end)
+            parts.append(_Surface(a, b, piece.view, _farthest(polyline), polyline))
+    return parts
+
+
+def _split(draft: _Draft, rows: list[int], tags: _SeenTags, new_tag: BoolArray) -> list[int]:
+    """The rows of these pieces, each that newly mapped tags lie on cut at these. new_tag: (t,) of the tags seen."""
+    new = np.flatnonzero(new_tag)
+    if not len(new) or not rows:
+        return rows
+    owner, along, distance, normal = nearest(tags.p_AL[new], *draft.packed(rows))
+    lies_on = (distance <= KNOWN_TAG_DISTANCE) & (np.sum(normal * tags.normal[new], axis=1) > 0.5)
+    split: list[int] = []
+    for i, row in enumerate(rows):
+        on = np.flatnonzero(lies_on & (owner == i))
+        on = on[np.argsort(along[on], kind="stable")]
+        parts = _cut(draft[row], tags.ids[new[on]], along[on]) if len(on) else []
+        split += [draft.add(part) for part in parts] or [row]
+    return split
+
+
+def _joined(pieces: list[_Surface], walls: _Walls) -> list[_Surface]:
+    """Pieces of walls, those of one wall that touch as one."""
+    joined: list[_Surface] = []
+    for first in np.unique([piece.first for piece in pieces]).tolist():
+        origin, second = walls.p_AL[np.searchsorted(walls.first, first)]
+        along = (second - origin) / np.hypot(*(second - origin))
+        mine = [piece for piece in pieces if piece.first == first]
+        reach = np.array([(piece.polyline[[0, -1]] - origin) @ along for piece in mine])
+        order = np.argsort(reach[:, 0], kind="stable")
+        farthest = np.maximum.accumulate(reach[order, 1])
+        apart = np.flatnonzero(reach[order[1:], 0] > farthest[:-1] + SPACING) + 1
+        for rows in np.split(order, apart):
+            polyline = origin + np.array([[reach[rows, 0].min()], [reach[rows, 1].max()]]) * along
+            view, distance = max(mine[k].view for k in rows), min(mine[k].range for k in rows)
+            joined.append(_Surface(first, first + 1, view, distance, polyline))
+    return joined
 
 
 def _farthest(polyline: FloatArray) -> float:
@@ -308,72 +354,13 @@ def _farthest(polyline: FloatArray) -> float:
     return float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
 
 
-def _detour(polyline: FloatArray) -> float:
-    """How far a polyline strays from its first point, in units of the distance between its ends."""
-    span = np.hypot(*(polyline[-1] - polyline[0]))
-    return float(np.hypot(*(polyline - polyline[0]).T).max() / span) if span > 1e-6 else np.inf
-
-
-def _split_edges(edges: dict[tuple[int, int], int], draft: _Draft, tags: _SeenTags, new_tag: BoolArray) -> None:
-    """Replaces each edge that a newly mapped tag lies on by the two to that tag, unless those exist already.
-
-    edges: the rows of all edges in the draft by their sorted ids. new_tag: (t,) of the tags seen.
-    """
-    new = np.flatnonzero(new_tag)
-    if not len(new) or not edges:
-        return
-    keys = list(edges)
-    owner, along, distance, normal = nearest(tags.p_AL[new], *draft.packed(list(edges.values())))
-    same_side = np.sum(normal * tags.normal[new], axis=1) > 0.5
-    lies_on = (distance <= KNOWN_TAG_DISTANCE) & same_side
-    for k in np.unique(owner[lies_on]):
-        old = draft[edges.pop(keys[k])]
-        on = np.flatnonzero(lies_on & (owner == k))
-        on = on[np.argsort(along[on], kind="stable")]
-        total = float(arc_length(old.polyline)[-1])
-        s = [0.0, *along[on].tolist(), total]
-        ids = [old.first, *tags.ids[new[on]].tolist(), old.second]
-        places = [old.polyline[0], *tags.p_AL[new[on]], old.polyline[-1]]
-        for i in range(len(ids) - 1):
-            key = (min(ids[i], ids[i + 1]), max(ids[i], ids[i + 1]))
-            if s[i + 1] - s[i] <= 1e-6 or key in edges:
-                continue
-            polyline = sub_polyline(old.polyline, s[i], s[i + 1])
-            polyline[0], polyline[-1] = places[i], places[i + 1]
-            if _detour(polyline) <= LONGEST_DETOUR:
-                edges[key] = draft.add(old._replace(first=ids[i], second=ids[i + 1], polyline=polyline))
-
-
-def _break_refuted(
-    draft: _Draft, panorama: Panorama, estimate: MapEstimate
-) -> tuple[dict[tuple[int, int], int], list[int]]:
-    """The rows of the draft's edges by their sorted ids, those left out that the newest panorama saw past, and the rows
-    of the wall ends that remain of these."""
-    old, count = draft.old, int(np.count_nonzero(draft.old.kind == EDGE))
-    points, normals, owner, start, stop = sample(old.offsets[: count + 1], old.vertices, SPACING)
-    refuted = _refuted(points, normals, old.ids[owner], panorama, estimate)
-    length = np.bincount(owner[refuted], (stop - start)[refuted], minlength=count)
-    keys = zip(old.ids[:count].min(axis=1).tolist(), old.ids[:count].max(axis=1).tolist(), strict=True)
-    edges, ends = dict(zip(keys, range(count), strict=True)), []
-    for i in np.flatnonzero(length >= REFUTED_LENGTH).tolist():
-        edge, own = draft[i], owner == i
-        del edges[min(edge.first, edge.second), max(edge.first, edge.second)]
-        middle = 0.5 * float(stop[own][-1])
-        _, begin, end_at = uncovered_runs(owner[own], refuted[own], start[own], stop[own], LEAST_LENGTH)
-        for a, b in zip(begin.tolist(), end_at.tolist(), strict=True):
-            anchor = edge.first if a + b <= 2.0 * middle else edge.second
-            end = edge._replace(kind=END, first=anchor, second=-1, polyline=sub_polyline(edge.polyline, a, b))
-            ends.append(draft.add(end))
-    return edges, ends
-
-
 def _trim(
     draft: _Draft,
-    rows: list[int],
+    rows: Sequence[int],
     segments: FloatArray,
     distance: float,
     refuted_by: Panorama | None = None,
-    estimate: MapEstimate | None = None,
+    landmarks: MapEstimate | None = None,
 ) -> list[int]:
     """The rows of these pieces without what segments (m, 4) cover, and without what a panorama, with the map of then,
     saw to be free."""
@@ -381,11 +368,13 @@ def _trim(
         return []
     points, normals, owner, start, stop = sample(*draft.packed(rows), SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
-    if refuted_by is not None and estimate is not None:
-        numbers = draft.numbers(rows)
-        refuted = _refuted(points, normals, numbers[owner, 1:3], refuted_by, estimate)
+    if refuted_by is not None and landmarks is not None:
+        of = draft.surfaces(rows)
+        refuted = _refuted(points, normals, of.ids[owner], refuted_by, landmarks)
+        lost = np.bincount(owner[refuted], (stop - start)[refuted], minlength=len(rows))
+        refuted &= ((of.kind != EDGE) | (lost >= REFUTED_LENGTH))[owner]
         gone = np.bincount(owner[refuted], minlength=len(rows)) >= REFUTED_SHARE * np.bincount(owner)
-        drop |= refuted | (gone & (numbers[:, 0] == LOOSE))[owner]
+        drop |= refuted | (gone & (of.kind == LOOSE))[owner]
     less = np.bincount(owner[drop], minlength=len(rows)).tolist()
     length = np.zeros(len(rows))
     length[owner] = stop
@@ -399,7 +388,13 @@ def _trim(
             continue
         piece = draft[row]
         for r in range(runs[i], runs[i + 1]):
-            trimmed.append(draft.add(piece._replace(polyline=sub_polyline(piece.polyline, begin[r], end[r]))))
+            part = piece._replace(polyline=sub_polyline(piece.polyline, begin[r], end[r]))
+            if not part.on_wall:
+                part = part._replace(
+                    first=piece.first if begin[r] == 0.0 else -1,
+                    second=piece.second if end[r] == length[i] else -1,
+                )
+            trimmed.append(draft.add(part))
     return trimmed
 
 
@@ -419,22 +414,22 @@ def _farther_left(draft: _Draft, rows: list[int], new: list[int]) -> list[int]:
 
 
 def _refuted(
-    points: FloatArray, normals: FloatArray, ids: IntArray, panorama: Panorama, estimate: MapEstimate
+    points: FloatArray, normals: FloatArray, ids: IntArray, panorama: Panorama, landmarks: MapEstimate
 ) -> BoolArray:
     """Which points (n, 2) with unit normals (n, 2) in A the panorama saw past, in their bin and its neighbours, (n,).
 
-    ids: (n, 2) the landmarks that they are anchored to, -1 for none: so far as these may have drifted, seen from the
-    robot, they may be seen past.
+    ids: (n, 2) the landmarks that they join, -1 for none: so far as these may have drifted, seen from the robot, they
+    may be seen past.
     """
     depth = _seen_past(points, normals, panorama.ranges, panorama.range_max)
     refuted = depth > 0.0
     asked = np.flatnonzero(refuted)
     if not len(asked):
         return np.asarray(refuted)
-    sigma, normal = np.zeros(len(asked)), normals[asked] @ rotation(float(estimate.X_MA[-1, 2])).T
+    sigma, normal = np.zeros(len(asked)), normals[asked] @ rotation(float(landmarks.X_MA[-1, 2])).T
     for side in ids[asked].T:
-        anchored = side >= 0
-        C = drift_from_robot(estimate, np.searchsorted(estimate.ids, side[anchored]))
+        anchored = side != -1
+        C = drift_from_robot(landmarks, np.searchsorted(landmarks.ids, side[anchored]))
         variance = np.einsum("ni,nij,nj->n", normal[anchored], C, normal[anchored])
         sigma[anchored] = np.maximum(sigma[anchored], np.sqrt(np.maximum(variance, 0.0)))
     refuted[asked] = depth[asked] > DRIFT_SIGMAS * sigma
@@ -461,16 +456,8 @@ def _segments(draft: _Draft, rows: list[int]) -> FloatArray:
     return segments_of(*draft.packed(rows))[0]
 
 
-def _packed(surfaces: Surfaces, estimate: MapEstimate, X_MA: FloatArray) -> Surfaces:
-    """The surfaces, from the newest view's frame back in the coordinates of each kind: the inverse of place."""
-    count = np.diff(surfaces.offsets)
-    kinds = np.repeat(surfaces.kind, count)
-    theta = np.repeat(estimate.X_MA[surfaces.view, 2], count)
-    origin = np.repeat(_anchors(surfaces, estimate), count, axis=0)
-    span = np.repeat(_positions(surfaces.ids[:, 1], estimate), count, axis=0) - origin
-    x = np.where(kinds == EDGE, span[:, 0], np.cos(theta))
-    y = np.where(kinds == EDGE, span[:, 1], np.sin(theta))
-    offset = transform(X_MA, surfaces.vertices) - origin
-    square = x * x + y * y
-    local = np.stack([x * offset[:, 0] + y * offset[:, 1], x * offset[:, 1] - y * offset[:, 0]], axis=1)
-    return replace(surfaces, vertices=local / square[:, None])
+def _packed(surfaces: Surfaces, landmarks: MapEstimate) -> Surfaces:
+    """The surfaces, from the newest view's frame back in the coordinates of each: the inverse of place."""
+    origin, x, y = _frames(surfaces, landmarks)
+    u, v = (transform(landmarks.X_MA[-1], surfaces.vertices) - origin).T
+    return replace(surfaces, vertices=np.stack([x * u + y * v, x * v - y * u], axis=1) / (x * x + y * y)[:, None])

@@ -103,7 +103,7 @@ def test_markers(room):
     x = [one["x"] for one in by_name["ellipses"]["points"][:32]]
     assert (min(x), max(x)) == pytest.approx((-1.06, -0.94), abs=1e-9)
     assert by_name["edges"]["points"] == [{"x": -2.02, "y": -1.52, "z": 0.0}, {"x": 0.5, "y": -1.52, "z": 0.0}]
-    assert {"wall ends", "surfaces without tag"} < set(by_name)
+    assert {"wall ends", "surfaces without landmark"} < set(by_name)
     assert by_name["frontiers"]["points"] == [{"x": 0.6, "y": 0.0, "z": 0.0}]
     candidates = by_name["candidates"]
     assert [one["y"] for one in candidates["points"]] == [0.0, 1.0]
