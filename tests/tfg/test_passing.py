@@ -19,9 +19,13 @@ def somebody(x, y, radius=0.25):
     return np.hstack([p[:-1], p[1:]])
 
 
-@pytest.fixture
-def rooms(two_rooms):
+@pytest.fixture(params=["tags", "walls"])
+def rooms(two_rooms, request):
+    """Known by the tags in it, or by its outer walls alone."""
     two_rooms.building = two_rooms.walls
+    if request.param == "walls":
+        two_rooms.landmarks = two_rooms.walls[:4]
+        two_rooms.p_WT, two_rooms.normal = np.zeros((2, 0, 2))
     return two_rooms
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from tfg_drake.geometry.distance import point_segment_distance
+from tfg_drake.geometry.distance import point_distance, point_segment_distance
 from tfg_drake.geometry.se2 import inverse, transform, wrap_angle
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, replace
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import pack, taken
@@ -73,7 +73,7 @@ def without_dynamic(
 ) -> StaticPanorama:
     """The newest view's panorama without dynamic bodies.
 
-    It is compared with those earlier views round which all landmarks are well known relative to the robot. stars: of
+    It is compared with those earlier views that have landmarks well known relative to the robot round them. stars: of
     the earlier views, in the map frame. before: (n, 2) m in M, the points that were left out at least STAYS ago.
     """
     unchanged = StaticPanorama(panorama, np.zeros((0, 2)), [])
@@ -147,12 +147,20 @@ def _without(star: FloatArray, body: FloatArray) -> FloatArray:
 
 
 def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
-    """Which places (n, 2), m in M, have landmarks near, all of them well known relative to the robot, (n,)."""
+    """Which places (n, 2), m in M, have tags near or walls in sight, all of them well known relative to the robot,
+    (n,)."""
     (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
     badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
-    offset = places[:, None] - estimate.local_p_ML
-    near = np.einsum("nki,nki->nk", offset, offset) <= NEIGHBOURHOOD**2
-    return np.asarray(near.any(axis=1) & ~near[:, badly].any(axis=1) & known_jointly(places, estimate))
+    p_ML, tags = estimate.local_p_ML, is_tag(estimate.ids[estimate.local])
+    near, well = np.zeros((2, len(places)), dtype=np.bool_)
+    well[:] = True
+    for segments, unsure, reach in (
+        (np.hstack([p_ML[tags], p_ML[tags]]), badly[tags], NEIGHBOURHOOD),
+        (p_ML[~tags].reshape(-1, 4), badly[~tags].reshape(-1, 2).any(axis=1), REACH),
+    ):
+        near |= point_distance(places, segments) <= reach
+        well &= point_distance(places, segments[unsure]) > reach
+    return np.asarray(near & well & known_jointly(places, estimate))
 
 
 @njit(cache=True)
