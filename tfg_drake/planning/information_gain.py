@@ -139,7 +139,8 @@ class Turns:
         return self.estimate.local_p_ML
 
     @functools.cached_property
-    def _noise(self) -> FloatArray:
+    def noise(self) -> FloatArray:
+        """As in `exact_gain`."""
         sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
         return turn_noise(self.sensor, sightings, self.estimate.tag_error)
 
@@ -148,7 +149,7 @@ class Turns:
         return wall_points(self.estimate)
 
     @functools.cached_property
-    def _wall(self) -> FloatArray:
+    def wall(self) -> FloatArray:
         """As Known has it."""
         wall = np.zeros((len(self.estimate.ids), 2))
         wall[: len(self._walls.facing)] = -self._walls.facing / self._walls.deviation[:, None]
@@ -191,8 +192,8 @@ class Turns:
         estimate, explorer = self.estimate, self.explorer
         seen = local_visibility(seen, estimate)
         points = np.ascontiguousarray(points)
-        known = Known(seen.offsets, seen.index, self._p_ML, estimate.covariance, self._wall)
-        new, noise = self._new(frontiers), self._noise
+        known = Known(seen.offsets, seen.index, self._p_ML, estimate.covariance, self.wall)
+        new, noise = self._new(frontiers), self.noise
         if explorer.gain == "authors":
             out = authors_gain(points, known, new, self.tfg.frontier_normal)
         elif explorer.gain == "paper":
@@ -219,11 +220,11 @@ class Turns:
             np.vstack([target, estimate.p_ML[len(target) :]])[estimate.local],
             facing[estimate.local],
             estimate.covariance,
-            self._wall,
+            self.wall,
             range_max,
             max_incidence,
             *new,  # type: ignore[arg-type]
-            self._noise,
+            self.noise,
         )
         return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=np.zeros(len(points)))
 

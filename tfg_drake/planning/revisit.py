@@ -12,14 +12,14 @@ import numpy as np
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
-from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_tags, local_visibility
-from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, local_visibility
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.slam.walls import FREE
 
-# Places that are asked, about as many at most: tags are seen from so far away that more tell little more.
+# Places that are asked, about as many at most: landmarks are seen from so far away that more tell little more.
 PLACES = 100
-# They are screened by so many of the tags in view, and so many of the best judged by all.
-SCREENING_TAGS = 12
+# They are screened by so many of the landmarks in view, and so many of the best judged by all.
+SCREENING = 12
 BEST = 10
 # The error is that of about so many landmarks.
 SAMPLE = 400
@@ -30,10 +30,10 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
 
     Above 1 the product of error and time falls. By the squared error measuring everything all over again would stay
-    worth 1, and the mission never end where errors of tags are independent. Of a large map the landmarks that are known
-    jointly speak for all. What is seen on the way is not counted.
+    worth 1, and the mission never end where errors of landmarks are independent. Of a large map the landmarks that are
+    known jointly speak for all. What is seen on the way is not counted.
     """
-    estimate, roadmap, parameters = now.estimate, now.roadmap, now.parameters
+    estimate, roadmap, parameters, turns = now.landmarks, now.roadmap, now.parameters, now.turns()
     value = np.zeros(len(nodes))
     if not len(estimate.local):
         return value
@@ -43,10 +43,8 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     sensor, explorer = parameters.sensor, parameters.explorer
     points, time = roadmap.points[nodes], roadmap.travel_time[nodes]
     Q = odometry_covariance(estimate.X_MD, points, roadmap.travel_length[nodes], time, parameters.odometry)
-    tags = local_visibility(expected_tags(points, estimate, now.tfg, sensor), estimate)
-    tags = tags.kept(known_together(tags, estimate.covariance))
-    sightings = sightings_of_turn(sensor, explorer.turn_rate, estimate.frame_worth)
-    noise = turn_noise(sensor, sightings, estimate.tag_error)
+    seen = local_visibility(turns.seen(points), estimate)
+    seen = seen.kept(known_together(seen, estimate.covariance))
     covariance, p_ML = estimate.covariance, estimate.local_p_ML
     by_landmarks, error = covariance[:, :-3], np.trace(covariance[:-3, :-3])
     if len(p_ML) > SAMPLE:
@@ -55,21 +53,22 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     squared = by_landmarks @ by_landmarks.T
     time = time + time_all_round(sensor, explorer)
 
-    def share_of_error(rows: IntArray, seen: Visibility) -> FloatArray:
-        removed = error_removed(points[rows], Q[rows], seen, p_ML, estimate.X_MD, covariance, squared, noise)
+    def share_of_error(rows: IntArray, of: Visibility) -> FloatArray:
+        known = p_ML, estimate.X_MD, covariance, squared, turns.noise, turns.wall
+        removed = error_removed(points[rows], Q[rows], of, *known)
         return np.asarray(1.0 - np.sqrt(np.maximum(1.0 - removed / error, 0.0)))
 
     share_of_time = time / (estimate.stamp + time)
-    worth = share_of_error(np.arange(len(nodes)), tags.thinned(SCREENING_TAGS)) / share_of_time
+    worth = share_of_error(np.arange(len(nodes)), seen.thinned(SCREENING)) / share_of_time
     best = np.sort(np.argsort(-worth, kind="stable")[:BEST])
-    worth[best] = share_of_error(best, tags.of(best)) / share_of_time[best]
+    worth[best] = share_of_error(best, seen.of(best)) / share_of_time[best]
     value[asked] = worth
     return value
 
 
-def known_together(tags: Visibility, covariance: FloatArray) -> BoolArray:
-    """Which of the tags in view, one truth value for each entry of tags.index, are known relative to the others there
-    as well as the walls that hide tags.
+def known_together(seen: Visibility, covariance: FloatArray) -> BoolArray:
+    """Which of the landmarks in view, one truth value for each entry of seen.index, are known relative to the others
+    there as well as the walls that hide them.
 
     All is explored, so what can be seen from a place has been seen with what is round it. What has not hangs on the
     rest of the map by a long way, and only that way's error has put it before the wall that it is behind.
@@ -77,22 +76,23 @@ def known_together(tags: Visibility, covariance: FloatArray) -> BoolArray:
     covariance: (2n + 3, 2n + 3) of the landmarks and a pose.
     """
     variance = np.diag(covariance)[:-3].reshape(-1, 2).sum(axis=1)
-    place, tag = np.repeat(np.arange(len(tags.count)), tags.count), tags.index
-    by_variance = tag[np.lexsort((variance[tag], place))]
-    middle = by_variance[(tags.offsets[:-1] + tags.count // 2)[place]]
-    together = covariance[2 * tag, 2 * middle] + covariance[2 * tag + 1, 2 * middle + 1]
-    return np.asarray(variance[tag] + variance[middle] - 2.0 * together <= SURFACE_TOLERANCE**2)
+    place, row = np.repeat(np.arange(len(seen.count)), seen.count), seen.index
+    by_variance = row[np.lexsort((variance[row], place))]
+    middle = by_variance[(seen.offsets[:-1] + seen.count // 2)[place]]
+    together = covariance[2 * row, 2 * middle] + covariance[2 * row + 1, 2 * middle + 1]
+    return np.asarray(variance[row] + variance[middle] - 2.0 * together <= SURFACE_TOLERANCE**2)
 
 
 def error_removed(
     points: FloatArray,
     Q: FloatArray,
-    tags: Visibility,
+    visible: Visibility,
     p_ML: FloatArray,
     X_MD: FloatArray,
     covariance: FloatArray,
     squared: FloatArray,
     noise: FloatArray,
+    wall: FloatArray,
 ) -> FloatArray:
     """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the covariance of landmarks L.
 
@@ -102,20 +102,25 @@ def error_removed(
 
         tr S_LL - tr S_LL|z = tr((R + A Q A^T + J S J^T)^-1 J S_.L S_L. J^T).
 
-    Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). tags: which of the landmarks
+    Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). visible: which of the landmarks
     p_ML (n, 2), m in M, each point sees. covariance: (2n + 3, 2n + 3) of p_ML row by row and of X_MD. squared: S_.L
-    S_L., (2n + 3, 2n + 3). noise: as in `exact_gain`.
+    S_L., (2n + 3, 2n + 3). noise, wall: as in `exact_gain`.
     """
-    c, m = len(points), int(tags.count.max(initial=0))
+    c, m = len(points), int(visible.count.max(initial=0))
     # All points at once, as if each saw as many: the rows of what it does not see are zero and take nothing off.
-    sees = np.arange(m) < tags.count[:, None]
+    sees = np.arange(m) < visible.count[:, None]
     seen = np.zeros((c, m), dtype=np.int64)
-    seen[sees] = tags.index
-    G = whitened((p_ML[seen] - points[:, None])[sees], noise)
+    seen[sees] = visible.index
+    d, normal = (p_ML[seen] - points[:, None])[sees], wall[visible.index]
+    G, of_wall = whitened(d, noise), normal.any(axis=1)
+    G[of_wall, 0] = normal[of_wall]
+    # Along a wall its points are not seen.
+    along = normal[of_wall] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    G[of_wall, 1] = along / np.hypot(*along.T)[:, None] / FREE
     to_position = G.transpose(0, 2, 1) / np.square(G).sum(axis=2)[:, None]
     by_arrival = np.zeros((c, m, 2, 3))
     by_arrival[sees, :, :2] = -np.eye(2)
-    by_arrival[sees, :, 2] = to_position[..., 1] / -noise[3]
+    by_arrival[sees, :, 2] = d @ np.array([[0.0, -1.0], [1.0, 0.0]])
     A = by_arrival.reshape(c, 2 * m, 3)
     R = np.zeros((c, m, 2, m, 2))
     R[:, np.arange(m), :, np.arange(m)] = np.eye(2)
