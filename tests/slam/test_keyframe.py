@@ -10,7 +10,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.slam.keyframe import fusion, keyframe, linearised, of_places, residual, rows_of, way, without_tags
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared
 from tfg_drake.slam.turn import reduced
 
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
@@ -236,10 +236,43 @@ def test_lines_that_are_not_quite_parallel_do_not_cross():
     ids, along = np.array([WALLS_BELOW - 2, WALLS_BELOW - 1]), np.diag(np.tile([30.0, 1e-3], 2)) ** 2
     covariance = scipy.linalg.block_diag(along, np.diag([0.05, 0.05, 0.002]) ** 2)
     first = of_places(ids, np.array([[0.0, 2.0], [1.5, 2.0]]), np.array([1.0, 0.0, 0.0]), covariance)
-    turned = np.array([[-1.0, 2.003], [0.5, 2.003 + 0.005 * 1.5]])
-    second = of_places(ids, turned, np.array([1.0, 0.0, 0.0]), covariance)
+    turned, R = np.array([[-1.0, 2.003], [0.5, 2.003 + 0.005 * 1.5]]), np.eye(7)
+    # Each knows the wall across the direction in which it sees it.
+    R[:2, :2] = R[2:4, 2:4] = se2.rotation(0.005)
+    second = of_places(ids, turned, np.array([1.0, 0.0, 0.0]), R @ covariance @ R.T)
     both, X_AB, _ = fusion(first, second, np.zeros(SHARED))
     p_AL, X_AD, after = both.given(np.zeros(SHARED))
-    np.testing.assert_allclose(p_AL[:, 0], [0.0, 1.5], atol=0.01)
+    # Free to 30 m, and not slid by metres.
+    np.testing.assert_allclose(p_AL[:, 0], [0.0, 1.5], atol=0.05)
     np.testing.assert_allclose([X_AB[0], X_AD[0]], [1.0, 2.0], atol=0.01)
     assert np.sqrt(after[-3, -3]) == pytest.approx(np.hypot(0.05, 0.05), rel=0.01)
+
+
+def test_walls_are_where_the_parameters_have_them_however_far_these_move_points_along_them():
+    """Two walls at a right angle, each seen twice, 5 mrad apart. What is free along a wall, parameters move by metres:
+    fused, all is as if they did not."""
+    ids = WALLS_BELOW - 4 + np.arange(4)
+    normal = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0])
+    covariance = np.diag(np.append(np.where(normal, 3e-3, 30.0), [0.05, 0.05, 0.002])) ** 2
+    y_AL = np.array([[0.0, 2.0], [1.5, 2.0], [3.0, 1.0], [3.0, -1.0]])
+    shared, axis = np.zeros(SHARED), np.array([1.0, 0.0, 0.0])
+    shared[0] = 0.01
+
+    def seen(y_AL, by_parameter):
+        by = np.zeros((11, SHARED))
+        by[:8, 0] = by_parameter * (1.0 - normal)
+        W = np.linalg.inv(covariance)
+        information = np.block([[W, -W @ by], [-by.T @ W, by.T @ W @ by + np.eye(SHARED)]])
+        y = np.append(y_AL.ravel(), axis)
+        return keyframe(ids, y, shared, METRES, information, np.zeros(11 + SHARED), np.zeros((4, 2, 2)))
+
+    turned = se2.transform([-1.0, 0.0, 0.005], y_AL)
+    for by_parameter in (0.0, 500.0):
+        first, second = seen(y_AL, by_parameter), seen(turned, -by_parameter)
+        np.testing.assert_allclose(first.given(shared)[0], y_AL, atol=1e-6)
+        both, X_AB, _ = fusion(first, second, shared)
+        _, X_AD, after = both.given(shared)
+        if not by_parameter:
+            expected = X_AB, X_AD, after[-3:, -3:]
+    for value, of_none in zip((X_AB, X_AD, after[-3:, -3:]), expected, strict=True):
+        np.testing.assert_allclose(value, of_none, atol=1e-5)

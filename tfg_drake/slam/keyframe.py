@@ -165,8 +165,10 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
-        for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
-            one = _along_lines(one, se2.transform(se2.inverse(begin), y_AL[row]))
+        for one, own, row, place, (begin, end) in zip(
+            (first, second), (y_1, y_2), rows, at, ((A, B), (B, D)), strict=True
+        ):
+            one = _along_lines(one, own, se2.transform(se2.inverse(begin), y_AL[row]))
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
             H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, METRES, W, v, begin, end, shared)
             if errors:
@@ -201,9 +203,9 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
 
 
-def _along_lines(one: Keyframe, p_AL: FloatArray) -> Keyframe:
-    """The keyframe with what it tells of walls told normal to the lines through p_AL (n, 2), where both their points
-    are; along these it holds them as before.
+def _along_lines(one: Keyframe, own: FloatArray, p_AL: FloatArray) -> Keyframe:
+    """The keyframe with its walls through p_AL (n, 2): each turned about its points from the direction in which the
+    keyframe has it alone, through own (n, 2), and as far off them as it is.
 
     Two keyframes hardly ever see a wall in quite the same direction. By their own normals both lines would cross
     somewhere, and tell where along the wall its points are and the robot is.
@@ -212,14 +214,14 @@ def _along_lines(one: Keyframe, p_AL: FloatArray) -> Keyframe:
     if not len(walls):
         return one
     # Walls come first, each with its two points.
-    along = p_AL[walls ^ 1] - p_AL[walls]
-    along /= np.hypot(*along.T)[:, None]
-    across, held = np.eye(len(one.information)), np.zeros(one.information.shape)
-    for k, direction in zip(walls, along, strict=True):
-        of_point, square = slice(2 * k, 2 * k + 2), np.outer(direction, direction)
-        across[of_point, of_point] -= square
-        held[of_point, of_point] = np.linalg.eigvalsh(one.information[of_point, of_point])[0] * square
-    return replace(one, information=across @ one.information @ across + held)
+    (x, y), (u, v) = (np.transpose(p[walls | 1] - p[walls & ~1]) for p in (own, p_AL))
+    by = np.arctan2(x * v - y * u, x * u + y * v)
+    turned, y_AL = np.eye(len(one.information)), one.y_AL.copy()
+    for k, angle in zip(walls, by, strict=True):
+        of_point = slice(2 * k, 2 * k + 2)
+        turned[of_point, of_point] = se2.rotation(float(angle))
+        y_AL[k] = p_AL[k] - turned[of_point, of_point] @ (p_AL[k] - y_AL[k])
+    return replace(one, y_AL=y_AL, information=turned @ one.information @ turned.T)
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
