@@ -155,6 +155,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     rows = np.searchsorted(ids, first.ids), np.searchsorted(ids, second.ids)
     n = len(ids)
     (y_1, B, _), (y_2, X_BD, _) = (replace(one, unit=METRES).given(shared) for one in (first, second))
+    given = np.append(y_1, B), np.append(y_2, X_BD)
     y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
     y_AL[rows[1]] = se2.transform(B, y_2)
     y_AL[rows[0]] = y_1
@@ -165,10 +166,10 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
-        for one, own, row, place, (begin, end) in zip(
-            (first, second), (y_1, y_2), rows, at, ((A, B), (B, D)), strict=True
+        for one, of_one, row, place, (begin, end) in zip(
+            (first, second), given, rows, at, ((A, B), (B, D)), strict=True
         ):
-            one = _along_lines(one, own, se2.transform(se2.inverse(begin), y_AL[row]))
+            one = _along_lines(one, of_one, shared, se2.transform(se2.inverse(begin), y_AL[row]))
             W, v, none = one.information, one.vector, np.zeros(2 * len(row))
             H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, METRES, W, v, begin, end, shared)
             if errors:
@@ -203,25 +204,28 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
 
 
-def _along_lines(one: Keyframe, own: FloatArray, p_AL: FloatArray) -> Keyframe:
-    """The keyframe with its walls through p_AL (n, 2): each turned about its points from the direction in which the
-    keyframe has it alone, through own (n, 2), and as far off them as it is.
+def _along_lines(one: Keyframe, y: FloatArray, shared: FloatArray, p_AL: FloatArray) -> Keyframe:
+    """The keyframe with what it tells of walls told normal to the lines through p_AL (n, 2), where both their points
+    are; along these it holds them as before. y: (2n + 3,) its tags and D given the parameters (13,), which stay.
 
     Two keyframes hardly ever see a wall in quite the same direction. By their own normals both lines would cross
     somewhere, and tell where along the wall its points are and the robot is.
     """
-    walls = np.flatnonzero(~is_tag(one.ids))
+    walls, W, m = np.flatnonzero(~is_tag(one.ids)), one.information, len(y)
     if not len(walls):
         return one
     # Walls come first, each with its two points.
-    (x, y), (u, v) = (np.transpose(p[walls | 1] - p[walls & ~1]) for p in (own, p_AL))
-    by = np.arctan2(x * v - y * u, x * u + y * v)
-    turned, y_AL = np.eye(len(one.information)), one.y_AL.copy()
-    for k, angle in zip(walls, by, strict=True):
-        of_point = slice(2 * k, 2 * k + 2)
-        turned[of_point, of_point] = se2.rotation(float(angle))
-        y_AL[k] = p_AL[k] - turned[of_point, of_point] @ (p_AL[k] - y_AL[k])
-    return replace(one, y_AL=y_AL, information=turned @ one.information @ turned.T)
+    along = p_AL[walls ^ 1] - p_AL[walls]
+    along /= np.hypot(*along.T)[:, None]
+    across, held = np.eye(len(W)), np.zeros(W.shape)
+    for k, direction in zip(walls, along, strict=True):
+        of_point, square = slice(2 * k, 2 * k + 2), np.outer(direction, direction)
+        across[of_point, of_point] -= square
+        held[of_point, of_point] = np.linalg.eigvalsh(W[of_point, of_point])[0] * square
+    gradient = W[m:] @ np.append(y - np.append(one.y_AL.ravel(), one.y_AD), shared) + one.vector
+    information = across @ W @ across + held
+    told = keyframe(one.ids, y, shared, one.unit, information, np.append(np.zeros(m), gradient), one.on_error)
+    return replace(told, errors=one.errors)
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
