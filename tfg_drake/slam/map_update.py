@@ -60,6 +60,17 @@ class _Update:
     nu: FloatArray
 
 
+def distance_to(ids: IntArray, p_ML: FloatArray, X: FloatArray) -> FloatArray:
+    """How far, m, landmarks of ids (n,) at p_ML (n, 2) are from a pose (3,), (n,); both points of a wall as far as what
+    is between them."""
+    off = p_ML - X[:2]
+    first, second = off[~is_tag(ids)].reshape(-1, 2, 2).transpose(1, 0, 2)
+    along = second - first
+    share = np.clip(-np.sum(first * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12), 0.0, 1.0)
+    off[: 2 * len(along)] = np.repeat(first + share[:, None] * along, 2, axis=0)
+    return np.asarray(np.hypot(*off.T))
+
+
 def updated(
     graph: KeyframeGraph, estimate: MapEstimate, one: Keyframe, *, is_view: bool = True
 ) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
@@ -157,7 +168,7 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
         return True
     if estimate.is_joint:
         return False
-    distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
+    distance = distance_to(estimate.ids, estimate.p_ML, estimate.X_MD)
     return not estimate.is_local[np.argpartition(distance, NEAREST)[:NEAREST]].all()
 
 
