@@ -33,7 +33,7 @@ from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.wall_search import find_place, share_on_walls
+from tfg_drake.slam.wall_search import find_place, share_on_walls, tells_place
 from tfg_drake.slam.walls import LEAST_LENGTH, no_lines
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -183,6 +183,8 @@ def _found_among_walls(
     X_MA = find_place(seen, walls, reach)
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     if X_MA is None:
+        if not tells_place(seen):
+            return state
         unlike = share_on_walls(expected, seen, walls, reach) < LEAST_LIKE
         waits = stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last
         if state.kidnapped or waits or not unlike:

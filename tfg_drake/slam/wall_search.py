@@ -45,13 +45,18 @@ def find_place(seen: FloatArray, walls: FloatArray, reach: FloatArray) -> FloatA
     matched = on[order[0]]
     length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
     enough = matched >= 0
-    if share[order[0]] < LEAST_SHARE or enough.sum() < LEAST_WALLS or length[enough].sum() < LEAST_LENGTH:
+    if share[order[0]] < LEAST_SHARE or not tells_place(seen[enough]):
         return None
     off = poses - best
     other = (np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1])
     if (share[other] > share[order[0]] - MARGIN / length.sum()).any():
         return None
     return _fitted(best, seen[enough], walls[matched[enough]])
+
+
+def tells_place(seen: FloatArray) -> bool:
+    """Whether walls seen (s, 2, 2) are enough to tell where they are."""
+    return len(seen) >= LEAST_WALLS and float(np.hypot(*(seen[:, 1] - seen[:, 0]).T).sum()) >= LEAST_LENGTH
 
 
 def share_on_walls(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> float:
