@@ -609,6 +609,15 @@ def test_a_wall_that_a_turn_sees_through_is_two_pieces_of_it(simulate) -> None:
     np.testing.assert_allclose(ends, [-3.0, -0.5, 0.5, 3.0], atol=0.15)
 
 
+def test_what_shows_of_the_far_face_of_a_hollow_wall_is_kept(simulate) -> None:
+    """A door in a wall of two faces 13 cm apart, with nothing between them at its ends; one face is a landmark."""
+    faces = [[-3.0, 0.0, -0.5, 0.0], [0.5, 0.0, 3.0, 0.0], [-3.0, -0.13, -0.5, -0.13], [0.5, -0.13, 3.0, -0.13]]
+    world = simulate(faces, landmarks=np.array([[0.5, 0.0, 3.0, 0.0], [-3.0, 0.0, -0.5, 0.0]]))
+    for x, y in ((0.0, 1.0), (0.0, 0.3)):
+        tfg = world.observe(np.array([x, y, 0.0]))
+    assert point_distance(np.array([[0.52, -0.13], [-0.52, -0.13]]), tfg.segments).max() < 0.05
+
+
 def test_a_tag_without_a_surface_faces_where_it_was_seen_from(simulate) -> None:
     world = simulate([[-3.0, 2.0, 3.0, 2.0]])
     world.p_WT, world.normal = np.vstack([world.p_WT, [1.0, -3.0]]), np.vstack([world.normal, [0.0, 1.0]])

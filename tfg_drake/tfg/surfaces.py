@@ -48,8 +48,8 @@ ON_WALL = 0.06
 LEAST_ON_WALL = 0.15
 # How far beyond its points a wall may go on, m.
 GOES_ON = 20.0
-# Other surfaces are cut where a wall runs this close, m, new ones also where any older surface does, m.
-WALL_COVERS = 0.15
+# Other surfaces are cut where a wall runs this close, m, new ones also where any older surface does: less than two
+# faces of a hollow wall are apart, which is open at its end.
 SURFACE_COVERS = 0.1
 # Samples for that, m; shorter remains are dropped, m.
 SPACING = 0.05
@@ -215,8 +215,8 @@ def add_observation(
     pieces = [row for row in old if draft[row].on_wall]
     on_walls = [draft.add(piece) for piece in _joined([*(draft[row] for row in pieces), *seen], walls)]
     wall_segments = _segments(draft, on_walls)
-    kept = _trim(draft, [row for row in old if row not in pieces], wall_segments, WALL_COVERS)
-    new = _trim(draft, [draft.add(piece) for piece in others], wall_segments, WALL_COVERS)
+    kept = _trim(draft, [row for row in old if row not in pieces], wall_segments, SURFACE_COVERS)
+    new = _trim(draft, [draft.add(piece) for piece in others], wall_segments, SURFACE_COVERS)
     kept = _split(draft, _farther_left(draft, kept, new), tags, ~np.isin(tags.ids, known_ids))
     new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
     merged = draft.surfaces(on_walls + kept + new)
