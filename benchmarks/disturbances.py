@@ -2,12 +2,14 @@
 
     python benchmarks/disturbances.py slip --seeds 50
     python benchmarks/disturbances.py kidnap --seeds 50 --scenario paper
+    python benchmarks/disturbances.py carry --seeds 20 --scenario house
 
 Once a mission, at a random time after its third goal, the robot is put elsewhere and neither wheels nor gyro notice:
-slip, 0.5 m in a random direction and 30 degrees; kidnap, any reachable pose with five mapped tags in view. A row a
-seed: seconds with three mapped tags in view until the error of the online position stays below 0.1 m, and until it does
-as seen from those tags, whose own places in the map may be off by as much; the error after a minute, and the landmarks'
-RMSE before and at the end.
+slip, 0.5 m in a random direction and 30 degrees; kidnap, any reachable pose with five mapped tags in view; carry, 3 m
+in a random direction and 90 degrees, in the building without its tags. A row a seed: seconds with three mapped tags in
+view, without tags all seconds, until the error of the online position stays below 0.1 m, and until it does as seen from
+those tags, whose own places in the map may be off by as much; the error after a minute, for how many of its seconds,
+but for the first ten, it was beyond 0.3 m and three stated deviations, and the landmarks' RMSE before and at the end.
 """
 
 from __future__ import annotations
@@ -22,16 +24,19 @@ from threadpoolctl import threadpool_limits
 
 from tfg_drake.comparison.metrics import landmark_rmse
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
-from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld
+from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario
 from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.simulation.differential_drive import THETA, X, Y
 from tfg_drake.simulation.odometry import TRUTH
 from tfg_drake.simulation.tag_sensor import visible_tags
-from tfg_drake.world.reachability import make_grid, reachable_cells
+from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 
 SLIP, SLIP_ANGLE = 0.5, np.deg2rad(30.0)
+CARRIED, CARRIED_ANGLE = 3.0, np.deg2rad(90.0)
+# An error beyond this, m, and so many stated deviations is false, from so long after the robot was moved on, s.
+FALSE, DEVIATIONS, SOON = 0.3, 3.0, 10.0
 ROOM = 0.1
 FOUND = 0.1
 PATIENCE = 60.0
@@ -40,9 +45,9 @@ PATIENCE = 60.0
 class Disturbed:
     """One mission, simulated in small steps."""
 
-    def __init__(self, name: str, seed: int) -> None:
-        self.scenario = LoadScenario(FindScenario(name))
-        self.scenario.seed = seed
+    def __init__(self, name: str, seed: int, bare: bool) -> None:
+        """bare: the building of that scenario without its tags."""
+        self.scenario = PrepareScenario(name, [], seed, *((name, np.inf) if bare else ()))
         self.world = MakeWorld(self.scenario.world)
         diagram, *_ = MakeMissionDiagram(self.scenario, self.world)
         self.simulator = Simulator(diagram)
@@ -78,6 +83,10 @@ class Disturbed:
         X_WB = compose(self.world.start, self.port("pose").X_MB)
         return float(np.hypot(*(X_WB[:2] - self.pose()[:2])))
 
+    def is_false(self) -> bool:
+        covariance = self.port("pose").covariance[:2, :2]
+        return self.error() > max(FALSE, DEVIATIONS * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
+
     def error_among_tags(self) -> float:
         """As seen from the mapped tags in view: nan with fewer than three."""
         estimate, X_WB = self.port("map"), self.pose()
@@ -99,6 +108,8 @@ class Disturbed:
 
     def map_rmse(self) -> float:
         estimate = self.port("map")
+        if not len(estimate.ids):
+            return np.nan
         row = np.searchsorted(self.world.tag_ids, estimate.ids)
         return landmark_rmse(estimate.p_ML, transform(inverse(self.world.start), self.world.p_WT[row]))
 
@@ -108,11 +119,12 @@ class Disturbed:
         grid = make_grid(self.world)
         cells = grid.centers(reachable_cells(grid, self.world, self.scenario.robot.radius))
         for _ in range(500):
-            if kind == "slip":
+            if kind != "kidnap":
+                far, turn = (SLIP, SLIP_ANGLE) if kind == "slip" else (CARRIED, CARRIED_ANGLE)
                 direction = self.rng.uniform(-np.pi, np.pi)
-                angle = self.rng.choice([-1.0, 1.0]) * SLIP_ANGLE
-                there = here + np.array([SLIP * np.cos(direction), SLIP * np.sin(direction), angle])
-                enough = True
+                angle = self.rng.choice([-1.0, 1.0]) * turn
+                there = here + np.array([far * np.cos(direction), far * np.sin(direction), angle])
+                enough = kind == "slip" or float(np.hypot(*(cells - there[:2]).T).min()) < CELL
             else:
                 there = np.append(cells[self.rng.integers(len(cells))], self.rng.uniform(-np.pi, np.pi))
                 enough = self.mapped_in_view(there) >= 5
@@ -125,7 +137,7 @@ class Disturbed:
 def run_seed(kind: str, name: str, seed: int) -> dict:
     """Figures of one mission."""
     with threadpool_limits(limits=1):
-        run = Disturbed(name, seed)
+        run = Disturbed(name, seed, kind == "carry")
         while run.port("mission").stage < 3:
             run.advance(1.0)
         run.advance(float(run.rng.uniform(0.0, 60.0)))
@@ -134,11 +146,12 @@ def run_seed(kind: str, name: str, seed: int) -> dict:
             return {"seed": seed, "seconds": np.nan}
         before = run.map_rmse()
         run.put(there)
-        in_view, lost_until, astray_until, elapsed = 0.0, 0.0, 0.0, 0.0
+        in_view, lost_until, astray_until, elapsed, false = 0.0, 0.0, 0.0, 0.0, 0.0
         while in_view < PATIENCE and elapsed < 4.0 * PATIENCE and run.port("mission").phase != "done":
             run.advance(0.25)
             elapsed += 0.25
-            in_view += 0.25 * (run.mapped_in_view(run.pose()) >= 3)
+            in_view += 0.25 * (kind == "carry" or run.mapped_in_view(run.pose()) >= 3)
+            false += 0.25 * (elapsed > SOON and run.is_false())
             if run.error() >= FOUND:
                 lost_until = in_view
             if run.error_among_tags() >= FOUND:
@@ -148,20 +161,24 @@ def run_seed(kind: str, name: str, seed: int) -> dict:
             "seconds": lost_until,
             "among_tags": astray_until,
             "error": run.error(),
+            "false": false,
             "before": before,
             "after": run.map_rmse(),
         }
 
 
+KEYS = ("seconds", "among_tags", "error", "false", "before", "after")
+
+
 def main() -> None:
     """Run, print a row as each mission ends, then the worst."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=["slip", "kidnap"])
+    parser.add_argument("kind", choices=["slip", "kidnap", "carry"])
     parser.add_argument("--scenario", default="paper")
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    heads = ("found after s", "among tags s", "error m", "RMSE before m", "after m")
+    heads = ("found after s", "among tags s", "error m", "false s", "RMSE before m", "after m")
     print("seed" + "".join(f"{head:>14}" for head in heads), flush=True)
     results = []
     with ProcessPoolExecutor(options.jobs) as pool:
@@ -169,7 +186,7 @@ def main() -> None:
         for done in as_completed(jobs):
             r = done.result()
             results.append(r)
-            figures = [f"{r.get(key, np.nan):>14.3f}" for key in ("seconds", "among_tags", "error", "before", "after")]
+            figures = [f"{r.get(key, np.nan):>14.3f}" for key in KEYS]
             print(f"{r['seed']:>4}" + "".join(figures), flush=True)
     for key, what in (("seconds", "in the world"), ("among_tags", "among the tags in view")):
         seconds = np.array([r.get(key, np.nan) for r in results])

@@ -177,6 +177,8 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     if state.turn is None:
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
+    if state.contradictions >= CONTRADICTIONS:
+        state = find_itself(state, state.stamp, at_last=True)
     turn = state.turn
     assert turn is not None
     return _add_view(state, turn, SPREAD if explored else 0)
@@ -375,7 +377,9 @@ def _step(
         distance, heading, _ = state.noise.now.walks
         span = state.odometry[after].stamp - state.odometry[before].stamp
         variance = np.array([distance**2 * abs(twist[0]), heading**2]) / max(span, SAME_INSTANT)
-        localizer = corrected_by_walls(localizer, lines, twist, variance)
+        localizer, *of_walls = corrected_by_walls(localizer, lines, twist, variance)
+        # Tags tell for themselves which they are.
+        known, ignored = (known, ignored) if known or not looks else of_walls
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
@@ -401,7 +405,7 @@ def _step(
         looked=stamp if looks else state.looked,
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
-    if (contradictions >= CONTRADICTIONS or state.lost) and len(frame.ids):
+    if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
         state = find_itself(state, stamp)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
@@ -436,7 +440,7 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
         suspect = None if over or not state.contradictions else suspect
     if suspect is not None:
         return replace(suspect, frames=(*suspect.frames, taken))
-    if not state.contradictions or not len(taken.detections.ids):
+    if not state.contradictions or not (len(taken.detections.ids) or len(taken.lines)):
         return None
     return replace(opened(state), frames=(taken,), unwatched=min(taken.stamp - state.agreed, LONGEST_DOUBT))
 
@@ -449,7 +453,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, piece=opened(state)) if piece is not None else state
     if state.kidnapped:
         X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
-        way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB)),)
+        way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma),)
     else:
         solution = _solve(state, piece)
         source = Source(piece, instant(state), state.graph.shared, state.noise.level, state.walls.floor)

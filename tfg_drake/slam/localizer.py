@@ -19,13 +19,16 @@ from tfg_drake.slam.keyframe import rows_of
 from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map, whereabouts
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
-from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
+from tfg_drake.slam.wall_correction import correct_by_walls, seen_through, walls_seen
 from tfg_drake.slam.walls import Walls, floor_of_points, no_walls
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
 # Tags seen in fewer frames become no goal: one of them may be wrong, or its id misread.
 LEAST_FRAMES = 2
+# So many lines of a scan of which none is a wall of the map say that the robot is elsewhere: after each view what is in
+# sight is mapped.
+LEAST_STRANGE = 2
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
 ANYWHERE = (1.0, 1.0, 0.5)
 
@@ -103,6 +106,12 @@ def restart_localizer(
     return step_localizer(localizer, noise, np.zeros(3), 0.0, detections, np.zeros(2), 0.0)[0]
 
 
+def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigma: FloatArray) -> Localizer:
+    """The localiser at a pose X_MB (3,) found among the walls, with deviations sigma (3,), m, m, rad."""
+    mean = se2.between(estimate.X_MD, X_MB)
+    return replace(start_localizer(estimate, walls), mean=mean, covariance=np.diag(sigma) ** 2)
+
+
 def step_localizer(
     localizer: Localizer,
     noise: FloatArray,
@@ -156,22 +165,32 @@ def step_localizer(
     return _keep_local(now, keep), int(np.count_nonzero(known)), int(np.count_nonzero(known & ~accepted))
 
 
-def corrected_by_walls(localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray) -> Localizer:
+def corrected_by_walls(
+    localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray
+) -> tuple[Localizer, int, int]:
     """The localiser corrected by the lines (k, 11) of a scan of its instant, see `scan_lines`, as far as they are walls
-    that it knows. twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these."""
+    that it knows; how many of the lines tell whether it is where it seems to be, and how many say that it is not: those
+    behind such walls or off them by more than can be, and all where there are several and none is such a wall.
+
+    twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
+    """
     now, shared = localizer, localizer.map.shared
-    wall = walls_seen(now.mean[:POSE], shared, twist, lines, now.wall_points, now.reach)
+    seen = now.mean[:POSE], shared, twist, lines
+    wall = walls_seen(*seen, now.wall_points, now.reach)
+    through = seen_through(*seen, wall, now.wall_points, now.reach)
+    if (wall < 0).all():
+        against = len(lines) if len(now.walls) and len(lines) >= LEAST_STRANGE else through
+        return now, against, against
     lines, first = lines[wall >= 0], now.walls[wall[wall >= 0]]
-    if not len(lines):
-        return now
     new = np.setdiff1d(first, now.seen)
     if len(new):
         now = _with_seen(now, np.append(now.seen, (new[:, None] + [0, 1]).ravel()))
     column = SHARED + 2 * np.argmax(now.seen == first[:, None], axis=1)
     state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
-    correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, now.p_DL)
+    fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, now.p_DL)
     mean, covariance, sensitivity = state
-    return replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
+    now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
+    return now, len(lines) + through, int(np.count_nonzero(~fits)) + through
 
 
 def without_local(localizer: Localizer) -> Localizer:

@@ -24,14 +24,17 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, replace
-from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, opened, unknown_way
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
+from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
 from tfg_drake.slam.evidence import renewed, select
 from tfg_drake.slam.keyframe import Keyframe, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled
-from tfg_drake.slam.localizer import Localizer, localized_pose, restart_localizer, without_local
+from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
+from tfg_drake.slam.turn import no_detections, reduced
+from tfg_drake.slam.wall_search import find_place, share_on_walls, tells_place
+from tfg_drake.slam.walls import LEAST_LENGTH, no_lines
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
 SAME_PLACE = 16.0
@@ -60,6 +63,13 @@ LEAST_BASE = 0.4
 # Headings that are tried for each tag by itself, and tags that are tried, the surest.
 HEADINGS = 16
 MOST_TAGS = 12
+# Among walls the robot is looked for after so many more looks, and is elsewhere if it has not found itself for so long,
+# s, and no more than this share of what it has seen is where the pose has it.
+LOOKS, LONGEST_SEARCH, LEAST_LIKE = 5, 5.0, 0.3
+# So many of the newest frames are looked at.
+MOST_FRAMES = 50
+# Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
+PLACED = np.array([0.1, 0.1, 0.03])
 # Steps to the least squares.
 STEPS = 8
 # A pose is known when its deviations are below these, m, rad, and the next that is farther off than SAME costs this
@@ -90,10 +100,18 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
-def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose."""
+def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -> EstimatorState:
+    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose.
+
+    at_last: what has been seen is about to be mapped. By walls it is mapped as if the robot were where it seems to be,
+    unless it is found elsewhere or is known to be.
+    """
     estimate, suspect = state.map, state.suspect
     if estimate is None or suspect is None:
+        return state
+    if not any(len(rows_of(frame.detections.ids, estimate.ids)[1].nonzero()[0]) for frame in suspect.frames):
+        return _found_among_walls(state, estimate, suspect, stamp, at_last=at_last)
+    if at_last:
         return state
     seen = gathered(state, suspect)
     way = se2.between(suspect.begin.X_OB, state.X_OB)
@@ -143,6 +161,48 @@ def find_itself(state: EstimatorState, stamp: float) -> EstimatorState:
     localizer = _restarted(state, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, begun)
+
+
+def _found_among_walls(
+    state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, stamp: float, *, at_last: bool
+) -> EstimatorState:
+    """The state after a search for the pose by the walls seen since the first contradiction, once a second and at
+    last."""
+    looks = sum(len(frame.lines) > 0 for frame in suspect.frames)
+    if looks % LOOKS and not at_last:
+        return state
+    now, shared, newest = state.noise.now, state.graph.shared, suspect.frames[-MOST_FRAMES:]
+    # Not what was seen while the robot was being moved.
+    begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
+    one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
+    seen = one.given(shared.mean)[0][~is_tag(one.ids)].reshape(-1, 2, 2)
+    seen = seen[np.hypot(*(seen[:, 1] - seen[:, 0]).T) >= LEAST_LENGTH]
+    row = np.searchsorted(estimate.ids, state.walls.first)
+    firm = np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2
+    walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
+    X_MA = find_place(seen, walls, reach)
+    expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
+    if X_MA is None:
+        if not tells_place(seen):
+            return state
+        unlike = share_on_walls(expected, seen, walls, reach) < LEAST_LIKE
+        waits = stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last
+        if state.kidnapped or waits or not unlike:
+            return state
+        _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
+        return _kidnapped(state, replace(opened(state), sigma=KIDNAPPED))
+    off = X_MA - expected
+    distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
+    if distance < SAME[0] and angle < SAME[1]:
+        return replace(state, contradictions=0, suspect=None)
+    _log.warning(
+        "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
+        stamp, distance, angle,
+    )  # fmt: skip
+    X_MB = se2.compose(X_MA, se2.between(begin.X_OB, state.X_OB))
+    localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
+    state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
+    return _kidnapped(state, OpenObservation(begin, X_MA, PLACED, newest))
 
 
 def _restarted(

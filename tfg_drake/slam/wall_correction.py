@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.localizer_kernels import POSE, State, update
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import SCANNER_CLOCK, SCANNER_X, SCANNER_Y, SCANNER_YAW, SHARED, SWEEP
@@ -40,6 +40,43 @@ def walls_seen(
                 continue
             found[j] = w if found[j] == -1 else -2
     return np.asarray(np.maximum(found, -1))
+
+
+@njit(cache=True)
+def seen_through(
+    X_DB: FloatArray,
+    shared: FloatArray,
+    twist: FloatArray,
+    lines: FloatArray,
+    found: IntArray,
+    walls: FloatArray,
+    reach: FloatArray,
+) -> int:
+    """The number of lines (k, 11) of a scan, of no wall found (k,), that lie behind a wall where that has been seen.
+
+    Further arguments as of `walls_seen`.
+    """
+    count = 0
+    for j in range(len(lines)):
+        if found[j] >= 0:
+            continue
+        X_DS = _scanner(X_DB, shared, twist, lines[j])
+        c, s = math.cos(X_DS[2] + lines[j, 0]), math.sin(X_DS[2] + lines[j, 0])
+        m_x, m_y = c * lines[j, 1] - s * lines[j, 4], s * lines[j, 1] + c * lines[j, 4]
+        for w in range(len(walls)):
+            a_x, a_y = walls[w, 1, 0] - walls[w, 0, 0], walls[w, 1, 1] - walls[w, 0, 1]
+            length = math.hypot(a_x, a_y)
+            a_x, a_y, d_x, d_y = a_x / length, a_y / length, X_DS[0] - walls[w, 0, 0], X_DS[1] - walls[w, 0, 1]
+            # How far the scanner is before the wall, and the line's middle behind it.
+            before, behind = a_x * d_y - a_y * d_x, a_y * (d_x + m_x) - a_x * (d_y + m_y)
+            if before <= 0.0 or behind < UNCLEAR:
+                continue
+            share = before / (before + behind)
+            at = a_x * (d_x + share * m_x) + a_y * (d_y + share * m_y)
+            if reach[w, 0] + OVERLAP < at < reach[w, 1] - OVERLAP:
+                count += 1
+                break
+    return count
 
 
 @njit(cache=True)
@@ -103,10 +140,12 @@ def correct_by_walls(
     lines: FloatArray,
     column: IntArray,
     p_DL: FloatArray,
-) -> None:
-    """Correct the state, in place, by lines (k, 11) of a scan, each of the wall whose first point is considered from a
-    column (k,) on, the second next to it. p_DL: (s, 2) of what is considered. twist: (2,) and
-    its variances (2,)."""
+) -> BoolArray:
+    """Correct the state, in place, by lines (k, 11) of a scan; which of them are inside their gate, (k,), and are used.
+
+    column: (k,) where what is considered has the first point of each one's wall, the second next to it. p_DL: (s, 2) of
+    what is considered. twist: (2,) and its variances (2,).
+    """
     (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
     for j in range(len(lines)):
@@ -115,4 +154,4 @@ def correct_by_walls(
             mean, shared, twist[0], lines[j], p_DL[k : k + 2]
         )
         noise[a:b] = lines[j, 5:7] ** 2 + by_twist**2 @ twist[1]
-    update(state, C, H, H_c, -off, noise)
+    return update(state, C, H, H_c, -off, noise)

@@ -1,0 +1,133 @@
+"""Finds a robot among the walls of the map by those that it has seen lately, wherever it may be.
+
+Any two seen walls that are not parallel give a pose for any two of the map that stand at the same angle. It is judged
+by how much of all that was seen lies on walls of the map. Where another place explains nearly as much, as in a building
+of equal rooms, none is known.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, IntArray
+
+# The longest walls seen are used, so many.
+MOST = 8
+# Two of them are not parallel where the sine of the angle between them is more than this; a pair of the map's stands at
+# the same angle within this, rad.
+LEAST_SINE, SAME_ANGLE = 0.5, 0.05
+# What was seen lies on a wall where it is off it by no more than this, m.
+ON_WALL = 0.06
+# The robot is where so large a share of what was seen lies on walls, this much of it, m, and of so many.
+LEAST_SHARE, LEAST_LENGTH, LEAST_WALLS = 0.8, 5.0, 3
+# And every place farther off than SAME, m and rad, leaves so much more of it unexplained, m.
+SAME = (0.5, 0.2)
+MARGIN = 1.5
+
+
+def find_place(seen: FloatArray, walls: FloatArray, reach: FloatArray) -> FloatArray | None:
+    """The pose X_MA (3,) of the frame A in which walls (s, 2, 2) m were seen, None where that is not known.
+
+    walls: (w, 2, 2) pairs of points of the map's walls, m in M, reach: (w, 2) how far each has been seen, m from its
+    first point towards the second.
+    """
+    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
+    seen = seen[np.argsort(-length, kind="stable")[:MOST]]
+    poses = _candidates(seen, walls) if len(walls) else np.empty((0, 3))
+    if not len(poses):
+        return None
+    share, on = _judged(poses, seen, walls, reach)
+    order = np.argsort(-share, kind="stable")
+    best = poses[order[0]]
+    matched = on[order[0]]
+    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
+    enough = matched >= 0
+    if share[order[0]] < LEAST_SHARE or not tells_place(seen[enough]):
+        return None
+    off = poses - best
+    other = (np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1])
+    if (share[other] > share[order[0]] - MARGIN / length.sum()).any():
+        return None
+    return _fitted(best, seen[enough], walls[matched[enough]])
+
+
+def tells_place(seen: FloatArray) -> bool:
+    """Whether walls seen (s, 2, 2) are enough to tell where they are."""
+    return len(seen) >= LEAST_WALLS and float(np.hypot(*(seen[:, 1] - seen[:, 0]).T).sum()) >= LEAST_LENGTH
+
+
+def share_on_walls(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> float:
+    """The share of walls seen (s, 2, 2), by length, that lie on the map's, from the pose X_MA (3,); 1 of none. Further
+    arguments as of `find_place`."""
+    return float(_judged(X_MA[None], seen, walls, reach)[0][0]) if len(seen) and len(walls) else 1.0
+
+
+def _directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Heading (n,), unit vector along (n, 2) and normal (n, 2) of walls (n, 2, 2)."""
+    along = pairs[:, 1] - pairs[:, 0]
+    along = along / np.hypot(*along.T)[:, None]
+    return np.arctan2(along[:, 1], along[:, 0]), along, np.column_stack([along[:, 1], -along[:, 0]])
+
+
+def _candidates(seen: FloatArray, walls: FloatArray) -> FloatArray:
+    """(k, 3) the poses that two seen walls give for any two of the map."""
+    heading_seen, _, _ = _directions(seen)
+    heading, _, normal = _directions(walls)
+    middle, offset = seen.mean(axis=1), np.sum(walls[:, 0] * normal, axis=1)
+    poses = [np.empty((0, 3))]
+    for i, j in itertools.combinations(range(len(seen)), 2):
+        between = heading_seen[j] - heading_seen[i]
+        if abs(np.sin(between)) < LEAST_SINE:
+            continue
+        apart = se2.wrap_angle(heading - heading[:, None] - between)
+        a, b = np.nonzero(np.abs(apart) < SAME_ANGLE)
+        theta = heading[a] - heading_seen[i] + 0.5 * apart[a, b]
+        c, s = np.cos(theta), np.sin(theta)
+        right = np.empty((len(a), 2))
+        for column, (of, k) in enumerate(((a, i), (b, j))):
+            x, y = middle[k]
+            turned = np.column_stack([c * x - s * y, s * x + c * y])
+            right[:, column] = offset[of] - np.sum(normal[of] * turned, axis=1)
+        t = np.linalg.solve(np.stack([normal[a], normal[b]], axis=1), right[:, :, None])[:, :, 0]
+        poses.append(np.column_stack([t, theta]))
+    return np.concatenate(poses)
+
+
+def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The share (k,) of what was seen that lies on walls of the map, from each of the poses (k, 3), and the wall (k, s)
+    that each seen one lies on most, -1 for none."""
+    heading_seen, _, _ = _directions(seen)
+    heading, along, normal = _directions(walls)
+    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    total, on = np.zeros(len(poses)), np.empty((len(poses), len(seen)), dtype=np.int64)
+    for k in range(len(seen)):
+        ends = []
+        for x, y in seen[k]:
+            ends.append(np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y]))
+        off = [e @ normal.T - np.sum(walls[:, 0] * normal, axis=1) for e in ends]
+        at = [e @ along.T - np.sum(walls[:, 0] * along, axis=1) for e in ends]
+        overlap = np.minimum(reach[:, 1], at[1]) - np.maximum(reach[:, 0], at[0])
+        turned = np.cos(poses[:, 2, None] + heading_seen[k] - heading)
+        fits = (np.maximum(np.abs(off[0]), np.abs(off[1])) < ON_WALL) & (turned > 0.9)
+        overlap = np.where(fits, np.maximum(overlap, 0.0), 0.0)
+        best = np.argmax(overlap, axis=1)
+        most = overlap[np.arange(len(poses)), best]
+        total += np.minimum(most, length[k])
+        on[:, k] = np.where(most > 0.5 * length[k], best, -1)
+    return np.asarray(total / length.sum()), on
+
+
+def _fitted(pose: FloatArray, seen: FloatArray, walls: FloatArray) -> FloatArray:
+    """The pose (3,) from which walls seen (n, 2, 2) lie on those of the map (n, 2, 2) by least squares."""
+    _, _, normal = _directions(walls)
+    for _ in range(5):
+        p = se2.transform(pose, seen.reshape(-1, 2)).reshape(-1, 2, 2)
+        off = np.sum((p - walls[:, :1]) * normal[:, None], axis=2).ravel()
+        n, lever = np.repeat(normal, 2, axis=0), p.reshape(-1, 2) - pose[:2]
+        J = np.column_stack([n, n[:, 1] * lever[:, 0] - n[:, 0] * lever[:, 1]])
+        pose = pose - np.linalg.lstsq(J, off, rcond=None)[0]
+    return np.asarray(pose)
