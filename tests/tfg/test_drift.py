@@ -1,15 +1,11 @@
 """Relative uncertainty of what was mapped, against samples of the joint Gaussian."""
 
-import itertools
-
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.tfg.drift import MOST_DRIFT, NEIGHBOURHOOD, drift_between, drift_from_robot, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot, known_jointly
 
 
 def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> MapEstimate:
@@ -37,42 +33,13 @@ def test_an_error_that_all_share_is_no_drift() -> None:
     shared = np.concatenate([np.tile(np.eye(2), (3, 1)), [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]])
     estimate = _estimate(p_ML, np.zeros(3), shared @ shared.T)
     np.testing.assert_allclose(drift_from_robot(estimate, np.arange(3)), 0.0, atol=1e-12)
-    assert drift_between(np.array([[0.5, 2.0]]), np.array([[0.0, 1.0]]), estimate)[0] < 1e-6
-
-
-def test_drift_between_is_the_worst_pairs_along_the_normal_and_bounded() -> None:
-    p_ML = np.array([[0.0, 0.0], [0.0, 0.3], [0.0, 0.6], [30.0, 0.0]])
-    covariance = np.diag([1e-4, 0.01, 1e-4, 0.02, 1e-4, 0.03, 4.0, 4.0, 0.0, 0.0, 0.0])
-    estimate = _estimate(p_ML, np.zeros(3), covariance)
-    points, normals = np.zeros((2, 2)), np.array([[0.0, 1.0], [1.0, 0.0]])
-    np.testing.assert_allclose(drift_between(points, normals, estimate), np.sqrt([0.05, 2e-4]))
-    wide = _estimate(p_ML, np.zeros(3), 100.0 * covariance)
-    assert drift_between(points, normals, wide)[0] == MOST_DRIFT
-    assert drift_between(np.array([[30.0, 0.0], [60.0, 0.0]]), normals, estimate).tolist() == [0.0, 0.0]
-
-
-@given(st.integers(0, 10_000))
-def test_drift_between_agrees_with_every_pair_asked_by_itself(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    p_ML, points, angle = rng.uniform(-3.0, 3.0, (8, 2)), rng.uniform(-3.0, 3.0, (5, 2)), rng.uniform(-4.0, 4.0, 5)
-    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    root = 0.03 * rng.standard_normal((19, 19))
-    estimate = _estimate(p_ML, np.zeros(3), root @ root.T)
-    expected = np.zeros(5)
-    for i in range(5):
-        for j, k in itertools.combinations(np.flatnonzero(np.hypot(*(p_ML - points[i]).T) <= NEIGHBOURHOOD), 2):
-            apart = np.zeros(19)
-            apart[2 * j : 2 * j + 2], apart[2 * k : 2 * k + 2] = normals[i], -normals[i]
-            expected[i] = max(expected[i], np.sqrt(apart @ estimate.covariance @ apart))
-    np.testing.assert_allclose(drift_between(points, normals, estimate), np.minimum(expected, MOST_DRIFT), atol=1e-9)
 
 
 def test_of_a_large_map_only_the_neighbourhood_speaks() -> None:
     p_ML = np.array([[0.0, 0.0], [0.0, 0.3], [30.0, 0.0], [30.0, 0.3]])
     whole = _estimate(p_ML, np.zeros(3), np.diag([1e-4, 0.01, 1e-4, 0.02, 1e-4, 0.03, 1e-4, 0.04, 0.0, 0.0, 0.0]))
     local = replace(whole, local=np.array([2, 3]), covariance=whole.covariance[4:, 4:])
-    points, normals = p_ML[[0, 2]], np.array([[0.0, 1.0], [0.0, 1.0]])
-    np.testing.assert_allclose(drift_between(points, normals, local), [0.0, drift_between(points, normals, whole)[1]])
+    points = p_ML[[0, 2]]
     np.testing.assert_array_equal(drift_from_robot(local, np.array([3, 2])), drift_from_robot(whole, np.array([3, 2])))
     np.testing.assert_array_equal(drift_from_robot(local, np.arange(2)), np.tile(MOST_DRIFT**2 * np.eye(2), (2, 1, 1)))
     assert known_jointly(points, local).tolist() == [False, True]

@@ -343,7 +343,7 @@ def test_an_edge_that_a_turn_sees_through_is_broken(simulate) -> None:
     assert (point_distance(wall_points, after.segments) < 0.15).all()
 
 
-def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simulate) -> None:
+def test_a_face_that_drifted_is_neither_refuted_nor_in_the_way(simulate) -> None:
     """A wall mapped from both sides, its far face 0.5 m too near: an error that the map holds possible."""
     world = simulate([[-4.0, 2.0, 4.0, 2.0]], spacing=1.0)
     world.observe(np.array([0.0, 5.0, 0.0]))
@@ -364,8 +364,6 @@ def test_a_face_that_drifted_is_neither_refuted_nor_missed_nor_in_the_way(simula
         tfg = world.observe(np.array([0.0, 0.0, 0.0]))
         # It stands in what is seen free, so there is nothing there now ...
         assert far_face(tfg) == 0.0
-        missed = (np.abs(tfg.frontiers[:, 0]) < 3.0) & (np.abs(tfg.frontiers[:, 1] - 2.0) < 1.0)
-        assert missed.any() != held
         # ... until the map is corrected.
         world.error = None
         corrected = replace(world.estimate, p_ML=world.p_WT[world.estimate.ids], X_MA=np.array([*views, np.zeros(3)]))

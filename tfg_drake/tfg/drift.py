@@ -1,14 +1,8 @@
-"""How far apart two things that belong together may have been mapped.
-
-The two faces of one wall carry different landmarks, and on a large map those may be tied together only by a long way
-round: by then they can stand apart by more than the wall is thick, or pass through each other. The same holds for what
-the robot sees now and what it mapped when it was last here.
-"""
+"""How far apart what the robot sees now may have been mapped from what it mapped when it was last here."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
@@ -52,38 +46,3 @@ def known_jointly(points: FloatArray, estimate: MapEstimate, reach: float = NEIG
         return np.ones(len(points), dtype=np.bool_)
     distance, _ = cKDTree(estimate.p_ML[others]).query(points)
     return np.asarray(distance > reach)
-
-
-def drift_between(points: FloatArray, normals: FloatArray, estimate: MapEstimate) -> FloatArray:
-    """Standard deviation (n,), m, along the normals, between the landmarks round each point, the worst pair's.
-
-    points: (n, 2) and unit normals (n, 2) in M. Zero where fewer than two landmarks are near that are known jointly,
-    MOST_DRIFT at most.
-    """
-    variance = _worst_pair(points, normals, estimate.local_p_ML, estimate.covariance)
-    return np.asarray(np.minimum(np.sqrt(variance), MOST_DRIFT))
-
-
-@njit(cache=True)
-def _worst_pair(points: FloatArray, normals: FloatArray, p_ML: FloatArray, covariance: FloatArray) -> FloatArray:
-    """The largest variance (n,), m^2, of how far apart two of the landmarks p_ML (l, 2) within NEIGHBOURHOOD of each of
-    the points (n, 2) are along its normal (n, 2), by their covariance, row by row."""
-    worst = np.zeros(len(points))
-    near, along = np.empty(len(p_ML), dtype=np.int64), np.empty(len(p_ML))
-    for i in range(len(points)):
-        u, v = normals[i, 0], normals[i, 1]
-        count = 0
-        for k in range(len(p_ML)):
-            dx, dy = p_ML[k, 0] - points[i, 0], p_ML[k, 1] - points[i, 1]
-            if dx * dx + dy * dy > NEIGHBOURHOOD * NEIGHBOURHOOD:
-                continue
-            x, y = 2 * k, 2 * k + 1
-            near[count] = k
-            along[count] = u * u * covariance[x, x] + v * v * covariance[y, y] + 2.0 * u * v * covariance[x, y]
-            for other in range(count):
-                a, b = 2 * near[other], 2 * near[other] + 1
-                shared = u * u * covariance[x, a] + v * v * covariance[y, b]
-                shared += u * v * (covariance[x, b] + covariance[y, a])
-                worst[i] = max(worst[i], along[count] + along[other] - 2.0 * shared)
-            count += 1
-    return worst

@@ -8,7 +8,6 @@ that saw them, so that they move with the map.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -20,7 +19,6 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
-from tfg_drake.tfg.drift import DRIFT_SIGMAS
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import covered, joined, sample, segments_of
 from tfg_drake.tfg.segmentation import Components
@@ -190,25 +188,19 @@ def find_uninspected(components: Components, max_range: float, max_incidence: fl
 
 
 def find_unseen_backs(
-    offsets: IntArray,
-    vertices: FloatArray,
-    stars: tuple[IntArray, FloatArray],
-    drift: Callable[[FloatArray, FloatArray], FloatArray],
+    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Points (u, 2) and normals (u, 2) of the faces of thin walls that no turn has seen, only the other face.
 
     Free space begins right behind such a wall, but no surface faces it. offsets, vertices: all surfaces, packed, m.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame. drift: of points and normals there, the
-    standard deviation of how far the two faces may have been mapped apart, m.
+    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
     """
     points, normals, _, _, _ = sample(offsets, vertices, UNINSPECTED_SPACING)
     segments, _ = segments_of(offsets, vertices)
     faced = covered(points, -normals, segments, np.full(len(points), THIN_WALL))
     points, normals = points[~faced], -normals[~faced]
     free = inside_any(points + THIN_WALL * normals, *stars)
-    points, normals = points[free], normals[free]
-    unseen = ~covered(points, normals, segments, THIN_WALL + DRIFT_SIGMAS * drift(points, normals))
-    return points[unseen], normals[unseen]
+    return points[free], normals[free]
 
 
 def find_open_ends(

@@ -33,7 +33,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.tfg.drift import MOST_DRIFT, drift_between, known_jointly
+from tfg_drake.tfg.drift import MOST_DRIFT, known_jointly
 from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
@@ -274,12 +274,7 @@ class _Newest:
         self, offsets: IntArray, placed: FloatArray, stars: Stars
     ) -> tuple[FrontierPoints, FrontierPoints]:
         """The unseen backs and the open ends of surfaces placed in M; stars: of all views."""
-
-        # Of a wall mapped from either side, both faces count, as far apart as they may have drifted.
-        def drift(p: FloatArray, normal: FloatArray) -> FloatArray:
-            return drift_between(p, normal, self.estimate)
-
-        backs = find_unseen_backs(offsets, placed, stars.polygons, drift)
+        backs = find_unseen_backs(offsets, placed, stars.polygons)
         ends = find_open_ends(offsets, placed, stars.polygons)
         return self._on_surface(*backs, UNINSPECTED_SPACING), self._on_surface(*ends, END_LENGTH)
 
