@@ -26,8 +26,8 @@ class Keyframes(NamedTuple):
     """k keyframes in flat arrays.
 
     offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL and on_error. rows: of its
-    landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 8). starts: (k + 1,) the
-    same of information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
+    landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 13). starts: (k + 1,)
+    the same of information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
     """
 
     offsets: IntArray
@@ -44,7 +44,7 @@ class Keyframes(NamedTuple):
 
 
 class Values(NamedTuple):
-    """X_MN: (k + 1, 3), p_ML: (n, 2), shared: (8,), errors: (n, 2) of the tags' range and bearing, m and rad."""
+    """X_MN: (k + 1, 3), p_ML: (n, 2), shared: (13,), errors: (n, 2) of the tags' range and bearing, m and rad."""
 
     X_MN: FloatArray
     p_ML: FloatArray
@@ -64,8 +64,8 @@ class Unknowns(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
-    """All keyframes in flat arrays, the prior of the parameters, mean (8,) and information (8, 8), and the information
-    (2,) on the errors of each tag, infinite where tags have none."""
+    """All keyframes in flat arrays, the prior of the parameters, mean (13,) and information (13, 13), and the
+    information (2,) on the errors of each tag, infinite where tags have none."""
 
     keyframes: Keyframes
     mean: FloatArray

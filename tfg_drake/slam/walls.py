@@ -13,10 +13,12 @@ differ by pi.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
@@ -125,10 +127,26 @@ def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArra
     normal to the wall there (w, 2), m. Along a wall its points tell nothing."""
     rows = ~is_tag(known.ids)
     p_ML, covariance = known.p_ML[rows].reshape(-1, 2, 2), known.landmark_covariance[rows].reshape(-1, 2, 2, 2)
-    along = p_ML[:, 1] - p_ML[:, 0]
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    _, normal, _ = _directions(p_ML)
     variance = np.einsum("wi,wkij,wj->wk", normal, covariance, normal)
     return known.ids[rows][::2], p_ML, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit vectors (q, 2) along and normal to the walls through pairs of points (q, 2, 2), and the points' distances
+    (q,), m."""
+    along = pairs[:, 1] - pairs[:, 0]
+    length = np.hypot(*along.T)
+    along = along / np.maximum(length, 1e-9)[:, None]
+    return along, np.column_stack([along[:, 1], -along[:, 0]]), length
+
+
+def _diagonal(blocks: Sequence[ArrayLike], rows: int, columns: int) -> FloatArray:
+    """The matrix of q blocks (rows, columns) on its diagonal, (q rows, q columns)."""
+    q = len(blocks)
+    whole = np.zeros((q, rows, q, columns))
+    whole[np.arange(q), :, np.arange(q)] = np.reshape(blocks, (q, rows, columns))
+    return whole.reshape(q * rows, q * columns)
 
 
 def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
@@ -228,26 +246,16 @@ def with_floor(
 
 def along_walls(p_AL: FloatArray, deviation: float = HELD) -> FloatArray:
     """Information (4w, 4w) that holds pairs of points (2w, 2) along their walls."""
-    held = np.zeros((2 * len(p_AL), 2 * len(p_AL)))
-    for k in range(0, len(p_AL), 2):
-        along = p_AL[k + 1] - p_AL[k]
-        along /= np.hypot(*along)
-        block = np.outer(along, along) / deviation**2
-        held[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = held[2 * k + 2 : 2 * k + 4, 2 * k + 2 : 2 * k + 4] = block
-    return held
+    along = np.repeat(_directions(p_AL.reshape(-1, 2, 2))[0], 2, axis=0)
+    return _diagonal([np.outer(one, one) / deviation**2 for one in along], 2, 2)
 
 
 def floor_of_points(p_AL: FloatArray, level: float = 1.0) -> FloatArray:
     """Covariance (4w, 4w) of pairs of points (2w, 2) by the floor, level times FLOOR, of what a keyframe tells of their
     walls."""
-    floor = np.zeros((2 * len(p_AL), 2 * len(p_AL)))
-    for k in range(0, len(p_AL), 2):
-        along = p_AL[k + 1] - p_AL[k]
-        length = float(np.hypot(*along))
-        normal = np.array([along[1], -along[0]]) / length
-        own = np.kron(level**2 * _floor_across(length), np.outer(normal, normal))
-        floor[2 * k : 2 * k + 4, 2 * k : 2 * k + 4] = own
-    return floor
+    _, normals, lengths = _directions(p_AL.reshape(-1, 2, 2))
+    across = zip(normals, lengths, strict=True)
+    return _diagonal([np.kron(level**2 * _floor_across(length), np.outer(n, n)) for n, length in across], 4, 4)
 
 
 def _floor_across(length: float) -> FloatArray:
@@ -285,12 +293,10 @@ def named(one: Keyframe, names: Names, shared: FloatArray) -> Keyframe:
     for k, row in enumerate(at):
         of_wall = slice(4 * k, 4 * k + 4)
         q = y[of_wall].reshape(2, 2)
-        length = float(np.hypot(*(q[1] - q[0])))
-        along = (q[1] - q[0]) / length
+        (along,), (normal,), (length,) = _directions(q[None])
         s = (names.p_AL[row] - q[0]) @ along
         # How far the points seen are between those named.
         share = (np.array([0.0, length]) - s[0]) / (s[1] - s[0])
-        normal = np.array([along[1], -along[0]])
         J[of_wall, of_wall] = np.kron(np.column_stack([1.0 - share, share]), np.outer(normal, normal))
         y[of_wall] = (q[0] + s[:, None] * along).ravel()
         held[of_wall, of_wall] = along_walls(y[of_wall].reshape(2, 2), HELD if names.is_new[row] else FREE)
@@ -313,7 +319,7 @@ def identified(
     """
     p_AL, _, covariance = one.given(estimate.shared)
     seen = np.flatnonzero(~is_tag(one.ids))[::2]
-    length = np.hypot(*(p_AL[seen + 1] - p_AL[seen]).T)
+    length = _directions(p_AL[seen[:, None] + [0, 1]])[2]
     row, known = rows_of(walls.first, estimate.ids)
     known &= estimate.is_local[row] if len(row) else known
     at = np.flatnonzero(known)
@@ -364,27 +370,22 @@ def _off(
     """How far off (2q,) m pairs of points (q, 2, 2), seen from the newest pose with covariance R (4q, 4q), are from
     walls of the map, at P (q, 2, 2), along their normals; the covariance (2q, 2q) of that, and of one floor. entry:
     (q,) of each first point among the landmarks known jointly."""
-    q, X_MD = len(P), estimate.X_MD
-    J, N = np.zeros((2 * q, len(estimate.covariance))), np.zeros((2 * q, 4 * q))
-    off, floor = np.empty(2 * q), np.zeros((2 * q, 2 * q))
-    for k in range(q):
-        Q, along, rows = se2.transform(X_MD, p_AL[k]), P[k, 1] - P[k, 0], slice(2 * k, 2 * k + 2)
-        length, seen_length = float(np.hypot(*along)), float(np.hypot(*(Q[1] - Q[0])))
-        normal = np.array([along[1], -along[0]]) / length
-        off[rows] = (Q - P[k, 0]) @ normal
-        J[rows, 2 * entry[k] : 2 * entry[k] + 4], J[rows, -3:] = _on_wall(Q, P[k], X_MD)
-        N[rows, 4 * k : 4 * k + 4] = np.kron(np.eye(2), normal @ se2.rotation(float(X_MD[2])))
-        floor[rows, rows] = _floor_across(seen_length)
-    return off, J @ estimate.covariance @ J.T + N @ R @ N.T, floor
+    X_MD, (_, normal, _) = estimate.X_MD, _directions(P)
+    Q = se2.transform(X_MD, p_AL.reshape(-1, 2)).reshape(-1, 2, 2)
+    by_walls, by_pose = zip(*(_on_wall(Q[k], P[k], X_MD) for k in range(len(P))), strict=True)
+    J = np.column_stack([_diagonal(by_walls, 2, 4), np.vstack(by_pose)])
+    columns = np.append((2 * entry[:, None] + np.arange(4)).ravel(), len(estimate.covariance) - np.arange(3, 0, -1))
+    N = _diagonal([np.kron(np.eye(2), n @ se2.rotation(float(X_MD[2]))) for n in normal], 2, 4)
+    floor = _diagonal([_floor_across(length) for length in _directions(p_AL)[2]], 2, 2)
+    off = np.sum((Q - P[:, :1]) * normal[:, None], axis=2).ravel()
+    return off, J @ estimate.covariance[np.ix_(columns, columns)] @ J.T + N @ R @ N.T, floor
 
 
 def _on_wall(Q: FloatArray, P: FloatArray, X_MD: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives (2, 4) and (2, 3) of how far points Q (2, 2) are off a wall through P (2, 2), on that and on the pose
     X_MD (3,) that they are seen from."""
-    along = P[1] - P[0]
-    length = np.hypot(*along)
-    along = along / length
-    normal, u, lever = np.array([along[1], -along[0]]), (Q - P[0]) @ along / length, Q - X_MD[:2]
+    (along,), (normal,), (length,) = _directions(P[None])
+    u, lever = (Q - P[0]) @ along / length, Q - X_MD[:2]
     turned = lever[:, 0] * normal[1] - lever[:, 1] * normal[0]
     on_wall = np.hstack([np.outer(u - 1.0, normal), np.outer(-u, normal)])
     return on_wall, np.column_stack([np.tile(normal, (2, 1)), turned])
@@ -397,23 +398,16 @@ def _compared(
     (k, 2, 2): the squared error (k,) in deviations and how far off (k,) m, infinite where they look another way or
     hardly overlap; where along the wall (k, 2) m, and how much they overlap (k,) m. reach: as of Walls. entry: (k,) of
     each first point among the landmarks known jointly."""
-    X_MD, joint = estimate.X_MD, estimate.covariance
-    Q = se2.transform(X_MD, p_AL)
-    along = P[:, 1] - P[:, 0]
-    length = np.hypot(*along.T)
-    along = along / length[:, None]
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
+    Q = se2.transform(estimate.X_MD, p_AL)
+    along, normal, _ = _directions(P)
     apart, seen = Q - P[:, :1], Q[1] - Q[0]
     s, e = np.einsum("kji,ki->kj", apart, along), np.einsum("kji,ki->kj", apart, normal)
     overlap = np.minimum(reach[:, 1], s[:, 1]) - np.maximum(reach[:, 0], s[:, 0])
     seen_length = float(np.hypot(*seen))
     candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
     squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
-    newest = np.arange(len(joint) - 3, len(joint))
     for k in np.flatnonzero(candidates):
-        columns, J = np.append(2 * entry[k] + np.arange(4), newest), np.hstack(_on_wall(Q, P[k], X_MD))
-        own = np.kron(np.eye(2), normal[k] @ se2.rotation(float(X_MD[2])))
-        S = J @ joint[np.ix_(columns, columns)] @ J.T + own @ R @ own.T
+        _, S, _ = _off(p_AL[None], R, P[[k]], entry[[k]], estimate)
         if np.trace(S) < 2.0 * MOST_DEVIATION**2:
             squared[k] = e[k] @ np.linalg.solve(S, e[k])
     return squared, off, s, overlap
