@@ -145,7 +145,7 @@ def _diagonal(blocks: Sequence[ArrayLike], rows: int, columns: int) -> FloatArra
     """The matrix of q blocks (rows, columns) on its diagonal, (q rows, q columns)."""
     q = len(blocks)
     whole = np.zeros((q, rows, q, columns))
-    whole[np.arange(q), :, np.arange(q)] = np.reshape(blocks, (q, rows, columns))
+    whole[np.arange(q), :, np.arange(q)] = np.array(blocks, dtype=float).reshape(q, rows, columns)
     return whole.reshape(q * rows, q * columns)
 
 
