@@ -97,3 +97,15 @@ def test_rays_of_a_sweep_are_taken_one_after_the_other(speed, turn_rate):
         if alone < 8.0:
             assert found.ranges[k] == pytest.approx(alone, abs=0.01)
     assert found.ranges[124] != scan(WALL, pose, 0.0, angles, np.zeros(249), CONFIG).ranges[124]
+
+
+def test_a_wall_seen_aslant_is_not_mixed_with_itself():
+    """Along a corridor neighbouring rays differ by decimetres; at its end it is open, and behind that is a wall."""
+    angles = np.arange(-60, 61) * 0.01
+    corridor = np.array([[-1.0, -1.0, 8.0, -1.0], [8.0, 5.0, 9.0, -5.0]])
+    whole = scan(corridor, np.zeros(3), 0.0, angles, np.zeros(len(angles)), ScanConfig(noise=0.0, range=20.0))
+    found = spoilt(whole, np.full(len(angles), 0.5), ScanRealityConfig(mixed_probability=1.0))
+    changed = np.flatnonzero(found.ranges != whole.ranges)
+    steps = np.abs(np.diff(whole.ranges[np.isfinite(whole.ranges)]))
+    assert np.count_nonzero(steps > 0.1) > 5
+    assert len(changed) <= 1

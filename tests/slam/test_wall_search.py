@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from tfg_drake.geometry import se2
-from tfg_drake.slam.wall_search import ON_WALL, find_place, share_on_walls
+from tfg_drake.slam.wall_search import SAME, find_place
 
 # Faces seen from their left: a room of 6 by 4 m with a niche, and beside it one of 5 by 3 m.
 ROOM = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 2, 4], [2, 4, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]]
 OTHER = [[0.0, 0, 5, 0], [5, 0, 5, 3], [5, 3, 0, 3], [0, 3, 0, 0]]
 TURNED = np.array([9.0, 1.0, 0.3])
-HERE = np.array([2.0, 1.5, 0.7])
+HERE, AWAY = np.array([2.0, 1.5, 0.7]), np.array([50.0, 0.0, 1.2])
 
 
 def walls(room, at=(0.0, 0.0, 0.0)):
@@ -34,46 +34,48 @@ def both():
 
 @pytest.mark.parametrize("pose", [HERE, np.array([4.0, 2.0, -2.5]), np.array([0.5, 0.5, 3.0])])
 def test_exact_without_noise(pose):
-    found = find_place(seen(walls(ROOM), pose), both(), reach(both()))
+    found, here = find_place(seen(walls(ROOM), pose), both(), reach(both()), AWAY)
     assert found is not None
     np.testing.assert_allclose(se2.between(pose, found), 0.0, atol=1e-9)
+    assert here < 0.3
 
 
 def test_noise_moves_the_pose_by_as_much():
     rng = np.random.default_rng(0)
     noisy = seen(walls(ROOM), HERE) + rng.normal(0.0, 0.01, (6, 2, 2))
-    found = find_place(noisy, both(), reach(both()))
+    found, _ = find_place(noisy, both(), reach(both()), AWAY)
     assert found is not None
     assert np.abs(se2.between(HERE, found)).max() < 0.02
 
 
 def test_where_nothing_is_mapped_nothing_is_found():
     known = walls(ROOM)
-    assert find_place(seen(walls(OTHER), HERE), known, reach(known)) is None
-    assert find_place(seen(known, HERE), known[:0], reach(known[:0])) is None
-    assert find_place(np.zeros((0, 2, 2)), known, reach(known)) is None
+    assert find_place(seen(walls(OTHER), HERE), known, reach(known), AWAY)[0] is None
+    assert find_place(seen(known, HERE), known[:0], reach(known[:0]), AWAY) == (None, 0.0)
+    assert find_place(np.zeros((0, 2, 2)), known, reach(known), AWAY) == (None, 0.0)
 
 
 def test_of_two_equal_rooms_neither_is_believed():
     known = np.concatenate([walls(ROOM), walls(ROOM, TURNED)])
-    assert find_place(seen(walls(ROOM), HERE), known, reach(known)) is None
+    assert find_place(seen(walls(ROOM), HERE), known, reach(known), AWAY)[0] is None
 
 
 def test_a_room_that_looks_the_same_turned_round_is_not_believed():
     known = walls(OTHER)
-    assert find_place(seen(known, HERE), known, reach(known)) is None
+    assert find_place(seen(known, HERE), known, reach(known), AWAY)[0] is None
 
 
 def test_what_few_walls_tell_is_not_believed():
     """A corner is anywhere."""
-    assert find_place(seen(walls(ROOM)[:2], HERE), both(), reach(both())) is None
+    assert find_place(seen(walls(ROOM)[:2], HERE), both(), reach(both()), AWAY)[0] is None
 
 
-def test_the_share_on_walls_is_of_what_was_seen():
+def test_what_fits_the_expected_pose_is_told():
+    """All of it, as far off as the pose may be; of a room of which half is mapped, so much."""
     known = walls(ROOM)
     of = seen(known, HERE)
-    assert share_on_walls(HERE, of, known, reach(known)) == pytest.approx(1.0)
-    aside = HERE + np.array([2.0 * ON_WALL, 3.0 * ON_WALL, 0.0])
-    assert share_on_walls(aside, of, known, reach(known)) == 0.0
     length = np.hypot(*(of[:, 1] - of[:, 0]).T)
-    assert share_on_walls(HERE, of, known[:3], reach(known)[:3]) == pytest.approx(length[:3].sum() / length.sum())
+    for aside in (0.0, 0.9 * SAME[0]):
+        assert find_place(of, known, reach(known), HERE + np.array([aside, 0.0, 0.0]))[1] == pytest.approx(1.0)
+    half = find_place(of, known[:3], reach(known)[:3], HERE)[1]
+    assert half == pytest.approx(length[:3].sum() / length.sum())

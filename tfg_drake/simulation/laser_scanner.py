@@ -12,8 +12,9 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.visibility import cast_rays, disc_distances
 from tfg_drake.messages import FloatArray, LaserScan, replace
 
-# Two neighbouring rays that differ by more than this met surfaces one behind the other, m.
-EDGE = 0.1
+# Two neighbouring rays that differ by more than this, m, and so many times as much as either does from the next one,
+# met surfaces one behind the other: not one that is seen aslant.
+EDGE, ABRUPT = 0.1, 2.0
 
 # Rays of a sweep that are cast from one place: meanwhile the robot moves on by millimetres.
 BLOCK = 16
@@ -87,7 +88,10 @@ def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> 
     ranges, dropout, mixed = scan.ranges.copy(), reality.dropout_probability, reality.mixed_probability
     ahead, behind = scan.ranges[:-1], scan.ranges[1:]
     # Both must have met something.
-    edge = np.append(np.abs(np.where(np.isfinite(ahead + behind), behind - ahead, 0.0)) > EDGE, False)
+    met = np.isfinite(ahead) & np.isfinite(behind)
+    step = np.abs(np.subtract(behind, ahead, out=np.zeros(len(ahead)), where=met))
+    beside = np.maximum(np.append(0.0, step[:-1]), np.append(step[1:], 0.0))
+    edge = np.append((step > EDGE) & (step > ABRUPT * beside), False)
     share = (uniform - dropout) / mixed if mixed > 0.0 else np.full(len(ranges), -1.0)
     between = np.flatnonzero(edge & (share >= 0.0) & (share < 1.0))
     ranges[between] += share[between] * (scan.ranges[between + 1] - scan.ranges[between])

@@ -26,9 +26,6 @@ from tfg_drake.slam.walls import Walls, floor_of_points, no_walls
 MOST_LOCAL = 30
 # Tags seen in fewer frames become no goal: one of them may be wrong, or its id misread.
 LEAST_FRAMES = 2
-# So many lines of a scan of which none is a wall of the map say that the robot is elsewhere: after each view what is in
-# sight is mapped.
-LEAST_STRANGE = 2
 # Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
 ANYWHERE = (1.0, 1.0, 0.5)
 
@@ -170,7 +167,7 @@ def corrected_by_walls(
 ) -> tuple[Localizer, int, int]:
     """The localiser corrected by the lines (k, 11) of a scan of its instant, see `scan_lines`, as far as they are walls
     that it knows; how many of the lines tell whether it is where it seems to be, and how many say that it is not: those
-    behind such walls or off them by more than can be, and all where there are several and none is such a wall.
+    behind such walls or off them by more than can be.
 
     twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
     """
@@ -179,8 +176,7 @@ def corrected_by_walls(
     wall = walls_seen(*seen, now.wall_points, now.reach)
     through = seen_through(*seen, wall, now.wall_points, now.reach)
     if (wall < 0).all():
-        against = len(lines) if len(now.walls) and len(lines) >= LEAST_STRANGE else through
-        return now, against, against
+        return now, through, through
     lines, first = lines[wall >= 0], now.walls[wall[wall >= 0]]
     new = np.setdiff1d(first, now.seen)
     if len(new):

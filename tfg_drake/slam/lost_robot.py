@@ -33,7 +33,7 @@ from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.wall_search import find_place, share_on_walls, tells_place
+from tfg_drake.slam.wall_search import find_place, tells_place
 from tfg_drake.slam.walls import LEAST_LENGTH, no_lines
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -63,9 +63,9 @@ LEAST_BASE = 0.4
 # Headings that are tried for each tag by itself, and tags that are tried, the surest.
 HEADINGS = 16
 MOST_TAGS = 12
-# Among walls the robot is looked for after so many more looks, and is elsewhere if it has not found itself for so long,
-# s, and no more than this share of what it has seen is where the pose has it.
-LOOKS, LONGEST_SEARCH, LEAST_LIKE = 5, 5.0, 0.3
+# Among walls the robot is looked for after so many more looks, where no more than this share of what it has seen fits
+# the pose, and is elsewhere if it has not found itself for so long, s.
+LOOKS, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 5.0
 # So many of the newest frames are looked at.
 MOST_FRAMES = 50
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
@@ -180,21 +180,19 @@ def _found_among_walls(
     row = np.searchsorted(estimate.ids, state.walls.first)
     firm = np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2
     walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
-    X_MA = find_place(seen, walls, reach)
+    if not tells_place(seen):
+        return state
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
+    X_MA, here = find_place(seen, walls, reach, expected)
+    if here > LEAST_LIKE and not state.kidnapped:
+        return replace(state, contradictions=0, suspect=None)
     if X_MA is None:
-        if not tells_place(seen):
-            return state
-        unlike = share_on_walls(expected, seen, walls, reach) < LEAST_LIKE
-        waits = stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last
-        if state.kidnapped or waits or not unlike:
+        if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
         _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
         return _kidnapped(state, replace(opened(state), sigma=KIDNAPPED))
     off = X_MA - expected
     distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
-    if distance < SAME[0] and angle < SAME[1]:
-        return replace(state, contradictions=0, suspect=None)
     _log.warning(
         "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
         stamp, distance, angle,

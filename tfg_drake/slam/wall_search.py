@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 # The longest walls seen are used, so many.
 MOST = 8
@@ -28,30 +28,33 @@ SAME = (0.5, 0.2)
 MARGIN = 1.5
 
 
-def find_place(seen: FloatArray, walls: FloatArray, reach: FloatArray) -> FloatArray | None:
-    """The pose X_MA (3,) of the frame A in which walls (s, 2, 2) m were seen, None where that is not known.
+def find_place(
+    seen: FloatArray, walls: FloatArray, reach: FloatArray, expected: FloatArray
+) -> tuple[FloatArray | None, float]:
+    """The pose X_MA (3,) of the frame A in which walls (s, 2, 2) m were seen, None where that is not known; and the
+    share of what was seen that lies on the map's walls from the best pose that is no farther than SAME from the
+    expected one (3,).
 
     walls: (w, 2, 2) pairs of points of the map's walls, m in M, reach: (w, 2) how far each has been seen, m from its
     first point towards the second.
     """
     length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
     seen = seen[np.argsort(-length, kind="stable")[:MOST]]
-    poses = _candidates(seen, walls) if len(walls) else np.empty((0, 3))
-    if not len(poses):
-        return None
+    if not (len(walls) and len(seen)):
+        return None, 0.0
+    poses = np.vstack([expected, _candidates(seen, walls)])
     share, on = _judged(poses, seen, walls, reach)
+    here = float(share[~_elsewhere(poses, expected)].max())
     order = np.argsort(-share, kind="stable")
     best = poses[order[0]]
     matched = on[order[0]]
     length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
     enough = matched >= 0
     if share[order[0]] < LEAST_SHARE or not tells_place(seen[enough]):
-        return None
-    off = poses - best
-    other = (np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1])
-    if (share[other] > share[order[0]] - MARGIN / length.sum()).any():
-        return None
-    return _fitted(best, seen[enough], walls[matched[enough]])
+        return None, here
+    if (share[_elsewhere(poses, best)] > share[order[0]] - MARGIN / length.sum()).any():
+        return None, here
+    return _fitted(best, seen[enough], walls[matched[enough]]), here
 
 
 def tells_place(seen: FloatArray) -> bool:
@@ -59,10 +62,10 @@ def tells_place(seen: FloatArray) -> bool:
     return len(seen) >= LEAST_WALLS and float(np.hypot(*(seen[:, 1] - seen[:, 0]).T).sum()) >= LEAST_LENGTH
 
 
-def share_on_walls(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> float:
-    """The share of walls seen (s, 2, 2), by length, that lie on the map's, from the pose X_MA (3,); 1 of none. Further
-    arguments as of `find_place`."""
-    return float(_judged(X_MA[None], seen, walls, reach)[0][0]) if len(seen) and len(walls) else 1.0
+def _elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
+    """Which poses (k, 3) are farther than SAME from another (3,)."""
+    off = poses - X
+    return np.asarray((np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1]))
 
 
 def _directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
