@@ -229,7 +229,7 @@ def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(see
     arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
     seen = judge.seen(point)
     assert len(seen.index) == len(landmarks.ids)
-    n, noise = 2 * len(landmarks.ids), judge._noise
+    n, noise = 2 * len(landmarks.ids), judge.noise
 
     # The Gaussian of landmarks and arrival pose, and the measurements' Jacobian by differences.
     F = np.eye(n + 3)

@@ -18,9 +18,9 @@ views        2 turns and glances, the last at 20.2 s
 landmarks    4 landmarks
 deviation    1\u03c3 of a landmark {median} m median, {worst} m worst (tag 13)
 entropy      {entropy} nats
-surfaces     1 edges between landmarks, 2.0 m
-             1 wall ends at a landmark, 0.5 m
-             1 surfaces without one, 1.1 m
+surfaces     1 on walls or between tags, 2.0 m
+             1 that end at a tag, 0.5 m
+             1 without a landmark, 1.1 m
 free space   {area} m2
 frontiers    1 open, 0.4 m
 calibration  none
