@@ -177,11 +177,11 @@ def _found_among_walls(
     one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
     seen = one.given(shared.mean)[0][~is_tag(one.ids)].reshape(-1, 2, 2)
     seen = seen[np.hypot(*(seen[:, 1] - seen[:, 0]).T) >= LEAST_LENGTH]
-    row = np.searchsorted(estimate.ids, state.walls.first)
-    firm = np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2
-    walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
-    if not tells_place(seen):
+    row, known = rows_of(state.walls.first, estimate.ids)
+    if not known.any() or not tells_place(seen):
         return state
+    firm = known & (np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2)
+    walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     X_MA, here = find_place(seen, walls, reach, expected)
     if here > LEAST_LIKE and not state.kidnapped:
