@@ -160,8 +160,8 @@ class _Ends:
 
 
 def _moved_ends(segments: FloatArray, ids: IntArray, estimate: MapEstimate) -> _Ends:
-    """What carries the ends of surface pieces (g, 4) that join landmarks of ids (g, 2), -1 for none; a piece without a
-    landmark goes with the nearest one."""
+    """The landmarks that the ends of surface pieces (g, 4) go with: those of ids (g, 2) that each joins, -1 for none; a
+    piece without a landmark goes with the nearest one."""
     known, p_ML = estimate.ids[estimate.is_local], estimate.local_p_ML
     row = np.minimum(np.searchsorted(known, ids), len(known) - 1)
     found = known[row] == ids

@@ -9,7 +9,7 @@ from tests.slam.test_scan_lines import ANGLES, CONFIG
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import SCANNER_CLOCK, SCANNER_X, SCANNER_Y, SCANNER_YAW, SHARED, SWEEP
-from tfg_drake.slam.wall_correction import line_off, walls_seen
+from tfg_drake.slam.wall_correction import line_off, seen_through, walls_seen
 
 # A room's far wall and the wall on its left, each from where it is seen to begin to where it ends, counterclockwise.
 AHEAD = np.array([[4.0, -3.0], [4.0, 3.0]])
@@ -78,3 +78,21 @@ def test_a_sweep_is_known(twist):
     line = scan_lines(replace(scanned, ranges=ranges))[0]
     off, naive = (line_off(X_DB, known, twist, line, AHEAD)[0] for known in (shared, np.zeros(SHARED)))
     assert (np.abs(off) < 0.01 * np.abs(naive).max()).all()
+
+
+@pytest.mark.parametrize(
+    ("wall", "reach", "found", "count"),
+    [
+        (AHEAD - [2.0, 0.0], (0.0, 6.0), -1, 1),
+        (AHEAD - [2.0, 0.0], (0.0, 6.0), 0, 0),
+        (AHEAD - [2.0, 0.0], (0.0, 2.9), -1, 0),
+        (AHEAD[::-1] - [2.0, 0.0], (0.0, 6.0), -1, 0),
+        (AHEAD + [2.0, 0.0], (0.0, 6.0), -1, 0),
+        (AHEAD - [0.2, 0.0], (0.0, 6.0), -1, 0),
+    ],
+    ids=["behind it", "found", "through what was not seen", "from its back", "before it", "hardly behind it"],
+)
+def test_a_line_behind_a_wall_is_seen_through_it(wall, reach, found, count):
+    lines = lines_from(np.zeros(3), AHEAD)
+    against = np.ascontiguousarray(wall)[None], np.array([reach])
+    assert seen_through(np.zeros(3), np.zeros(SHARED), TWIST, lines, np.array([found]), *against) == count

@@ -45,8 +45,8 @@ class Keyframe:
     errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
 
     def by_errors(self) -> FloatArray:
-        """What the cost has beside on the tags' errors, (4n + 16, 2n + 1): its Hessian by (e, the errors) on these, and
-        in the last column its gradient where all are zero."""
+        """Derivatives of the cost on the tags' errors, (4n + 16, 2n + 1): the Hessian by (e, the errors) on these, and
+        in the last column the gradient where all are zero."""
         if len(self.errors) or not len(self.ids):
             return self.errors
         n, i = len(self.ids), np.arange(len(self.ids))
@@ -77,7 +77,7 @@ class Keyframe:
         return covariance, -covariance @ self.information[:m, m:]
 
     def alone(self) -> tuple[FloatArray, FloatArray]:
-        """What it says of the parameters by itself: information (13, 13), and gradient (13,) where they are zero."""
+        """Information (13, 13) on the parameters by this keyframe alone, and its gradient (13,) where they are zero."""
         m = len(self.information) - SHARED
         _, by_shared = self.conditional()
         own = self.information[m:, m:] + self.information[m:, :m] @ by_shared

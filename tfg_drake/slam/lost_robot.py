@@ -34,7 +34,7 @@ from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.wall_search import find_place, tells_place
-from tfg_drake.slam.walls import LEAST_LENGTH, no_lines
+from tfg_drake.slam.walls import LEAST_LENGTH, directions, no_lines
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
 SAME_PLACE = 16.0
@@ -109,7 +109,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     estimate, suspect = state.map, state.suspect
     if estimate is None or suspect is None:
         return state
-    if not any(len(rows_of(frame.detections.ids, estimate.ids)[1].nonzero()[0]) for frame in suspect.frames):
+    if not any(rows_of(frame.detections.ids, estimate.ids)[1].any() for frame in suspect.frames):
         return _found_among_walls(state, estimate, suspect, stamp, at_last=at_last)
     if at_last:
         return state
@@ -176,7 +176,7 @@ def _found_among_walls(
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
     one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
     seen = one.given(shared.mean)[0][~is_tag(one.ids)].reshape(-1, 2, 2)
-    seen = seen[np.hypot(*(seen[:, 1] - seen[:, 0]).T) >= LEAST_LENGTH]
+    seen = seen[directions(seen)[2] >= LEAST_LENGTH]
     row, known = rows_of(state.walls.first, estimate.ids)
     if not known.any() or not tells_place(seen):
         return state

@@ -61,8 +61,8 @@ class _Update:
 
 
 def distance_to(ids: IntArray, p_ML: FloatArray, X: FloatArray) -> FloatArray:
-    """How far, m, landmarks of ids (n,) at p_ML (n, 2) are from a pose (3,), (n,); both points of a wall as far as what
-    is between them."""
+    """Distances (n,), m, of landmarks with ids (n,) at p_ML (n, 2) from a pose (3,); of both points of a wall that of
+    the stretch between them."""
     off = p_ML - X[:2]
     first, second = off[~is_tag(ids)].reshape(-1, 2, 2).transpose(1, 0, 2)
     along = second - first

@@ -13,6 +13,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.slam.walls import directions
 
 # The longest walls seen are used, so many.
 MOST = 8
@@ -38,28 +39,24 @@ def find_place(
     walls: (w, 2, 2) pairs of points of the map's walls, m in M, reach: (w, 2) how far each has been seen, m from its
     first point towards the second.
     """
-    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
-    seen = seen[np.argsort(-length, kind="stable")[:MOST]]
     if not (len(walls) and len(seen)):
         return None, 0.0
+    seen = seen[np.argsort(-directions(seen)[2], kind="stable")[:MOST]]
     poses = np.vstack([expected, _candidates(seen, walls)])
     share, on = _judged(poses, seen, walls, reach)
     here = float(share[~_elsewhere(poses, expected)].max())
-    order = np.argsort(-share, kind="stable")
-    best = poses[order[0]]
-    matched = on[order[0]]
-    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
-    enough = matched >= 0
-    if share[order[0]] < LEAST_SHARE or not tells_place(seen[enough]):
+    best = int(np.argmax(share))
+    matched = on[best] >= 0
+    if share[best] < LEAST_SHARE or not tells_place(seen[matched]):
         return None, here
-    if (share[_elsewhere(poses, best)] > share[order[0]] - MARGIN / length.sum()).any():
+    if (share[_elsewhere(poses, poses[best])] > share[best] - MARGIN / directions(seen)[2].sum()).any():
         return None, here
-    return _fitted(best, seen[enough], walls[matched[enough]]), here
+    return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
 
 
 def tells_place(seen: FloatArray) -> bool:
     """Whether walls seen (s, 2, 2) are enough to tell where they are."""
-    return len(seen) >= LEAST_WALLS and float(np.hypot(*(seen[:, 1] - seen[:, 0]).T).sum()) >= LEAST_LENGTH
+    return len(seen) >= LEAST_WALLS and float(directions(seen)[2].sum()) >= LEAST_LENGTH
 
 
 def _elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
@@ -68,17 +65,15 @@ def _elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
     return np.asarray((np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1]))
 
 
-def _directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Heading (n,), unit vector along (n, 2) and normal (n, 2) of walls (n, 2, 2)."""
-    along = pairs[:, 1] - pairs[:, 0]
-    along = along / np.hypot(*along.T)[:, None]
-    return np.arctan2(along[:, 1], along[:, 0]), along, np.column_stack([along[:, 1], -along[:, 0]])
+def _headings(along: FloatArray) -> FloatArray:
+    """The headings (n,), rad, of unit vectors (n, 2)."""
+    return np.asarray(np.arctan2(along[:, 1], along[:, 0]))
 
 
 def _candidates(seen: FloatArray, walls: FloatArray) -> FloatArray:
     """(k, 3) the poses that two seen walls give for any two of the map."""
-    heading_seen, _, _ = _directions(seen)
-    heading, _, normal = _directions(walls)
+    along, normal, _ = directions(walls)
+    heading, heading_seen = _headings(along), _headings(directions(seen)[0])
     middle, offset = seen.mean(axis=1), np.sum(walls[:, 0] * normal, axis=1)
     poses = [np.empty((0, 3))]
     for i, j in itertools.combinations(range(len(seen)), 2):
@@ -102,9 +97,8 @@ def _candidates(seen: FloatArray, walls: FloatArray) -> FloatArray:
 def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> tuple[FloatArray, IntArray]:
     """The share (k,) of what was seen that lies on walls of the map, from each of the poses (k, 3), and the wall (k, s)
     that each seen one lies on most, -1 for none."""
-    heading_seen, _, _ = _directions(seen)
-    heading, along, normal = _directions(walls)
-    length = np.hypot(*(seen[:, 1] - seen[:, 0]).T)
+    (along, normal, _), (along_seen, _, length) = directions(walls), directions(seen)
+    heading, heading_seen = _headings(along), _headings(along_seen)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     total, on = np.zeros(len(poses)), np.empty((len(poses), len(seen)), dtype=np.int64)
     for k in range(len(seen)):
@@ -126,7 +120,7 @@ def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray, reach: Float
 
 def _fitted(pose: FloatArray, seen: FloatArray, walls: FloatArray) -> FloatArray:
     """The pose (3,) from which walls seen (n, 2, 2) lie on those of the map (n, 2, 2) by least squares."""
-    _, _, normal = _directions(walls)
+    _, normal, _ = directions(walls)
     for _ in range(5):
         p = se2.transform(pose, seen.reshape(-1, 2)).reshape(-1, 2, 2)
         off = np.sum((p - walls[:, :1]) * normal[:, None], axis=2).ravel()

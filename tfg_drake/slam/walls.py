@@ -127,12 +127,12 @@ def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArra
     normal to the wall there (w, 2), m. Along a wall its points tell nothing."""
     rows = ~is_tag(known.ids)
     p_ML, covariance = known.p_ML[rows].reshape(-1, 2, 2), known.landmark_covariance[rows].reshape(-1, 2, 2, 2)
-    _, normal, _ = _directions(p_ML)
+    _, normal, _ = directions(p_ML)
     variance = np.einsum("wi,wkij,wj->wk", normal, covariance, normal)
     return known.ids[rows][::2], p_ML, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Unit vectors (q, 2) along and normal to the walls through pairs of points (q, 2, 2), and the points' distances
     (q,), m."""
     along = pairs[:, 1] - pairs[:, 0]
@@ -246,14 +246,14 @@ def with_floor(
 
 def along_walls(p_AL: FloatArray, deviation: float = HELD) -> FloatArray:
     """Information (4w, 4w) that holds pairs of points (2w, 2) along their walls."""
-    along = np.repeat(_directions(p_AL.reshape(-1, 2, 2))[0], 2, axis=0)
+    along = np.repeat(directions(p_AL.reshape(-1, 2, 2))[0], 2, axis=0)
     return _diagonal([np.outer(one, one) / deviation**2 for one in along], 2, 2)
 
 
 def floor_of_points(p_AL: FloatArray, level: float = 1.0) -> FloatArray:
     """Covariance (4w, 4w) of pairs of points (2w, 2) by the floor, level times FLOOR, of what a keyframe tells of their
     walls."""
-    _, normals, lengths = _directions(p_AL.reshape(-1, 2, 2))
+    _, normals, lengths = directions(p_AL.reshape(-1, 2, 2))
     across = zip(normals, lengths, strict=True)
     return _diagonal([np.kron(level**2 * _floor_across(length), np.outer(n, n)) for n, length in across], 4, 4)
 
@@ -293,7 +293,7 @@ def named(one: Keyframe, names: Names, shared: FloatArray) -> Keyframe:
     for k, row in enumerate(at):
         of_wall = slice(4 * k, 4 * k + 4)
         q = y[of_wall].reshape(2, 2)
-        (along,), (normal,), (length,) = _directions(q[None])
+        (along,), (normal,), (length,) = directions(q[None])
         s = (names.p_AL[row] - q[0]) @ along
         # How far the points seen are between those named.
         share = (np.array([0.0, length]) - s[0]) / (s[1] - s[0])
@@ -319,7 +319,7 @@ def identified(
     """
     p_AL, _, covariance = one.given(estimate.shared)
     seen = np.flatnonzero(~is_tag(one.ids))[::2]
-    length = _directions(p_AL[seen[:, None] + [0, 1]])[2]
+    length = directions(p_AL[seen[:, None] + [0, 1]])[2]
     row, known = rows_of(walls.first, estimate.ids)
     known &= estimate.is_local[row] if len(row) else known
     at = np.flatnonzero(known)
@@ -370,13 +370,13 @@ def _off(
     """How far off (2q,) m pairs of points (q, 2, 2), seen from the newest pose with covariance R (4q, 4q), are from
     walls of the map, at P (q, 2, 2), along their normals; the covariance (2q, 2q) of that, and of one floor. entry:
     (q,) of each first point among the landmarks known jointly."""
-    X_MD, (_, normal, _) = estimate.X_MD, _directions(P)
+    X_MD, (_, normal, _) = estimate.X_MD, directions(P)
     Q = se2.transform(X_MD, p_AL.reshape(-1, 2)).reshape(-1, 2, 2)
     by_walls, by_pose = zip(*(_on_wall(Q[k], P[k], X_MD) for k in range(len(P))), strict=True)
     J = np.column_stack([_diagonal(by_walls, 2, 4), np.vstack(by_pose)])
     columns = np.append((2 * entry[:, None] + np.arange(4)).ravel(), len(estimate.covariance) - np.arange(3, 0, -1))
     N = _diagonal([np.kron(np.eye(2), n @ se2.rotation(float(X_MD[2]))) for n in normal], 2, 4)
-    floor = _diagonal([_floor_across(length) for length in _directions(p_AL)[2]], 2, 2)
+    floor = _diagonal([_floor_across(length) for length in directions(p_AL)[2]], 2, 2)
     off = np.sum((Q - P[:, :1]) * normal[:, None], axis=2).ravel()
     return off, J @ estimate.covariance[np.ix_(columns, columns)] @ J.T + N @ R @ N.T, floor
 
@@ -384,7 +384,7 @@ def _off(
 def _on_wall(Q: FloatArray, P: FloatArray, X_MD: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives (2, 4) and (2, 3) of how far points Q (2, 2) are off a wall through P (2, 2), on that and on the pose
     X_MD (3,) that they are seen from."""
-    (along,), (normal,), (length,) = _directions(P[None])
+    (along,), (normal,), (length,) = directions(P[None])
     u, lever = (Q - P[0]) @ along / length, Q - X_MD[:2]
     turned = lever[:, 0] * normal[1] - lever[:, 1] * normal[0]
     on_wall = np.hstack([np.outer(u - 1.0, normal), np.outer(-u, normal)])
@@ -399,7 +399,7 @@ def _compared(
     hardly overlap; where along the wall (k, 2) m, and how much they overlap (k,) m. reach: as of Walls. entry: (k,) of
     each first point among the landmarks known jointly."""
     Q = se2.transform(estimate.X_MD, p_AL)
-    along, normal, _ = _directions(P)
+    along, normal, _ = directions(P)
     apart, seen = Q - P[:, :1], Q[1] - Q[0]
     s, e = np.einsum("kji,ki->kj", apart, along), np.einsum("kji,ki->kj", apart, normal)
     overlap = np.minimum(reach[:, 1], s[:, 1]) - np.maximum(reach[:, 0], s[:, 0])

@@ -1,4 +1,4 @@
-"""How far apart what the robot sees now may have been mapped from what it mapped when it was last here."""
+"""The drift of landmarks: how uncertain they are relative to the robot, and which are known jointly with it."""
 
 from __future__ import annotations
 

@@ -22,6 +22,7 @@ from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
+from tfg_drake.slam.walls import directions
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import (
@@ -156,10 +157,21 @@ class _SeenTags(NamedTuple):
 
 
 class _Walls(NamedTuple):
-    """Walls in A: ids (w,) of their first points, both points (w, 2, 2), m."""
+    """Walls in A: ids (w,) of their first points, these points (w, 2), m, unit vectors (w, 2) towards the second ones,
+    and the distances (w,), m, between the two."""
 
     first: IntArray
-    p_AL: FloatArray
+    origin: FloatArray
+    along: FloatArray
+    length: FloatArray
+
+    def on(self, row: int, at: FloatArray) -> FloatArray:
+        """Points (k, 2), m in A, of a wall at distances (k,), m, from its first point."""
+        return np.asarray(self.origin[row] + at[:, None] * self.along[row])
+
+    def at(self, row: int, points: FloatArray) -> FloatArray:
+        """How far along a wall points (k, 2), m in A, are from its first one, (k,), m."""
+        return np.asarray((points - self.origin[row]) @ self.along[row])
 
 
 def no_surfaces() -> Surfaces:
@@ -207,15 +219,15 @@ def add_observation(
     X_MA = landmarks.X_MA[view]
     X_AM = inverse(X_MA)
     tags = _find_tags(estimate, X_AM, components, panorama.range_max, known_ids, known_facing)
-    walls = _near_walls(landmarks, X_AM, panorama.range_max)
+    walls = _walls_in(landmarks, X_AM)
     seen, others = _from_components(components, tags, walls, view)
 
     draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, landmarks))), [])
     old = _trim(draft, range(len(surfaces.view)), np.zeros((0, 4)), 0.0, panorama, landmarks)
-    pieces = [row for row in old if draft[row].on_wall]
+    pieces, rest = ([row for row in old if draft[row].on_wall == on_wall] for on_wall in (True, False))
     on_walls = [draft.add(piece) for piece in _joined([*(draft[row] for row in pieces), *seen], walls)]
     wall_segments = _segments(draft, on_walls)
-    kept = _trim(draft, [row for row in old if row not in pieces], wall_segments, SURFACE_COVERS)
+    kept = _trim(draft, rest, wall_segments, SURFACE_COVERS)
     new = _trim(draft, [draft.add(piece) for piece in others], wall_segments, SURFACE_COVERS)
     kept = _split(draft, _farther_left(draft, kept, new), tags, ~np.isin(tags.ids, known_ids))
     new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
@@ -247,11 +259,12 @@ def _find_tags(
     return _SeenTags(ids[on], p_AL[on], component[on], along[on], normal[on])
 
 
-def _near_walls(landmarks: MapEstimate, X_AM: FloatArray, reach: float) -> _Walls:
-    """The walls of a map in A, those of whose lines a part may lie within reach, m."""
+def _walls_in(landmarks: MapEstimate, X_AM: FloatArray) -> _Walls:
+    """The walls of a map in A."""
     of_walls = ~is_tag(landmarks.ids)
-    first, p_AL = landmarks.ids[of_walls][::2], transform(X_AM, landmarks.p_ML[of_walls]).reshape(-1, 2, 2)
-    return _Walls(first, p_AL)
+    p_AL = transform(X_AM, landmarks.p_ML[of_walls]).reshape(-1, 2, 2)
+    along, _, length = directions(p_AL)
+    return _Walls(landmarks.ids[of_walls][::2], p_AL[:, 0], along, length)
 
 
 def _from_components(
@@ -267,9 +280,8 @@ def _from_components(
         whole = components.vertices[components.offsets[c] : components.offsets[c + 1]]
         polyline = sub_polyline(whole, begin, end)
         if wall[i] >= 0:
-            first, (origin, second) = int(walls.first[wall[i]]), walls.p_AL[wall[i]]
-            along = (second - origin) / np.hypot(*(second - origin))
-            polyline = origin + ((polyline[[0, -1]] - origin) @ along)[:, None] * along
+            row, first = int(wall[i]), int(walls.first[wall[i]])
+            polyline = walls.on(row, walls.at(row, polyline[[0, -1]]))
             on_walls.append(_Surface(first, first + 1, view, _farthest(polyline), polyline))
             continue
         mine = np.flatnonzero((tags.component == c) & (tags.along >= begin) & (tags.along <= end))
@@ -284,10 +296,9 @@ def _from_components(
 def _wall_of(samples: tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray], walls: _Walls) -> IntArray:
     """The row (n,) of the wall that each of the samples (n,) of components lies on, -1 for none: see `sample`."""
     points, normals, component, start, stop = samples
-    along = walls.p_AL[:, 1] - walls.p_AL[:, 0]
-    beyond = GOES_ON * along / np.hypot(*along.T)[:, None]
-    lines = np.stack([walls.p_AL[:, 0] - beyond, walls.p_AL[:, 1] + beyond], axis=1).reshape(-1, 2)
-    wall, _, distance, normal = nearest(points, 2 * np.arange(len(along) + 1), lines)
+    ends = np.column_stack([np.full(len(walls.length), -GOES_ON), walls.length + GOES_ON])
+    lines = walls.origin[:, None] + ends[:, :, None] * walls.along[:, None]
+    wall, _, distance, normal = nearest(points, 2 * np.arange(len(lines) + 1), lines.reshape(-1, 2))
     wall[(distance > ON_WALL) | (np.sum(normal * normals, axis=1) < SAME_FACE)] = -1
     for i, j in zip(*_runs(component, wall), strict=True):
         if stop[j] - start[i] < LEAST_ON_WALL:
@@ -335,15 +346,14 @@ def _joined(pieces: list[_Surface], walls: _Walls) -> list[_Surface]:
     """Pieces of walls, those of one wall that touch as one."""
     joined: list[_Surface] = []
     for first in np.unique([piece.first for piece in pieces]).tolist():
-        origin, second = walls.p_AL[np.searchsorted(walls.first, first)]
-        along = (second - origin) / np.hypot(*(second - origin))
+        row = int(np.searchsorted(walls.first, first))
         mine = [piece for piece in pieces if piece.first == first]
-        reach = np.array([(piece.polyline[[0, -1]] - origin) @ along for piece in mine])
+        reach = np.array([walls.at(row, piece.polyline[[0, -1]]) for piece in mine])
         order = np.argsort(reach[:, 0], kind="stable")
         farthest = np.maximum.accumulate(reach[order, 1])
         apart = np.flatnonzero(reach[order[1:], 0] > farthest[:-1] + SPACING) + 1
         for rows in np.split(order, apart):
-            polyline = origin + np.array([[reach[rows, 0].min()], [reach[rows, 1].max()]]) * along
+            polyline = walls.on(row, np.array([reach[rows, 0].min(), reach[rows, 1].max()]))
             view, distance = max(mine[k].view for k in rows), min(mine[k].range for k in rows)
             joined.append(_Surface(first, first + 1, view, distance, polyline))
     return joined
