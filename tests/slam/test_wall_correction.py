@@ -87,7 +87,7 @@ def test_a_sweep_is_known(twist):
         (AHEAD - [2.0, 0.0], (0.0, 6.0), 0, 0),
         (AHEAD - [2.0, 0.0], (0.0, 2.9), -1, 0),
         (AHEAD[::-1] - [2.0, 0.0], (0.0, 6.0), -1, 0),
-        (AHEAD + [2.0, 0.0], (0.0, 6.0), -1, 0),
+        (AHEAD - [-2.0, 0.0], (0.0, 6.0), -1, 0),
         (AHEAD - [0.2, 0.0], (0.0, 6.0), -1, 0),
     ],
     ids=["behind it", "found", "through what was not seen", "from its back", "before it", "hardly behind it"],

@@ -77,5 +77,6 @@ def test_what_fits_the_expected_pose_is_told():
     length = np.hypot(*(of[:, 1] - of[:, 0]).T)
     for aside in (0.0, 0.9 * SAME[0]):
         assert find_place(of, known, reach(known), HERE + np.array([aside, 0.0, 0.0]))[1] == pytest.approx(1.0)
-    half = find_place(of, known[:3], reach(known)[:3], HERE)[1]
+    found, half = find_place(of, known[:3], reach(known)[:3], HERE)
+    assert found is None
     assert half == pytest.approx(length[:3].sum() / length.sum())

@@ -175,3 +175,10 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
     graph = take_up(world, graph, np.zeros(3))
     tried = place_points(graph.tried, np.array(world.X_MA)).p
     assert (np.abs(tried - [1.0, 2.0]).max(axis=1) < 1.0).any()
+
+
+def test_a_part_has_both_points_of_a_wall_if_one_is_near(simulate) -> None:
+    world = simulate([[-30.0, 2.0, 3.0, 2.0]], landmarks=np.array([[3.0, 2.0, -30.0, 2.0], [-29.0, 2.0, -30.0, 2.0]]))
+    world.observe(np.array([0.0, 0.0, 0.0]))
+    part = part_of(empty_graph(), world.estimate, 5.0)
+    assert part.estimate.ids[part.estimate.ids < 0].tolist() == world.estimate.ids[:2].tolist()

@@ -607,6 +607,16 @@ def test_a_wall_that_a_turn_sees_through_is_two_pieces_of_it(simulate) -> None:
     np.testing.assert_allclose(ends, [-3.0, -0.5, 0.5, 3.0], atol=0.15)
 
 
+def test_a_post_in_line_with_a_wall_is_no_piece_of_it(simulate) -> None:
+    """Its front, 12 cm wide, stands on the wall's line, a metre beyond its end."""
+    post = [[2.0, 2.0, 1.88, 2.0], [1.88, 2.0, 1.88, 2.12], [1.88, 2.12, 2.0, 2.12], [2.0, 2.12, 2.0, 2.0]]
+    world = simulate([[-3.0, 2.0, 1.0, 2.0], *post], landmarks=np.array([[0.5, 2.0, -2.5, 2.0]]), noise=0.0)
+    tfg = world.observe(np.array([1.0, 0.5, 1.0]))
+    on_wall = tfg.segment_ids[:, 0] < -1
+    assert (tfg.segments[on_wall, ::2] < 1.1).all()
+    assert point_distance(np.array([[1.94, 2.0]]), tfg.segments[~on_wall])[0] < 0.05
+
+
 def test_what_shows_of_the_far_face_of_a_hollow_wall_is_kept(simulate) -> None:
     """A door in a wall of two faces 13 cm apart, with nothing between them at its ends; one face is a landmark."""
     faces = [[-3.0, 0.0, -0.5, 0.0], [0.5, 0.0, 3.0, 0.0], [-3.0, -0.13, -0.5, -0.13], [0.5, -0.13, 3.0, -0.13]]

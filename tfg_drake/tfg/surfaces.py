@@ -59,8 +59,6 @@ LEAST_LENGTH = 0.04
 OVERLAP = 0.06
 # A surface this far inside what a turn saw to be free was an error or is gone, m.
 REFUTED_DEPTH = 0.15
-# An edge falls only where that much of it was, m.
-REFUTED_LENGTH = 0.15
 # Of a loose surface that much of which was nothing is left: somebody stood there.
 REFUTED_SHARE = 0.4
 # Neighbouring bins that must agree to that.
@@ -381,8 +379,6 @@ def _trim(
     if refuted_by is not None and landmarks is not None:
         of = draft.surfaces(rows)
         refuted = _refuted(points, normals, of.ids[owner], refuted_by, landmarks)
-        lost = np.bincount(owner[refuted], (stop - start)[refuted], minlength=len(rows))
-        refuted &= ((of.kind != EDGE) | (lost >= REFUTED_LENGTH))[owner]
         gone = np.bincount(owner[refuted], minlength=len(rows)) >= REFUTED_SHARE * np.bincount(owner)
         drop |= refuted | (gone & (of.kind == LOOSE))[owner]
     less = np.bincount(owner[drop], minlength=len(rows)).tolist()
