@@ -26,7 +26,8 @@ from wall_errors import OFF, wall_errors
 
 from tfg_drake.io.files import write_atomic
 
-# Arguments, row of reality.py, and how many seeds. All missions together take some 40 minutes of CPU.
+# Arguments, in which {seed} stands for the seed, row of reality.py, and how many seeds. All missions together take some
+# 40 minutes of CPU.
 Rows = dict[str, tuple[list[str], str, int]]
 ROWS: Rows = {
     "house": (["house"], reality.BELIEVED, 30),
@@ -46,7 +47,7 @@ def run(key: tuple[str, int], rows: Rows, version: str) -> dict | None:
     """The figures of one mission, key: world and seed; None of one that left none."""
     world, seed = key
     arguments, deviation, _ = rows[world]
-    arguments = [*arguments, "--max-time", "3600"]
+    arguments = [*(one.format(seed=seed) for one in arguments), "--max-time", "3600"]
     for setting in reality.settings(deviation, seed):
         arguments += ["--set", setting]
     with tempfile.TemporaryDirectory() as folder:
