@@ -30,9 +30,9 @@ PASSAGE = 0.8
 Box = tuple[float, float, float, float]
 
 
-def plan(seed: int) -> list[list[float]]:
+def plan(seed: int) -> tuple[list[list[float]], list[float]]:
     """Walls (x0, y0, x1, y1), m, of a building of 12 x 8 to 36 x 22 m: a corridor, rooms of all sizes that have a door
-    each, more doors here and there, furniture in the rooms, pillars in the large ones."""
+    each, more doors here and there, furniture and pillars in the rooms; and a start (x, y, yaw) in the corridor."""
     rng = np.random.default_rng([seed, 57])
     width, depth = rng.uniform(12.0, 36.0), rng.uniform(8.0, 22.0)
     corridor = rng.uniform(1.6, 2.6)
@@ -48,7 +48,8 @@ def plan(seed: int) -> list[list[float]]:
         walls += _room_walls(room, half, [gap for a, gap in gaps if a == i])
         if i:
             walls += _furniture(room, half, [gap for a, gap in gaps if a == i], rng)
-    return [[round(float(value), 3) for value in wall] for wall in walls]
+    start = [rng.uniform(1.0, width - 1.0), y + 0.5 * corridor, rng.uniform(-math.pi, math.pi)]
+    return [[round(float(value), 3) for value in wall] for wall in walls], [round(value, 3) for value in start]
 
 
 def _divided(box: Box, rng: np.random.Generator) -> list[Box]:
@@ -147,7 +148,8 @@ def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator
 def write(seed: int, path: Path) -> None:
     """A scenario with the plan of a seed and no tags."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump({"base": "paper_real", "world": {"walls": plan(seed), "tags": []}}))
+    walls, start = plan(seed)
+    path.write_text(yaml.safe_dump({"base": "paper_real", "world": {"start": start, "walls": walls, "tags": []}}))
 
 
 if __name__ == "__main__":

@@ -246,19 +246,23 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         "time": f"{summary['sim_time_s']:.1f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
         "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
         "tags": "-",
+        "map": "-",
         "pose error": "-",
         "coverage": "-",
         "safety": "-",
     }
     if mapped is not None:
         rows["tags"] = f"{mapped} mapped"
-    if mapped is not None and present is not None:
+    if mapped is not None and present:
         rows["tags"] += (
             f" of {present} reachable, map error {number(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" RMSE ({number(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     if summary["landmarks_doubtful"]:
         rows["tags"] += f"; doubtful: {', '.join(map(str, summary['landmarks_doubtful']))}"
+    if least := summary["least_known"]:
+        x, y = least["p_WL"]
+        rows["map"] = f"known to {least['deviation_m']:.3f} m or better (1 sigma); least at ({x:.1f}, {y:.1f})"
     if position.get("mean") is not None:
         rows["pose error"] = (
             f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"

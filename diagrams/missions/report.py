@@ -14,12 +14,14 @@ from tfg_drake import __version__
 from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
+from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
-from tfg_drake.mapfile.saved_map import save_map
+from tfg_drake.mapfile.saved_map import SavedMap, save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
 
 SCHEMA = 1
@@ -52,11 +54,13 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     that of the estimate then, and every landmark that is not doubtful counts as mapped. A file that cannot be written
     is told to the folder, and the others are written all the same.
     """
-    estimate, tfg, map_bytes = _keep_map(mission, folder)
+    saved, estimate, tfg, map_bytes = _keep_map(mission, folder)
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
     summary = _known_to_any(mission, estimate, X_WB, map_bytes)
     summary |= {"scenario": name, "world": world_name}
+    if saved is not None and (least := least_known(saved.graph)) is not None:
+        summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
     if world is not None:
@@ -87,9 +91,10 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     return summary
 
 
-def _keep_map(mission: Mission, folder: RunFolder) -> tuple[MapEstimate | None, TfgMap | None, int]:
-    """Writes the map and the keys that drove; the final estimate and TFG, None where there are none, and bytes."""
-    tfg, estimate, grid = mission.tfg, mission.map, mission.grid
+def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, MapEstimate | None, TfgMap | None, int]:
+    """Writes the map and the keys that drove; what is saved, the final estimate and TFG, None where there are none, and
+    bytes."""
+    saved, tfg, estimate, grid = None, mission.tfg, mission.map, mission.grid
     map_bytes = 0
     final = mission.final_map()
     if final is not None:
@@ -102,7 +107,7 @@ def _keep_map(mission: Mission, folder: RunFolder) -> tuple[MapEstimate | None, 
         map_bytes = _size(folder.path / "grid.npz")
     if (pressed := mission.pressed()) is not None:
         folder.attempt("keys.csv", lambda path: write_atomic(path, drive_csv(pressed)))
-    return estimate, tfg, map_bytes
+    return saved, estimate, tfg, map_bytes
 
 
 def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArray, map_bytes: int) -> dict[str, Any]:
@@ -130,6 +135,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "landmark_rmse_m": None,
         "landmark_error_max_m": None,
         "landmark_rmse_aligned_m": None,
+        "least_known": None,
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
         "landmark_anees": None,
         "landmark_nees": None,

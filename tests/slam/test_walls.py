@@ -39,6 +39,7 @@ from tfg_drake.slam.walls import (
     grouped,
     identified,
     known_walls,
+    least_known,
     named,
     no_lines,
     no_walls,
@@ -395,3 +396,19 @@ def test_of_a_walls_points_the_deviation_normal_to_it_counts():
         len(some)
         for some in known_walls(SimpleNamespace(ids=ids[4:], p_ML=p_ML[4:], landmark_covariance=covariance[4:]))
     ] == [0, 0, 0]
+
+
+def test_the_least_known_place_is_of_a_tag_or_normal_to_a_wall():
+    """A wall along x, known to 4 cm at one point, to 2 m along itself, and a tag known to 3 cm at best."""
+    known = SimpleNamespace(
+        ids=np.array([WALLS_BELOW - 2, WALLS_BELOW - 1, 7]),
+        p_ML=np.array([[0.0, 1.0], [3.0, 1.0], [2.0, 2.0]]),
+        landmark_covariance=np.array([np.diag([4.0, 0.01**2]), np.diag([4.0, 0.04**2]), np.diag([0.03**2, 0.01**2])]),
+    )
+    deviation, place = least_known(known)
+    assert deviation == pytest.approx(0.04)
+    assert place == pytest.approx([3.0, 1.0])
+    known.landmark_covariance[2] *= 4.0
+    assert least_known(known)[0] == pytest.approx(0.06)
+    nothing = SimpleNamespace(ids=known.ids[:0], p_ML=known.p_ML[:0], landmark_covariance=known.landmark_covariance[:0])
+    assert least_known(nothing) is None

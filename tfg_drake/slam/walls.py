@@ -132,6 +132,19 @@ def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArra
     return known.ids[rows][::2], p_ML, np.sqrt(np.maximum(variance, 0.0))
 
 
+def least_known(known: MapEstimate | KeyframeGraph) -> tuple[float, FloatArray] | None:
+    """The greatest standard deviation of a landmark's place, m, of a wall's normal to it, and the place (2,) in M, m;
+    None without landmarks."""
+    tags = is_tag(known.ids)
+    _, of_walls, by_walls = known_walls(known)
+    by_tags = np.sqrt(np.linalg.eigvalsh(known.landmark_covariance[tags])[:, -1])
+    deviation, places = np.append(by_tags, by_walls), np.vstack([known.p_ML[tags], of_walls.reshape(-1, 2)])
+    if not len(deviation):
+        return None
+    worst = int(np.argmax(deviation))
+    return float(deviation[worst]), places[worst]
+
+
 def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Unit vectors (q, 2) along and normal to the walls through pairs of points (q, 2, 2), and the points' distances
     (q,), m."""
