@@ -47,7 +47,7 @@ def run(key: tuple[str, int], rows: Rows, version: str) -> dict | None:
     """The figures of one mission, key: world and seed; None of one that left none."""
     world, seed = key
     arguments, deviation, _ = rows[world]
-    arguments = [*(one.format(seed=seed) for one in arguments), "--max-time", "3600"]
+    arguments = ["--max-time", "3600", *(one.format(seed=seed) for one in arguments)]
     for setting in reality.settings(deviation, seed):
         arguments += ["--set", setting]
     with tempfile.TemporaryDirectory() as folder:

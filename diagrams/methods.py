@@ -17,6 +17,7 @@ from pydrake.systems.framework import Diagram
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
 from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
+from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
 from tfg_drake.mission.manual_drive import DriveError, read_drive
@@ -72,8 +73,14 @@ METHODS = {
         ),
         Method(
             "tfg-argmax",
-            "the paper's rule on the TFG: most information gain, and nothing is mapped on the way there",
+            "most information gain, as the paper has it, on the TFG, and nothing is mapped on the way there",
             _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
+            has_candidates=True,
+        ),
+        Method(
+            "paper",
+            "the paper's rules as printed: goals, gain, frontiers, path cost; tags are mapped at goals only",
+            MakePaperExplorer,
             has_candidates=True,
         ),
         Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier"), has_candidates=True),

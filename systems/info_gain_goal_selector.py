@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
@@ -66,11 +67,14 @@ class InfoGainGoalSelector(LeafSystem):
         explorer: ExplorerConfig,
         seed: int = 0,
         scan_range: float = ScanConfig.range,
+        frontiers: Callable[[Situation], Situation] | None = None,
     ):
-        """seed: of the goals, where explorer.goal is random. scan_range: the scanner's, m."""
+        """seed: of the goals, where explorer.goal is random. scan_range: the scanner's, m. frontiers: puts others into
+        a situation than the TFG has."""
         super().__init__()
         keep_to_one_thread()
         self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed, scan_range)
+        self._frontiers = frontiers or (lambda now: now)
         self._map = declare_message_input(self, "map")
         self._landmarks = declare_message_input(self, "landmarks")
         self._tfg = declare_message_input(self, "tfg")
@@ -116,11 +120,13 @@ class InfoGainGoalSelector(LeafSystem):
         parameters = dataclasses.replace(parameters, explorer=explorer)
         if math.isfinite(radius):
             part = local(landmarks, tfg, radius, parameters.sensor.range)
-            goal = choose_near(Situation(*part, near, parameters, is_large), previous, radius, recalled=recalled)
+            now = self._frontiers(Situation(*part, near, parameters, is_large))
+            goal = choose_near(now, previous, radius, recalled=recalled)
             if goal is not None:
                 return goal
         roadmap = eval_message(self._roadmap, context, Roadmap)
-        return choose(Situation(landmarks, tfg, roadmap, parameters, is_large), previous, recalled=recalled)
+        now = self._frontiers(Situation(landmarks, tfg, roadmap, parameters, is_large))
+        return choose(now, previous, recalled=recalled)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""

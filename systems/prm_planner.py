@@ -17,7 +17,7 @@ from tfg_drake.planning.planner import (
     planned,
     watched,
 )
-from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.planning.roadmap import EdgeCost, RoadmapParameters, cost_of_edge
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
@@ -50,7 +50,7 @@ class PrmPlanner(LeafSystem):
     local_roadmap is as much of roadmap as planning needs at a stage, with the same ids: on a large map the nodes near
     the newest view, see `tfg_drake.planning.local`. Then the whole is made for whoever looks at it.
     seed: of the roadmap's samples; with it and the inputs the roadmap is determined. least_range: m, nearer the scanner
-    sees nothing.
+    sees nothing. cost: of the roadmap's edges.
     """
 
     def __init__(
@@ -62,10 +62,11 @@ class PrmPlanner(LeafSystem):
         planner: PlannerConfig,
         seed: int,
         least_range: float = 0.0,
+        cost: EdgeCost = cost_of_edge,
     ):
         super().__init__()
         keep_to_one_thread()
-        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range)
+        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range, cost)
         self._map = declare_message_input(self, "map")
         self._tfg = declare_message_input(self, "tfg")
         self._pose = declare_message_input(self, "pose")

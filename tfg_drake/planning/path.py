@@ -193,7 +193,7 @@ def plan_path(
     paths: list[FloatArray] = []
     for _ in range(WAYS_TRIED):
         segments = np.vstack([tfg.segments, obstacles])
-        ways = routes(state, tfg, X_MS, robot, planner, obstacles)
+        ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
         way = node_path(state, ways, X_MS, node)
         if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
             break

@@ -262,10 +262,10 @@ def make_roadmap(
     obstacles: (b, 4) segments met on the way, m in M. driven: m, so far.
     """
     robot, planner = parameters.robot, parameters.planner
-    ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles)
+    ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles, parameters.cost)
     home = None
     if parameters.explorer.return_home:
-        home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles)
+        home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles, parameters.cost)
     roadmap = roadmap_message(nodes, ways, robot, planner, driven, home)
     return with_frontiers(roadmap, estimate, tfg, parameters.sensor, parameters.least_range)
 

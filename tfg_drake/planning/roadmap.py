@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -65,11 +66,20 @@ COMFORT = 1.0
 OBSTACLE_MARGIN = 0.08
 
 
+# What edges of a length (e,), m, with a clearance (e,), m, cost, (e,), m.
+EdgeCost = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def cost_of_edge(length: FloatArray, gap: FloatArray) -> FloatArray:
+    """length * (1 + 2 max(0, 1 - gap / COMFORT)^2)."""
+    return np.maximum(length, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
+
+
 @dataclasses.dataclass(frozen=True)
 class RoadmapParameters:
     """The parameters of robot, sensors and explorer that the roadmap needs, and the seed of its samples.
 
-    least_range: m, nearer the scanner sees nothing.
+    least_range: m, nearer the scanner sees nothing. cost: of edges, see `cost_of_edge`.
     """
 
     robot: RobotConfig
@@ -79,6 +89,7 @@ class RoadmapParameters:
     planner: PlannerConfig
     seed: int
     least_range: float = 0.0
+    cost: EdgeCost = cost_of_edge
 
 
 @message

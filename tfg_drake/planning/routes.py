@@ -20,8 +20,10 @@ from tfg_drake.planning.roadmap import (
     EFFORTS,
     NEIGHBOURS,
     OBSTACLE_MARGIN,
+    EdgeCost,
     RoadmapState,
     components,
+    cost_of_edge,
     in_free_space,
     room_needed,
 )
@@ -57,14 +59,14 @@ def routes(
     robot: RobotConfig,
     planner: PlannerConfig,
     obstacles: FloatArray | None = None,
+    cost: EdgeCost = cost_of_edge,
 ) -> Routes:
     """Cheapest ways from the robot's pose X_MB (3,) to every node.
 
-    An edge costs length * (1 + 2 max(0, 1 - d)^2), d its clearance in metres. With planner.risk "path" an edge's risk
-    costs too, more of it where that reaches more nodes, and what is not reached within planner.collision_probability
-    counts as unreachable; of ways that are open though too narrow it is not asked. obstacles: (b, 4) segments met at
-    this stage that the map does not hold, m in M. A robot that stands too near a surface may still leave, as long as it
-    hardly comes nearer.
+    cost: of edges. With planner.risk "path" an edge's risk costs too, more of it where that reaches more nodes, and
+    what is not reached within planner.collision_probability counts as unreachable; of ways that are open though too
+    narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. A robot
+    that stands too near a surface may still leave, as long as it hardly comes nearer.
     """
     n = len(state.points)
     if n == 0:
@@ -77,10 +79,10 @@ def routes(
         room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
         has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
     length = edge_lengths(state.points, edges.nodes)
-    weight = np.where(is_open, _weight(length, has), np.inf)
+    weight = np.where(is_open, cost(length, has), np.inf)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
-    links_weight = _weight(links_length, links_has)
+    links_weight = cost(links_length, links_has)
     if planner.risk == "path":
         sigma = np.append(state.sigma[edges.nodes].max(axis=1), state.sigma[links])
         risk = _edge_risk(np.append(length, links_length), np.append(has, links_has), sigma, robot.radius)
@@ -101,11 +103,6 @@ def edge_lengths(points: FloatArray, edges: IntArray) -> FloatArray:
     """Length (e,), m, of edges (e, 2) between points (n, 2), m."""
     d = points.take(edges[:, 0], axis=0) - points.take(edges[:, 1], axis=0)
     return np.asarray(np.hypot(d[:, 0], d[:, 1]))
-
-
-def _weight(length: FloatArray, gap: FloatArray) -> FloatArray:
-    """What edges of a length (e,), m, with a clearance of gap (e,), m, cost, (e,), m."""
-    return np.maximum(length, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
 
 
 def _cheapest_within(

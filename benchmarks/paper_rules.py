@@ -1,0 +1,37 @@
+"""What each of the paper's rules does to the method that goes by all of them: missions with one left out, a row a rule.
+
+    python benchmarks/paper_rules.py
+    python benchmarks/paper_rules.py --rows "all" "without frontiers" --seeds 1
+
+In `paper`, at most two hours each. Rows, columns and --out are as of consistency.py.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import consistency
+import reality
+
+from tfg_drake.planning.paper_rules import PaperRules
+
+METHODS = Path("runs/paper_rules")
+METHOD = '''"""The paper's rules without one: {rule}."""
+
+from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
+from tfg_drake.planning.paper_rules import PaperRules
+
+
+def MakeExplorer(scenario):
+    return MakePaperExplorer(scenario, PaperRules({rule}=False))
+'''
+
+if __name__ == "__main__":
+    METHODS.mkdir(parents=True, exist_ok=True)
+    rows = {"all": (["paper", "--method", "paper", "--max-time", "7200"], reality.BELIEVED, 3)}
+    for name in (field.name for field in dataclasses.fields(PaperRules)):
+        path = METHODS / f"without_{name}.py"
+        path.write_text(METHOD.format(rule=name))
+        rows[f"without {name}"] = (["paper", "--method", str(path), "--max-time", "7200"], reality.BELIEVED, 3)
+    consistency.main(__doc__, rows, Path("runs/paper_rules.jsonl"))
