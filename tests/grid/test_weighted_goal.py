@@ -81,6 +81,15 @@ def test_the_weights_decide_between_map_and_pose():
     np.testing.assert_allclose(choice.gain, choice.exploitation)
 
 
+def test_as_printed_the_largest_sum_is_the_goal_however_far():
+    pose = pose_of(np.diag([0.1, 0.1, 0.01]), 2.0, 2.5)
+    soon, _ = chosen(GridConfig(), pose)
+    printed, _ = chosen(GridConfig(per_time=False), pose)
+    np.testing.assert_array_equal(printed.value, printed.gain)
+    assert printed.value.max() == soon.gain.max()
+    assert np.hypot(*(printed.p_MG - pose.X_MB[:2])) > np.hypot(*(soon.p_MG - pose.X_MB[:2]))
+
+
 def test_the_same_stop_rule():
     closed = world().probability.copy()
     closed[20:80, 258:260] = closed[20:80, 20:22] = 0.9

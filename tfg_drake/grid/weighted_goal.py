@@ -180,7 +180,8 @@ def choose(
     explorer: ExplorerConfig,
     weights: GridConfig,
 ) -> tuple[GoalChoice, TriedPlaces]:
-    """The candidate of most weighted information per expected second, or how the mission ends, and the tries with it.
+    """The candidate of most weighted information, per expected second where weights.per_time says so, or how the
+    mission ends, and the tries with it.
 
     The robot has just looked round at pose.X_MB. Ends by the rule of `frontier_goal`: while a frontier is worth a goal,
     known places compete with it. GoalChoice.exploration is weight_map * I_OG, exploitation weight_pose * I_SLAM.
@@ -196,7 +197,7 @@ def choose(
     exploration, exploitation = weights.weight_map * map_gain, weights.weight_pose * certainty
     gain = exploration + exploitation
     time = ways.length[tuple(stand.T)] / robot.max_speed + 2.0 * math.pi / explorer.turn_rate + OVERHEAD
-    value = gain / time
+    value = gain / time if weights.per_time else gain
     best = int(np.argmax(value))
     what = "a frontier" if best < frontiers else "a known place"
     choice = GoalChoice(
