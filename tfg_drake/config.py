@@ -463,8 +463,8 @@ class GridConfig:
 
     # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
 
-    # Whether the weighted sum is taken per expected second. If not, the largest sum is the goal, however far, as eq. 1 is
-    # printed.
+    # Whether the weighted sum is taken per expected second. If not, the largest sum is the goal, however far, as eq. 1
+    # is printed.
     per_time: bool = True
     # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
     # looks round, as Yamauchi's did.
