@@ -495,7 +495,8 @@ def slam(
 def figures(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write them.")] = Path("figures"),
 ) -> None:
-    """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, Tables I and II."""
+    """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, maps, coverage,
+    errors, a disturbance, Tables I and II, and paper.md, which sets each beside what the paper says."""
     _make_writable(out)
     with Screen() as show:
         show("loading")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,11 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
+from tfg_drake.comparison.runs import Run
+from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams.commands.compare import run_sweep
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
+from tfg_drake.diagrams.missions.comparison_report import write_comparison
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
 from tfg_drake.io.files import write_atomic
@@ -30,6 +34,35 @@ STEP = 0.5
 LONGEST = 3600.0
 # Missions of each method for Table II, as many as in the paper.
 RUNS = 4
+# The push of Sec. IV-C, whose size is not printed, and who is pushed: a robot that is active, one that somebody drives
+# who knows the building, and one with a grid.
+PUSH = DisturbanceConfig(time=120.0, duration=1.0, ahead=-0.5, turn=0.5)
+DISTURBED = ("tfg", "scripted", "grid-nearest")
+# Each figure, what it shows, and what the paper says of its own.
+PAGE = (
+    ("tfg.png", "Fig. 3: the TFG and goal points", "vertices are features, edges obstacle surfaces."),
+    (
+        "information_gain.png",
+        "Fig. 4: information gain",
+        "exploitation is largest where most features are seen, exploration near frontiers, more at larger ones.",
+    ),
+    (
+        "priors.png",
+        "Fig. 5: priors of new features",
+        "with a high prior variance (text), or where many features are expected (caption), frontiers are preferred;"
+        " with a low one the robot revisits.",
+    ),
+    ("table-2/maps.png", "Fig. 6: maps", "frontier exploration distorts the hallways; the TFG keeps the shape."),
+    ("table-2/coverage.png", "Fig. 7: coverage", "the TFG is slightly slower than the greedy nearest frontier."),
+    ("table-2/errors.png", "Fig. 8: pose error", "the TFG's is consistently smaller, above all in position."),
+    ("growth.png", "Fig. 9: growth of the map", "from a partial map, frontier by frontier, until it covers the space."),
+    (
+        "felt/maps.png",
+        "Fig. 11: after a disturbance that the gyro feels",
+        "active SLAM recovers the space, the expert misses some surfaces, the grid map drifts for good.",
+    ),
+    ("unfelt/maps.png", "Fig. 11: after one that it does not feel", "does not tell which of the two it was."),
+)
 
 
 def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tuple[list[Stage], FloatArray, FloatArray]:
@@ -80,7 +113,9 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
 
 
 def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> Path:
-    """Run RUNS missions of each method of Table II in `paper`, less those that are in the folder, and write the tables.
+    """Run RUNS missions of each method of Table II in `paper`, and one of each of DISTURBED after a push with a gyro
+    that feels it and with one that does not, less those that are in the folder; compare them, and write the tables and
+    `paper.md`, the page of all.
 
     show: is told how far they are.
 
@@ -91,13 +126,25 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
     scenarios = [LoadScenario(FindScenario("paper")) for _ in range(RUNS)]
     for seed, scenario in enumerate(scenarios):
         scenario.seed = seed
-    tasks = [Task(method, scenario, "paper", "paper", LONGEST) for scenario in scenarios for method in METHODS]
-    sweep = folder / "table-2"
-    sweep.mkdir(parents=True, exist_ok=True)
-    runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
+
+    def compared(name: str, scenarios: Sequence[Scenario], world: str, methods: Sequence[str]) -> list[Run]:
+        tasks = [Task(method, scenario, world, world, LONGEST) for scenario in scenarios for method in methods]
+        sweep = folder / name
+        sweep.mkdir(parents=True, exist_ok=True)
+        runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
+        write_comparison(runs, tasks, sweep, "tfg-drake figures")
+        return runs
+
+    runs = compared("table-2", scenarios, "paper", METHODS)
+    for name, feels in (("felt", True), ("unfelt", False)):
+        pushed = LoadScenario(FindScenario("house"))
+        pushed.disturbances = [dataclasses.replace(PUSH, gyro_feels=feels)]
+        compared(name, [pushed], "house", DISTURBED)
     scenario, world = scenarios[0], MakeWorld(scenarios[0].world)
     width, height = np.ptp(world.walls.reshape(-1, 2), axis=0)
     parameters = parameter_table((width, height), len(world.tag_ids), scenario.tags, scenario.scan, scenario.grid)
-    path = folder / "tables.md"
-    write_atomic(path, f"{parameters}\n{performance_table(runs, 'paper')}")
-    return path
+    write_atomic(folder / "tables.md", f"{parameters}\n{performance_table(runs, 'paper')}")
+    shown = "\n\n".join(f"## {title}\n\n![{title}]({file})\n\nThe paper: {says}" for file, title, says in PAGE)
+    page = folder / "paper.md"
+    write_atomic(page, f"# The paper's figures, from missions of our own\n\n{shown}\n\nThe tables: tables.md.\n")
+    return page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 
@@ -15,8 +16,10 @@ from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Ro
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
-# Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
-PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
+# Of new landmarks the paper's high, medium and low: standard deviations, m, of the prior, which its text varies, and
+# their number on a metre of frontier, which its caption varies.
+PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.001}
+DENSITIES = {"high": 2.0, "medium": 0.2, "low": 0.0}
 _SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
 _LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
 _COLOURS = "coolwarm"
@@ -54,13 +57,16 @@ def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
 
 def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
     """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 4)."""
-    figure, axes = _panels(stage.tfg, 1, len(PRIORS))
-    for axis, (name, sigma) in zip(axes, PRIORS.items(), strict=True):
-        explorer = dataclasses.replace(parameters.explorer, prior_sigma=sigma)
+    figure, axes = _panels(stage.tfg, 2, len(PRIORS))
+    varied = [("prior", "prior_sigma", name, value, "m") for name, value in PRIORS.items()]
+    varied += [("density", "density", name, value, "a metre") for name, value in DENSITIES.items()]
+    for axis, (what, key, name, value, unit) in zip(axes, varied, strict=True):
+        explorer = copy.copy(parameters.explorer)
+        setattr(explorer, key, value)
         nodes, gains = gain_field(stage, dataclasses.replace(parameters, explorer=explorer))
         _draw_map(axis, stage)
         _draw_samples(figure, axis, stage.roadmap.points[nodes], gains.gain)
-        axis.set_title(f"{name.capitalize()} prior: {sigma:g} m", fontsize=9)
+        axis.set_title(f"{name.capitalize()} {what}: {value:g} {unit}", fontsize=9)
     return figure
 
 
