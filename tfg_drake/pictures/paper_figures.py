@@ -1,4 +1,4 @@
-"""The paper's figures (its Figs. 2 to 4 and 6), drawn from maps of our own runs."""
+"""The paper's figures (its Figs. 3 to 5 and 9), drawn from maps of our own runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Ro
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
-# Standard deviations, m, of the prior of new landmarks: the paper's high, medium and low.
+# Standard deviations, m, of the prior of new landmarks. The paper calls them high, medium and low, and gives none.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.01}
 _SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
 _LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
@@ -41,7 +41,7 @@ def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gain
 
 
 def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
-    """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 3)."""
+    """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 4)."""
     nodes, gains = gain_field(stage, parameters)
     figure, axes = _panels(stage.tfg, 1, 3)
     panels = (("Exploitation", gains.exploitation), ("Exploration", gains.exploration), ("Total", gains.gain))
@@ -53,7 +53,7 @@ def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
 
 
 def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
-    """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 4)."""
+    """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 5)."""
     figure, axes = _panels(stage.tfg, 1, len(PRIORS))
     for axis, (name, sigma) in zip(axes, PRIORS.items(), strict=True):
         explorer = dataclasses.replace(parameters.explorer, prior_sigma=sigma)
@@ -65,7 +65,7 @@ def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
 
 
 def draw_tfg(stage: Stage) -> Figure:
-    """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 2)."""
+    """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 3)."""
     figure, (axis,) = _panels(stage.tfg, 1, 1)
     _draw_map(axis, stage, label=True)
     X_MA, estimate = stage.estimate.X_MA, stage.estimate
@@ -81,7 +81,7 @@ def draw_tfg(stage: Stage) -> Figure:
 
 def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -> Figure:
     """The map at some stages of one mission with the robot's way so far, its places p_MB (n, 2), m, at stamps (n,), s
-    (the paper's Fig. 6)."""
+    (the paper's Fig. 9)."""
     columns = 2
     figure, axes = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
     for axis, stage in zip(axes, stages, strict=False):
