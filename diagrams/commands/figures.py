@@ -28,7 +28,7 @@ GROWTH = 4
 # Simulated time between two looks at the mission, s.
 STEP = 0.5
 LONGEST = 3600.0
-# Missions of each method for Table II, as many as in the paper.
+# Missions of each method for Table II, as many as the paper's Fig. 8 is of.
 RUNS = 4
 
 
