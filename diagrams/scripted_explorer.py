@@ -1,4 +1,4 @@
-"""An explorer that drives where a human operator would, and maps as the TFG explorer does (the paper's Sec. V-C)."""
+"""An explorer that drives where a human operator would, and maps as the TFG explorer does (the paper's Sec. IV-C)."""
 
 from __future__ import annotations
 

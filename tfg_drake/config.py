@@ -22,7 +22,7 @@ SOLVERS = ("dissection", "gtsam")
 LANDMARKS = ("both", "tags", "walls")
 # The real robots, by what their base speaks.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
-# What a simulated robot sees tags and walls with: sensors as the paper's, or a camera whose images are rendered.
+# What a simulated robot sees tags and walls with: ideal sensors, or a camera whose images are rendered.
 EYES = ("ideal", "camera")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
@@ -65,7 +65,7 @@ class OdometryConfig:
 
 @dataclasses.dataclass
 class TagSensorConfig:
-    """The ideal feature sensor of the paper: range and bearing of coded landmarks."""
+    """An ideal feature sensor: range and bearing of coded landmarks. Range, field of view and rate are the paper's."""
 
     # Greatest range, m.
     range: float = 10.0
@@ -436,7 +436,7 @@ class ExplorerConfig:
 
 @dataclasses.dataclass
 class PlannerConfig:
-    """The roadmap's chance constraint (the paper's last equation)."""
+    """The roadmap's chance constraint (the paper's Sec. III-E)."""
 
     # Largest probability of a collision.
     collision_probability: float = 0.01

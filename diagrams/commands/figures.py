@@ -32,7 +32,7 @@ GROWTH = 4
 # Simulated time between two looks at the mission, s.
 STEP = 0.5
 LONGEST = 3600.0
-# Missions of each method for Table II, as many as in the paper.
+# Missions of each method for Table II, as many as the paper's Fig. 8 is of.
 RUNS = 4
 # The push of Sec. IV-C, whose size is not printed, and who is pushed: a robot that is active, one that somebody drives
 # who knows the building, and one with a grid.

@@ -66,14 +66,14 @@ def test_shipped_scenarios_are_the_files_in_the_folder():
     assert tuple(sorted(file.stem for file in FindScenario("paper").parent.glob("*.yaml"))) == SHIPPED
 
 
-def test_the_papers_world():
+def test_paper_has_the_size_and_the_number_of_tags_of_the_papers_simulation():
     world = MakeWorld(LoadScenario("paper").world)
     corners = world.walls.reshape(-1, 2)
     np.testing.assert_array_equal([corners.min(axis=0), corners.max(axis=0)], [[0, 0], [46, 22]])
     np.testing.assert_array_equal(world.tag_ids, np.arange(274))
 
 
-def test_the_papers_parameters_are_the_defaults():
+def test_the_parameters_of_paper_are_the_defaults():
     paper, defaults = LoadScenario("paper"), Scenario()
     for section in ("robot", "odometry", "tags", "scan", "safety", "explorer"):
         assert getattr(paper, section) == getattr(defaults, section)

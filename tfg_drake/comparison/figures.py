@@ -1,5 +1,5 @@
-"""The paper's comparison in figures: pose error against time, coverage against distance, final maps, and what a map
-costs. One colour a method throughout."""
+"""The paper's comparison in figures (its Figs. 6 to 8, Table II): pose error against time, coverage against distance,
+final maps, and what a map costs. One colour a method throughout."""
 
 from __future__ import annotations
 

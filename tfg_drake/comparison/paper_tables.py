@@ -51,7 +51,7 @@ def performance_table(runs: Sequence[Run], scenario: str) -> str:
         for name, read, digits, paper_tfg, paper_grid in _PAPER
     ]
     number = len({run.seed for run in runs})
-    title = f"Table II: performance, the paper over 4 runs, here over {number} of `{scenario}`"
+    title = f"Table II: performance, the paper over 4 runs in a world of its own, here over {number} of `{scenario}`"
     header = ("", "TFG active SLAM, paper", "`tfg`, here", "grid map frontier, paper", "`grid-nearest`, here")
     return _markdown(title, header, rows)
 

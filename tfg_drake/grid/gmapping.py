@@ -229,7 +229,7 @@ def resample(log_weight: FloatArray, share: float) -> IntArray:
 
 
 def _put_in(state: GmappingState, scan: LaserScan, X_UB: FloatArray) -> GmappingState:
-    """The paper's Algorithm 1, from one scan to the next."""
+    """Algorithm 1 of Grisetti et al., from one scan to the next."""
     n = len(state.X_MU)
     rng = np.random.default_rng((state.seed, state.updates))
     standard_normal, share = rng.standard_normal((n, 3)), float(rng.random())

@@ -81,7 +81,7 @@ def propose(
     theta, regular. p_BP: (k, 2) end points, m. standard_normal: (n, 3) numbers. Returns (n, 3) and (n,).
 
     A particle whose scan finds too little of its map is drawn from the motion model and weighted by the likelihood
-    there; the others by p(z | m, x', u), the integral of likelihood times motion model (the paper's eq. 13).
+    there; the others by p(z | m, x', u), the integral of likelihood times motion model (eq. 13 there).
     """
     reach = MARGIN + (float(np.hypot(*p_BP.T).max()) if len(p_BP) else 0.0)
     window = int(2.0 * reach / (TILE * maps.resolution)) + 2

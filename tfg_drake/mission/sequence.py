@@ -1,6 +1,6 @@
 """The mission's sequence: observe, map, choose, plan, follow, and again, until there is a reason to end.
 
-One pure step function over an immutable status (Sec. III-B of the paper: goal points split the problem into stages).
+One pure step function over an immutable status (the paper's Sec. III-B: a goal point at each stage).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The paper's figures (its Figs. 2 to 4 and 6), drawn from maps of our own runs."""
+"""The paper's figures (its Figs. 3 to 5 and 9), drawn from maps of our own runs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Ro
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
-# Of new landmarks the paper's high, medium and low: standard deviations, m, of the prior, which its text varies, and
-# their number on a metre of frontier, which its caption varies.
+# Of new landmarks, high, medium and low, for which the paper gives no figures: standard deviations, m, of the prior,
+# which its text varies, and their number on a metre of frontier, which its caption varies.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.001}
 DENSITIES = {"high": 2.0, "medium": 0.2, "low": 0.0}
 _SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
@@ -44,7 +44,7 @@ def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gain
 
 
 def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
-    """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 3)."""
+    """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 4)."""
     nodes, gains = gain_field(stage, parameters)
     figure, axes = _panels(stage.tfg, 1, 3)
     panels = (("Exploitation", gains.exploitation), ("Exploration", gains.exploration), ("Total", gains.gain))
@@ -56,7 +56,7 @@ def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
 
 
 def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
-    """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 4)."""
+    """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 5)."""
     figure, axes = _panels(stage.tfg, 2, len(PRIORS))
     varied = [("prior", "prior_sigma", name, value, "m") for name, value in PRIORS.items()]
     varied += [("density", "density", name, value, "a metre") for name, value in DENSITIES.items()]
@@ -71,7 +71,7 @@ def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
 
 
 def draw_tfg(stage: Stage) -> Figure:
-    """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 2)."""
+    """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 3)."""
     figure, (axis,) = _panels(stage.tfg, 1, 1)
     _draw_map(axis, stage, label=True)
     X_MA, estimate = stage.estimate.X_MA, stage.estimate
@@ -87,7 +87,7 @@ def draw_tfg(stage: Stage) -> Figure:
 
 def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -> Figure:
     """The map at some stages of one mission with the robot's way so far, its places p_MB (n, 2), m, at stamps (n,), s
-    (the paper's Fig. 6)."""
+    (the paper's Fig. 9)."""
     columns = 2
     figure, axes = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
     for axis, stage in zip(axes, stages, strict=False):

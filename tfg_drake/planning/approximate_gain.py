@@ -1,6 +1,6 @@
 """Kernels of the published approximations to the information gain, to be compared with the exact one.
 
-In the notation of the paper's Sec. IV: A = G^T G, H = G^T K and B = K^T K are the blocks of the measurements'
+In the notation of the paper's Sec. III-C: A = G^T G, H = G^T K and B = K^T K are the blocks of the measurements'
 information, of old (o) and new (u) landmarks, Sigma_o the marginal covariance of the known landmarks in view, and Pi
 the information about the arrival pose that is there before the turn. With C = I + G Sigma_o G^T,
 
@@ -16,8 +16,8 @@ import numpy as np
 from tfg_drake.messages import FloatArray
 from tfg_drake.planning.exact_gain import Arrival, Known, New, arrival_covariance, log_det, terms, to_arrival
 
-# The authors' program: weight of one landmark against the others, 1/m^2, the least landmarks in view that count, and
-# nats of an expected landmark at their constants.
+# The authors' program (github.com/mubeipeng/ActiveSLAM, fdcb6bc, src/planner.cpp): weight of one landmark against the
+# others, 1/m^2, the least landmarks in view that count, and nats of an expected landmark at their constants.
 AUTHORS_WEIGHT = 10.0
 AUTHORS_LEAST = 3
 AUTHORS_NATS = 5.0 * math.log(100.0)
@@ -46,7 +46,7 @@ def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
 
 
 def paper_gain(points: FloatArray, known: Known, new: New, noise: FloatArray) -> FloatArray:
-    """Theorem 1 as printed (the paper's last equation of Sec. IV-C); arguments and result of exact_gain.
+    """Theorem 1 as printed (the paper's last equation of Sec. III-C); arguments and result of exact_gain.
 
         log|I + Sigma_o A_o - Sigma_o H_o B^-1 H_o^T| + n_x log|I + sigma_u a_u|,   B = B_o + B_u
 
@@ -64,12 +64,14 @@ def paper_gain(points: FloatArray, known: Known, new: New, noise: FloatArray) ->
 
 
 def authors_gain(points: FloatArray, known: Known, new: New, normal: FloatArray) -> FloatArray:
-    """The gain of the authors' C++ program, for point landmarks; shared arguments and result of exact_gain.
+    """The gain of the authors' C++ program, `Planner::generateNextGoal`; shared arguments and result of exact_gain.
 
         log|I + Sigma_o A|,   A = w (I - 1 1^T / m),   and   5 density log 100 times the angle of frontier in view, rad
 
     It knows neither range nor bearing: every landmark is as good, and only a common shift of all brings nothing.
-    Places that see fewer than three known landmarks are not considered. normal: (u, 2) of the frontier at new.p_MU.
+    Places that see fewer than three known landmarks are not considered. Theirs has a heading in each landmark, and for
+    frontier the angle between landmarks next to each other by bearing that are not connected there. normal: (u, 2) of
+    the frontier at new.p_MU.
     """
     out = np.zeros((len(points), 3))
     for c, point in enumerate(points):

@@ -1,4 +1,4 @@
-"""The clearance that keeps the probability of a collision small (the paper's Sec. V, last equation).
+"""The clearance that keeps the probability of a collision small (the paper's Sec. III-E, last equation).
 
 The paper asks for Pr(x in edge) < delta, which is zero for any line. Here the robot is a disc of radius r, and what
 counts is its position relative to the surface: a path must keep

@@ -1,7 +1,7 @@
 """The expected information about the landmarks of a full turn at a candidate for the next goal.
 
 By default the mutual information of all landmarks, known and new, and the measurements of the turn (`exact_gain`). It
-is what the paper's Section IV approximates (Theorem 1); it holds for a pose that odometry ties to the map, and depends
+is what the paper's Theorem 1 approximates (Sec. III-C); it holds for a pose that odometry ties to the map, and depends
 on relative covariance only. The approximations, by name: `approximate_gain`.
 """
 

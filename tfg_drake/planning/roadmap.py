@@ -1,4 +1,4 @@
-"""A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. V).
+"""A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. III-E).
 
 Every node keeps its place in the frame of a view's arrival pose, so it moves when a loop closes; every stage checks
 the edges near the robot against the surfaces as they are now. What the robot has travelled stays in the roadmap: a

@@ -1,4 +1,4 @@
-"""The paper's feature sensor: range and bearing of every coded landmark in view (Section V)."""
+"""The feature sensor: range and bearing of every coded landmark in view, as far as the paper's sees (Table I)."""
 
 from __future__ import annotations
 

@@ -142,7 +142,7 @@ def initial_state(
     prior: what is known of the shared parameters beforehand; none: what the odometry's data sheet says, and of the
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
-    localise (the paper's Sec. III). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
+    localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
     the map is made of, one of `config.LANDMARKS`.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)

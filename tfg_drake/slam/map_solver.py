@@ -1,7 +1,7 @@
 """The map: values of the whole keyframe graph and the joint Gaussian round a place.
 
-Both are the maximum a posteriori (the paper's sec. III), to rounding. A `Solver` linearises and eliminates; everything
-else is here, whichever it is.
+The values are the maximum a posteriori (the paper's Sec. II), to rounding, and the Gaussian is Laplace's approximation
+there (Sec. III-B). A `Solver` linearises and eliminates; everything else is here, whichever it is.
 """
 
 from __future__ import annotations

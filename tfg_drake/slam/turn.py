@@ -1,9 +1,9 @@
 """The frames of a turn or of a piece of the way, solved and reduced to one Gaussian: a keyframe.
 
 Damped Gauss-Newton steps on the poses in A, a chain, and on what all of them touch, parameters and tags, its border:
-the chain is eliminated pose by pose, what is left is dense and small (the paper's sec. III, "measurements at a goal are
-combined"). Where scans saw walls, lengths are true; else they are in the unit of the tags' ranges, or of odometry, so
-that only the ratio of the odometry's scale to theirs is a parameter here.
+the chain is eliminated pose by pose, as the paper's Sec. III-C marginalises poses out; what is left is dense and small.
+Where scans saw walls, lengths are true; else they are in the unit of the tags' ranges, or of odometry, so that only
+the ratio of the odometry's scale to theirs is a parameter here.
 """
 
 from __future__ import annotations

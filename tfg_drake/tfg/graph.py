@@ -1,6 +1,6 @@
 """The topological feature graph: how every view extends it, and where the current map estimate places it.
 
-Sections III and IV of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
+Sec. III-A of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
 runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
 all anchored to walls or views, so that they move with the map when a loop closes.
 """

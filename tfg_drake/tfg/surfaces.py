@@ -2,7 +2,7 @@
 
 A surface that lies on a wall of the map is a piece of its line; vertices in similarity coordinates of the wall's two
 points, (0, 0) the first and (1, 0) the second. Any other one is a polyline in the frame A of the view that saw it, m.
-What it joins makes it one of three kinds (Sec. III of the paper knows only the first):
+What it joins makes it one of three kinds (Sec. III-A of the paper knows only the first):
 EDGE: a piece of a wall, or of another surface between two tags.
 END: a surface with a tag at one end only.
 LOOSE: a surface without a landmark.
