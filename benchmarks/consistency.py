@@ -67,14 +67,16 @@ def line(world: str, runs: list[dict]) -> str:
     """A row of the table."""
 
     def values(name: str) -> np.ndarray:
-        return np.array([one[name] for one in runs], dtype=float)
+        """What is known of a figure; nan where nothing is."""
+        known = np.array([one[name] for one in runs], dtype=float)
+        return known[np.isfinite(known)] if np.isfinite(known).any() else np.full(1, math.nan)
 
     complete = sum(one["outcome"] == "complete" for one in runs)
     cells = [f"{world:24s} {len(runs):3d} {complete:8d}"]
     for name in GROUPS:
-        cells += [f" {reduce(values(name)):6.2f}" for reduce in (np.nanmean, np.nanmedian, np.nanmax)]
+        cells += [f" {reduce(values(name)):6.2f}" for reduce in (np.mean, np.median, np.max)]
     rmse, position, seen, phantom, time, cpu = (
-        f"{np.nanmean(values(name)) if np.isfinite(values(name)).any() else math.nan:.4g}"
+        f"{np.mean(values(name)):.4g}"
         for name in (
             "landmark_rmse_m",
             "position_error_mean_m",
