@@ -104,7 +104,7 @@ def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     points = np.vstack([tfg.segments.reshape(-1, 2), tfg.star_vertices])
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     panel = _WIDTH / columns
-    height = rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.4) + (0.4 if columns == 1 else 0.15)
+    height = rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.55) + (0.4 if columns == 1 else 0.15)
     figure = Figure(figsize=(_WIDTH, max(height, 1.5)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()

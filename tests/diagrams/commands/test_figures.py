@@ -25,8 +25,13 @@ def test_the_command_writes_every_figure_and_names_it(call, tmp_path, monkeypatc
     names = sorted(path.name for path in tmp_path.iterdir())
     figures_of = ("growth", "information_gain", "priors", "tfg")
     assert names == sorted(
-        [name + suffix for name in figures_of for suffix in (".pdf", ".png")] + ["table-2", "tables.md"]
+        [name + suffix for name in figures_of for suffix in (".pdf", ".png")]
+        + ["felt", "paper.md", "table-2", "tables.md", "unfelt"]
     )
+    page = (tmp_path / "paper.md").read_text()
+    for file, title, _ in figures.PAGE:
+        assert f"![{title}]({file})" in page
+        assert (tmp_path / file).is_file()
     tables = (tmp_path / "tables.md").read_text()
     assert "| landmarks | 274 | 274 |" in tables
     assert "| running time (s) | 2433 ± 546 | 40 | 2293 ± 375 | 40 |" in tables
