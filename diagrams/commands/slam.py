@@ -115,6 +115,8 @@ def run_slam(
     if method is not None and not (is_log and method in LASER_METHODS):
         methods = " or ".join(LASER_METHODS) + " for a laser log, and nothing for other data sets"
         raise DatasetError(f"--method {method}: name {methods}")
+    if isinstance(loaded, Recording) and is_log and not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
+        raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from tfg_drake.grid import gmapping
 from tfg_drake.messages import FloatArray, Observation, message, replace
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
+from tfg_drake.slam.odometry_model import first_reckoning, reckon
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW, Shared
 from tfg_drake.slam.walls import LEAST_LOOKS, no_walls
 
@@ -114,7 +116,10 @@ def run_grid(
 def poses_between(recording: Recording, stamps: FloatArray, X_MB: FloatArray) -> FloatArray:
     """(n, 3) poses at the recording's scans, where some are known, X_MB (k, 3) at stamps (k,), in order: by odometry
     from the known ones on either side, each the less the farther it is in time."""
-    X_OB, told = np.array([one.X_OB for one in recording.odometry]), [one.stamp for one in recording.odometry]
+    reckoned = [first_reckoning(recording.odometry[0])]
+    for earlier, later in itertools.pairwise(recording.odometry):
+        reckoned.append(reckon(reckoned[-1], earlier, later))
+    X_OB, told = np.array([one.X_OB for one in reckoned]), [one.stamp for one in reckoned]
     X_OB[:, 2] = np.unwrap(X_OB[:, 2])
     at = np.array([scan.stamp for scan in recording.scans])
     of_known, of_scan = (np.column_stack([np.interp(t, told, one) for one in X_OB.T]) for t in (stamps, at))

@@ -178,12 +178,15 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
 
 def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
     own = f"{mrclam} has odometry of its own, only CARMEN logs have not; leave it out"
+    blind = tmp_path / "blind.log"
+    blind.write_text("".join(f"FLASER 2 81.9 81.9 {k} 0 0 {k} 0 0 {k} host {k}\n" for k in range(3)))
     methods = "name walls or grid for a laser log, and nothing for other data sets"
     for arguments, expected in [
         ([str(mrclam), "--seed", "1"], f"--seed 1: {own}"),
         ([str(mrclam), "--odometry-noise", "2"], f"--odometry-noise 2: {own}"),
         ([str(mrclam), "--method", "grid"], f"--method grid: {methods}"),
         ([str(carmen), "--method", "tags"], f"--method tags: {methods}"),
+        ([str(blind)], f"{blind}: no scan in it met anything; copy it again"),
         ([str(carmen), "--seed", "-1"], "--seed -1: must be 0 or more"),
         ([str(carmen), "--odometry-noise", "0"], "--odometry-noise 0: must be greater than 0"),
     ]:
