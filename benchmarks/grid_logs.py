@@ -19,21 +19,23 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from scan_logs import ScanLog, load_breezyslam, load_carmen
 from threadpoolctl import threadpool_limits
 
 from tfg_drake.config import GridConfig, OdometryConfig
+from tfg_drake.datasets.laser_log import load_breezyslam, load_carmen
+from tfg_drake.datasets.laser_run import run_grid
+from tfg_drake.datasets.recording import Recording
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.grid import gmapping
 from tfg_drake.messages import FloatArray, GridMap
 
 CARMEN = ("intel", "freiburg-079", "aces")
-# Without a gyro the rover's heading is lost between scans half a radian apart: one every so many m or rad.
+# Without a gyro the rover's heading is lost between scans far apart: one every so many m or rad.
 ROVER, ROVER_STEP = "exp1", 0.1
 
 
-def logs(folder: Path, noise: float, seed: int) -> list[ScanLog]:
+def logs(folder: Path, noise: float, seed: int) -> list[Recording]:
     """Those that are there."""
     default = dataclasses.asdict(OdometryConfig())
     model = OdometryConfig(**{name: noise * value for name, value in default.items()})
@@ -43,37 +45,12 @@ def logs(folder: Path, noise: float, seed: int) -> list[ScanLog]:
     return found + ([load_breezyslam(rover)] if rover.is_file() else [])
 
 
-def run(log: ScanLog, config: GridConfig, seed: int) -> tuple[gmapping.GmappingState, FloatArray, FloatArray, float]:
-    """The last state, stamps (u,) of its updates, X_MB (u, 2, 3) online and of the best particle's path, CPU s."""
-    state = gmapping.initial_state(config, log.model, seed)
-    stamps, online, poses, parents = [], [], [], []
-    cpu, waiting = 0.0, list(log.odometry)[::-1]
-    for scan in log.scans:
-        while waiting and waiting[-1].stamp <= scan.stamp:
-            state = gmapping.process_odometry(state, waiting.pop())
-        before, begin = state.updates, time.process_time()
-        state = gmapping.process_scan(state, scan)
-        if state.updates == before:
-            continue
-        if before:  # The first compiles.
-            cpu += time.process_time() - begin
-        stamps.append(scan.stamp)
-        online.append(gmapping.pose_estimate(state, 0).X_MB)
-        poses.append(state.X_MU)
-        parents.append(state.parents)
-    row, path = gmapping.best_particle(state), []
-    for X_MU, origin in zip(reversed(poses), reversed(parents), strict=True):
-        path.append(X_MU[row])
-        row = int(origin[row])
-    return state, np.array(stamps), np.stack([online, path[::-1]], axis=1), cpu
-
-
-def errors(log: ScanLog, stamps: FloatArray, X_MB: FloatArray) -> str:
+def errors(log: Recording, stamps: FloatArray, X_MS: FloatArray) -> str:
     """Mean and greatest distance (m) from the truth after alignment, as two cells."""
     if log.truth is None:
         return f"{'-':>8}{'-':>7}"
     p_WB = log.truth.X_WB[np.searchsorted(log.truth.stamps, stamps), :2]
-    off = np.hypot(*(se2.transform(align(p_WB, X_MB[:, :2]), X_MB[:, :2]) - p_WB).T)
+    off = np.hypot(*(se2.transform(align(p_WB, X_MS[:, :2]), X_MS[:, :2]) - p_WB).T)
     return f"{off.mean():>8.2f}{off.max():>7.2f}"
 
 
@@ -112,14 +89,16 @@ def main() -> None:
         config = GridConfig(particles=options.particles)
         if log.name == ROVER:
             config.update_distance = config.update_angle = ROVER_STEP
-        state, stamps, X_MB, cpu = run(log, config, options.seed)
+        begin = time.process_time()
+        run = run_grid(log, config, options.seed)
+        cpu, state, stamps = time.process_time() - begin, run.state, run.stamps
         X_OB = np.array([one.X_OB for one in log.odometry])
         X_OB = X_OB[np.searchsorted([one.stamp for one in log.odometry], stamps)]
-        cells = errors(log, stamps, X_MB[:, 1]) + errors(log, stamps, X_MB[:, 0]) + errors(log, stamps, X_OB)
+        cells = errors(log, stamps, run.X_MS) + errors(log, stamps, run.online) + errors(log, stamps, X_OB)
         size = (state.maps.tiles.nbytes + state.maps.index.nbytes) / 1e6
-        cells += f"{1e3 * cpu / max(1, state.updates - 1):>6.0f}{size:>5.0f}"
+        cells += f"{1e3 * cpu / max(1, state.updates):>6.0f}{size:>5.0f}"
         print(f"{log.name:24}{options.particles:>9}{state.updates:>8}{cells}", flush=True)
-        draw(options.out / f"{log.name}.png", log.name, gmapping.grid_map(state, 0), X_MB[:, 1])
+        draw(options.out / f"{log.name}.png", log.name, gmapping.grid_map(state, 0), run.X_MS)
 
 
 if __name__ == "__main__":

@@ -439,7 +439,8 @@ def slam(
     dataset: Annotated[
         Path,
         typer.Argument(
-            help="An MR.CLAM or TagSLAM folder, a .g2o file or, with --calibration, a video or folder of images."
+            help="An MR.CLAM or TagSLAM folder, a .g2o file, a laser log of CARMEN (.log) or BreezySLAM (.dat) or, "
+            "with --calibration, a video or folder of images."
         ),
     ],
     robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
@@ -453,6 +454,13 @@ def slam(
     odometry: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Of a video: a TUM trajectory, or a CSV of time, x, y, heading.")
     ] = None,
+    method: Annotated[
+        str | None, typer.Option(metavar="walls|grid", help="Of a laser log: walls as landmarks, or GMapping. [walls]")
+    ] = None,
+    odometry_noise: Annotated[
+        float | None, typer.Option(metavar="K", help="Of a CARMEN log: errors of its odometry, times the usual. [1]")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of these errors. [0]")] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
     ] = None,
@@ -466,7 +474,13 @@ def slam(
         _bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
     if robot is not None and is_video:
         _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
+    for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--method", method)):
+        if is_video and value is not None:
+            _bad_input(f"{name} {value}: is for laser logs; leave it out")
+    if seed is not None and seed < 0:
+        _bad_input(f"--seed {seed}: must be 0 or more")
     _check_positive("--tag-size", tag_size, "m")
+    _check_positive("--odometry-noise", odometry_noise, "")
     _make_ready(out)
     with Screen() as show:
         show("loading")
@@ -480,9 +494,9 @@ def slam(
             if calibration is not None and tag_size is not None:
                 load = video_loader(calibration, tag_size, mount, odometry, progress.say)
             else:
-                load = functools.partial(load_dataset, robot=robot)
+                load = functools.partial(load_dataset, robot=robot, noise=odometry_noise, seed=seed)
             try:
-                result = slam_command.run_slam(dataset, out, progress, load)
+                result = slam_command.run_slam(dataset, out, progress, load, method, seed or 0)
             except slam_command.Interrupted:
                 raise typer.Exit(EXIT_CODES["interrupted"]) from None
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:

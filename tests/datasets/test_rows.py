@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan_logs import RAYS, load_breezyslam, load_carmen
 from tests.mutations import assert_refused_or_read
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.g2o import read_g2o
+from tfg_drake.datasets.laser_log import RAYS, load_breezyslam, load_carmen
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.rows import read_table
 
@@ -156,5 +156,5 @@ def test_scan_logs_that_were_cut_off(tmp_path):
     rover = [" ".join(map(str, [k * 1000, 0, k, k, *[0] * 20, *[1500] * RAYS])) + "\n" for k in range(3)]
     path.write_text("".join([rover[0], rover[2], rover[1], rover[1][:900]]))
     log = load_breezyslam(path)
-    np.testing.assert_allclose([one.stamp for one in log.scans], [0.0, 1e-3, 2e-3])
+    np.testing.assert_allclose([one.stamp for one in log.odometry], [0.0, 1e-3, 2e-3])
     assert log.notes == ("a.log: the last row cut off, left out; 1 row out of order, sorted",)

@@ -116,3 +116,12 @@ def test_a_corner_has_two_walls_that_meet_at_a_right_angle(turned):
     lines = scan_lines(seen(corner, X_WB, np.random.default_rng(7)))
     assert len(lines) == 2
     assert abs(abs(se2.wrap_angle(lines[1, 0] - lines[0, 0])) - 0.5 * math.pi) < 0.03
+
+
+def test_uneven_walls_are_known_no_better_than_their_stretches():
+    scan = seen(WALLS, np.array([0.3, -0.2, 0.4]))
+    even, uneven = scan_lines(scan), scan_lines(scan, 0.03)
+    np.testing.assert_array_equal(uneven[:, [0, 1, 2, 3, 4, 7, 8, 9, 10]], even[:, [0, 1, 2, 3, 4, 7, 8, 9, 10]])
+    stretches = np.maximum((even[:, 3] - even[:, 2]) / 0.5, 1.0)
+    np.testing.assert_allclose(uneven[:, 6] ** 2 - even[:, 6] ** 2, 0.03**2 / stretches)
+    assert (uneven[:, 5] > even[:, 5]).all()

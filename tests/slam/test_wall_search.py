@@ -10,7 +10,7 @@ from tfg_drake.slam.wall_search import SAME, find_place
 ROOM = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 2, 4], [2, 4, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]]
 OTHER = [[0.0, 0, 5, 0], [5, 0, 5, 3], [5, 3, 0, 3], [0, 3, 0, 0]]
 TURNED = np.array([9.0, 1.0, 0.3])
-HERE, AWAY = np.array([2.0, 1.5, 0.7]), np.array([50.0, 0.0, 1.2])
+HERE, AWAY = np.array([2.0, 1.5, 0.7]), np.array([8.0, 0.0, 1.2])
 
 
 def walls(room, at=(0.0, 0.0, 0.0)):
@@ -80,3 +80,17 @@ def test_what_fits_the_expected_pose_is_told():
     found, half = find_place(of, known[:3], reach(known)[:3], HERE)
     assert found is None
     assert half == pytest.approx(length[:3].sum() / length.sum())
+
+
+def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted_to():
+    known = np.concatenate([walls(ROOM), walls(ROOM, TURNED)])
+    drifted = HERE + [0.7, -0.5, 0.1]
+    found, here = find_place(seen(walls(ROOM), HERE), known, reach(known), drifted)
+    assert found is not None
+    np.testing.assert_allclose(se2.between(HERE, found), 0.0, atol=1e-9)
+    assert here < 0.5
+
+
+def test_nobody_has_carried_it_through_the_whole_building():
+    far = np.array([30.0, 0.0, 0.0])
+    assert find_place(seen(walls(ROOM), HERE), walls(ROOM), reach(walls(ROOM)), far)[0] is None

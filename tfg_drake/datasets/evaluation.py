@@ -8,17 +8,23 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import scipy.spatial
 
 from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
 
 # True poses farther apart than this leave the time between them without truth, s.
 LONGEST_GAP = 1.0
 # A landmark farther than this from the given truth, m, after alignment to those that are not, is a misfit.
 MISFIT = 1.0
+# Pairs of scans that a relative error is the mean of, the longest way between two, m, and the seed that they are drawn
+# by.
+PAIRS, PAIR_WAY, PAIR_SEED = 1000, 20.0, 0
+# The hits that a thickness is measured at, how far round each, m, and how many of them there must be to tell.
+SAMPLES, NEIGHBOURHOOD, LEAST_HITS = 3000, 0.3, 10
 
 
 @message
@@ -60,6 +66,49 @@ def robot_error(truth: GroundTruth, stamps: FloatArray, X_MB: FloatArray) -> Rob
     p_WB = np.column_stack([np.interp(at, truth.stamps, truth.X_WB[:, i]) for i in range(2)])
     X_WM = align(p_WB, X_MB[inside, :2])
     return RobotError(rmse(se2.transform(X_WM, X_MB[inside, :2]) - p_WB), X_WM, len(at))
+
+
+def relative_error(X_WS: FloatArray, X_MS: FloatArray) -> tuple[dict[str, float], dict[str, float]]:
+    """How far estimated poses X_MS (n, 3) of two scans are off to each other, by the true ones X_WS (n, 3):
+    translation, m, and rotation, rad, each as the mean and the mean of the worst tenth over PAIRS pairs, PAIR_WAY apart
+    at most.
+
+    Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
+    """
+    rng = np.random.default_rng(PAIR_SEED)
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(X_WS[:, :2], axis=0).T)))
+    first = rng.integers(0, len(way) - 1, PAIRS)
+    second = rng.integers(first + 1, np.maximum(np.searchsorted(way, way[first] + PAIR_WAY, "right"), first + 2))
+    off = se2.between(se2.between(X_WS[first], X_WS[second]), se2.between(X_MS[first], X_MS[second]))
+    errors = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    translation, rotation = (
+        {"mean": float(one.mean()), "worst_tenth": float(np.sort(one)[-PAIRS // 10 :].mean())} for one in errors
+    )
+    return translation, rotation
+
+
+def hits(scans: tuple[LaserScan, ...], X_MS: FloatArray) -> FloatArray:
+    """(h, 2) what n scans met, seen from X_MS (n, 3)."""
+    found = []
+    for scan, X in zip(scans, X_MS, strict=True):
+        met = scan.ranges < scan.range_max - 3.0 * scan.sigma
+        direction = np.column_stack([np.cos(scan.angles[met]), np.sin(scan.angles[met])])
+        found.append(se2.transform(X, scan.ranges[met, None] * direction))
+    return np.concatenate(found)
+
+
+def wall_thickness(p_MH: FloatArray) -> float:
+    """How thick walls are in a map of hits (h, 2), m: the mean deviation normal to the line through what is near each,
+    nan where nothing is. It needs no truth: a map that was put together wrongly shows walls twice.
+
+    The mean plane variance of Razlaw et al., "Evaluation of registration methods for sparse 3D laser scans", ECMR 2015.
+    """
+    tree, rng, deviations = scipy.spatial.cKDTree(p_MH), np.random.default_rng(PAIR_SEED), []
+    for p in p_MH[rng.choice(len(p_MH), min(SAMPLES, len(p_MH)), replace=False)]:
+        near = p_MH[tree.query_ball_point(p, NEIGHBOURHOOD)]
+        if len(near) >= LEAST_HITS:
+            deviations.append(np.sqrt(max(np.linalg.eigvalsh(np.cov(near.T))[0], 0.0)))
+    return float(np.mean(deviations)) if deviations else float("nan")
 
 
 def landmark_error(truth: GroundTruth, ids: IntArray, p_ML: FloatArray) -> LandmarkError:

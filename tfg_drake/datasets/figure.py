@@ -1,20 +1,25 @@
-"""One figure of an estimate on a data set: landmarks and trajectories against the truth."""
+"""One figure of an estimate on a data set: landmarks, or walls, and trajectories against the truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures.figure_file import write_figure
+from tfg_drake.pictures.palette import WALL_LANDMARK, css
 
 _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
 # Landmarks are named where there are no more than this.
 _MOST_NAMES = 100
+# Hits that are drawn: more are one grey.
+_MOST_HITS = 60_000
 
 
 def draw_slam(
@@ -41,15 +46,7 @@ def draw_slam(
     """
     known, path_true = np.isin(truth.ids, ids), truth.X_WB[:, :2]
     points = np.vstack([path_true, *trajectories.values(), p_WL, truth.p_WL[known], np.zeros((1, 2))])
-    width, height = np.ptp(points, axis=0) + 1.0
-    figure = Figure(figsize=(9.0, float(np.clip(9.0 * height / width, 4.0, 12.0)) + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axes.set_title(title, loc="left", fontsize=10)
-    axes.tick_params(labelsize=8, colors="0.35")
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    figure, axes = _plan(title, points)
     if len(path_true):
         axes.plot(*path_true.T, color=_TRUTH, linewidth=1.8, label="true path")
     for (name, path_points), color in zip(trajectories.items(), (_SMOOTHED, _ONLINE), strict=False):
@@ -65,5 +62,53 @@ def draw_slam(
     for name in misfit_ids:
         ends = np.vstack([p_WL[ids == name], truth.p_WL[truth.ids == name]])
         axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
+    _write(path, figure)
+
+
+def draw_laser_map(
+    path: Path, title: str, p_MH: FloatArray, walls: FloatArray, p_MS: FloatArray, p_MS_true: FloatArray
+) -> None:
+    """Write the map of a laser log as a PNG, atomically.
+
+    Args:
+        path: the file.
+        title: stands above the figure.
+        p_MH: (h, 2) what the scans met, m, at the poses that were solved.
+        walls: (w, 2, 2) the ends of the map's walls.
+        p_MS, p_MS_true: (n, 2) the scanner's path and the true one, which may be empty.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    shown = p_MH[np.random.default_rng(0).permutation(len(p_MH))[:_MOST_HITS]]
+    # A few scattered ones would make the building small.
+    inside = np.all((shown > np.quantile(shown, 0.002, axis=0)) & (shown < np.quantile(shown, 0.998, axis=0)), axis=1)
+    shown = shown[inside]
+    figure, axes = _plan(title, np.vstack([shown, p_MS]))
+    axes.plot(*shown.T, ".", color="0.45", alpha=0.5, markersize=1.5, markeredgewidth=0, rasterized=True)
+    axes.plot([], [], ".", color="0.45", markersize=5, label="hits of the scans")
+    if len(walls):
+        axes.add_collection(LineCollection(list(walls), colors=css(WALL_LANDMARK), linewidths=1.3, label="wall"))
+    if len(p_MS_true):
+        axes.plot(*p_MS_true.T, color=_TRUTH, linewidth=1.8, label="reference path")
+    axes.plot(*p_MS.T, color=_ONLINE, linewidth=0.7, label="path")
+    _write(path, figure)
+
+
+def _plan(title: str, points: FloatArray) -> tuple[Figure, Axes]:
+    """An empty figure for points (n, 2) in the plane."""
+    width, height = np.ptp(points, axis=0) + 1.0
+    figure = Figure(figsize=(9.0, float(np.clip(9.0 * height / width, 4.0, 12.0)) + 0.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.tick_params(labelsize=8, colors="0.35")
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    return figure, axes
+
+
+def _write(path: Path, figure: Figure) -> None:
     figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False, labelcolor="0.25")
     write_figure(path, figure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.config import OdometryConfig
-from tfg_drake.messages import FloatArray, IntArray, Odometry, TagDetections, message
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
+from tfg_drake.slam.shared import Shared, exactly_known
 
 # Called with the share of the work done, 0 to 1.
 OnProgress = Callable[[float], None]
@@ -39,7 +41,8 @@ class Recording:
     name. odometry, detections: each in the order of their stamps, all detections within the odometry's span. model:
     what the estimator believes of the odometry. truth: None where nothing is known. notes: what a user should know
     of the data, a sentence each. piece_time: s, after which a piece of the way is mapped, however short it is by the
-    odometry: for one that does not tell.
+    odometry: for one that does not tell. scans: in the order of their stamps; a recording with scans has no detections.
+    prior: what is known of the shared parameters beforehand, with scans where the scanner sits.
     """
 
     name: str
@@ -49,6 +52,8 @@ class Recording:
     truth: GroundTruth | None
     notes: tuple[str, ...] = ()
     piece_time: float = math.inf
+    scans: tuple[LaserScan, ...] = ()
+    prior: Shared = dataclasses.field(default_factory=exactly_known)
 
 
 def make_frames(

@@ -311,7 +311,7 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
             first, pending = pending[0], pending[1:]
         lines = no_lines()
         if scan <= frame + SAME_INSTANT:
-            lines = scan_lines(state.unread[0])
+            lines = scan_lines(state.unread[0], state.walls.unevenness)
             state = replace(state, unread=state.unread[1:])
         if first.stamp >= state.stamp:
             state = _step(state, first, pending, lines, only_scan=scan < frame - SAME_INSTANT)

@@ -136,6 +136,7 @@ def initial_state(
     prior: Shared | None = None,
     solver: str = "dissection",
     landmarks: str = "both",
+    walls: Walls | None = None,
 ) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
@@ -143,7 +144,7 @@ def initial_state(
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
     localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
-    the map is made of, one of `config.LANDMARKS`.
+    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
@@ -159,6 +160,7 @@ def initial_state(
         evidence=no_evidence(),
         watch=no_watch(),
         landmarks=landmarks,
+        walls=walls or no_walls(),
     )
     return replace(state, look=FirstLook(state))
 

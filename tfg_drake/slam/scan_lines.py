@@ -26,9 +26,11 @@ STRAIGHT = 3.5
 NORMAL = 0.6745
 # Least standard deviation of a range, m: no wall is straighter.
 LEAST_SIGMA = 0.002
+# Over this length, m, an uneven wall is off its plane one way.
+STRETCH = 0.5
 
 
-def scan_lines(scan: LaserScan) -> FloatArray:
+def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     """The straight pieces (n, 11) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
 
     Angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m); where along
@@ -38,11 +40,21 @@ def scan_lines(scan: LaserScan) -> FloatArray:
     sweeps while it turns, so that bearings are larger by a share of themselves, makes of the angle and of the distance
     in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
     ranges are longer by a length a radian of bearing, makes of both, over that length.
+
+    unevenness: m, of real walls, by which neighbouring half metres are off a plane independently: single looks, each at
+    other stretches of one, agree no better.
     """
     r = scan.ranges[np.isfinite(scan.ranges)]
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     bent = float(np.median(np.abs(np.diff(r, 2)))) / (NORMAL * math.sqrt(6.0)) if len(r) > RAYS else 0.0
-    return np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
+    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
+    if unevenness:
+        # The mean, and the slope, of n such stretches.
+        length = lines[:, 3] - lines[:, 2]
+        off = unevenness / np.sqrt(np.maximum(length / STRETCH, 1.0))
+        lines[:, 5] = np.hypot(lines[:, 5], math.sqrt(12.0) * off / length)
+        lines[:, 6] = np.hypot(lines[:, 6], off)
+    return lines
 
 
 @njit(cache=True)

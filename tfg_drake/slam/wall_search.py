@@ -27,6 +27,9 @@ LEAST_SHARE, LEAST_LENGTH, LEAST_WALLS = 0.8, 5.0, 3
 # And every place farther off than SAME, m and rad, leaves so much more of it unexplained, m.
 SAME = (0.5, 0.2)
 MARGIN = 1.5
+# A place as near as this, m, is asked first: that the robot has drifted is likelier than that somebody has carried it.
+# And nobody carries it farther than this: the other end of a building, not mapped yet, may be alike.
+DRIFTED, CARRIED = 1.5, 10.0
 
 
 def find_place(
@@ -44,14 +47,19 @@ def find_place(
     seen = seen[np.argsort(-directions(seen)[2], kind="stable")[:MOST]]
     poses = np.vstack([expected, _candidates(seen, walls)])
     share, on = _judged(poses, seen, walls, reach)
-    here = float(share[~_elsewhere(poses, expected)].max())
-    best = int(np.argmax(share))
-    matched = on[best] >= 0
-    if share[best] < LEAST_SHARE or not tells_place(seen[matched]):
-        return None, here
-    if (share[_elsewhere(poses, poses[best])] > share[best] - MARGIN / directions(seen)[2].sum()).any():
-        return None, here
-    return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
+    here, off = float(share[~_elsewhere(poses, expected)].max()), np.hypot(*(poses - expected)[:, :2].T)
+    for is_rival, farthest in ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED)):
+        best = int(np.argmax(np.where(off < farthest, share, -1.0)))
+        matched, is_rival = on[best] >= 0, is_rival & _elsewhere(poses, poses[best])
+        margin = MARGIN / directions(seen)[2].sum()
+        if (
+            share[best] < LEAST_SHARE
+            or not tells_place(seen[matched])
+            or (share[is_rival] > share[best] - margin).any()
+        ):
+            continue
+        return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
+    return None, here
 
 
 def tells_place(seen: FloatArray) -> bool:

@@ -93,12 +93,15 @@ class Looks(NamedTuple):
 class Walls:
     """The walls of a map. first: (w,) ids of the first point of each, reach: (w, 2) how far each has been seen, m from
     that point towards the second. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS,
-    floor: of these the most likely, between them."""
+    floor: of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the
+    noise of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
 
     first: IntArray
     reach: FloatArray
     by_floor: FloatArray
     floor: float = 1.0
+    unevenness: float = 0.0
+    least_looks: int = LEAST_LOOKS
 
     def seen_again(self, off: FloatArray, S: FloatArray, floor: FloatArray, level: float) -> Walls:
         """With points that were seen off (2q,) their walls, m, with covariance S (2q, 2q), in which there is floor (2q,
@@ -112,9 +115,10 @@ class Walls:
         return replace(self, by_floor=by_floor, floor=float(np.exp2(np.log2(FLOORS) @ weight / weight.sum())))
 
 
-def no_walls() -> Walls:
+def no_walls(unevenness: float = 0.0, least_looks: int = LEAST_LOOKS) -> Walls:
     """None yet."""
-    return Walls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(FLOORS)))
+    none = np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(FLOORS))
+    return Walls(*none, unevenness=unevenness, least_looks=least_looks)
 
 
 def no_lines() -> FloatArray:
@@ -356,7 +360,7 @@ def identified(
                 again.append((k, best))
                 reach[at[best]] = min(reach[at[best], 0], s[best, 0]), max(reach[at[best], 1], s[best, 1])
                 names.append((provisional, first[at[best]], p_AL_known[best], False))
-        elif not np.any(off < UNCLEAR) and counts[seen[k]] >= LEAST_LOOKS and length[k] >= LEAST_LENGTH:
+        elif not np.any(off < UNCLEAR) and counts[seen[k]] >= walls.least_looks and length[k] >= LEAST_LENGTH:
             names.append((provisional, next_id, pair, True))
             first.append(next_id)
             new_reach.append((0.0, length[k]))

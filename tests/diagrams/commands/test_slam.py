@@ -102,9 +102,10 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
     graph = tmp_path / "a.g2o"
     graph.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     video = "of a video give --calibration and --tag-size"
+    kinds = "a .g2o file, a laser log (.log, .dat), an MR.CLAM or TagSLAM folder"
     for arguments, expected in [
         ([str(tmp_path / "none")], f"{tmp_path / 'none'}: no such file or folder; name a data set"),
-        ([str(text)], f"{text}: not a data set; name a .g2o file, an MR.CLAM or TagSLAM folder, or {video}"),
+        ([str(text)], f"{text}: not a data set; name {kinds}, or {video}"),
         (
             [str(empty)],
             f"{empty}: holds neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM);"
@@ -131,3 +132,63 @@ def test_ctrl_c_ends_it(mrclam, tmp_path):
     with pytest.raises(Interrupted):
         run_slam(mrclam, tmp_path / "run", Progress(lambda _text: None, event))
     assert not (tmp_path / "run" / "summary.json").exists()
+
+
+@pytest.fixture
+def carmen(tmp_path):
+    """A scanner that goes round a square room of 8 m, as CARMEN logs it."""
+    lines = []
+    bearings = (np.arange(180) / 180 - 0.5) * np.pi
+    for k in range(60):
+        heading = 0.1 * k
+        x, y = 2.0 * np.sin(heading), -2.0 * np.cos(heading)
+        c, s = np.cos(heading + bearings), np.sin(heading + bearings)
+        with np.errstate(divide="ignore"):
+            ranges = np.minimum((4.0 - np.sign(c) * x) / np.abs(c), (4.0 - np.sign(s) * y) / np.abs(s))
+        pose = f"{x} {y} {heading}"
+        lines.append(f"FLASER 180 {' '.join(f'{r:.3f}' for r in ranges)} {pose} {pose} {0.5 * k} host {0.5 * k}\n")
+    path = tmp_path / "room.log"
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("method", ["walls", "grid"])
+def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
+    out = tmp_path / "run"
+    arguments = ["--seed", "2", "--odometry-noise", "0.5", "--method", method, "--json", "--out", str(out)]
+    code, printed, complaint = call("slam", str(carmen), *arguments)
+    assert (code, complaint) == (0, "")
+    summary = json.loads((out / "summary.json").read_text())
+    assert json.loads(printed.splitlines()[-1]) == summary
+    assert (summary["method"], summary["outcome"], summary["scans"]) == (method, "complete", 60)
+    assert summary["relative_translation_m"]["mean"] < 0.05
+    assert summary["relative_rotation_rad"]["mean"] < 0.02
+    assert summary["robot_rmse_m"] < 0.05
+    assert summary["wall_thickness_m"] < 0.05
+    assert "between two scans, mean" in printed
+    assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert len((out / "trajectory.tum").read_text().splitlines()) == 60
+    assert (out / "map.npz").exists() == (method == "walls")
+    if method == "walls":
+        assert 4 <= summary["walls_mapped"] <= 6
+        code, printed, complaint = call("map", "info", str(out))
+        assert (code, complaint) == (0, "")
+        assert f"{summary['walls_mapped']} walls as landmarks" in printed
+
+
+def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
+    own = f"{mrclam} has odometry of its own, only CARMEN logs have not; leave it out"
+    blind = tmp_path / "blind.log"
+    blind.write_text("".join(f"FLASER 2 81.9 81.9 {k} 0 0 {k} 0 0 {k} host {k}\n" for k in range(3)))
+    methods = "name walls or grid for a laser log, and nothing for other data sets"
+    for arguments, expected in [
+        ([str(mrclam), "--seed", "1"], f"--seed 1: {own}"),
+        ([str(mrclam), "--odometry-noise", "2"], f"--odometry-noise 2: {own}"),
+        ([str(mrclam), "--method", "grid"], f"--method grid: {methods}"),
+        ([str(carmen), "--method", "tags"], f"--method tags: {methods}"),
+        ([str(blind)], f"{blind}: no scan in it met anything; copy it again"),
+        ([str(carmen), "--seed", "-1"], "--seed -1: must be 0 or more"),
+        ([str(carmen), "--odometry-noise", "0"], "--odometry-noise 0: must be greater than 0"),
+    ]:
+        code, _, complaint = call("slam", *arguments, "--out", str(tmp_path / "run"))
+        assert (code, complaint) == (2, f"tfg-drake: {expected}\n")

@@ -1,4 +1,4 @@
-"""Logs of robots with a laser scanner, as two collections keep them.
+"""Logs of robots with a laser scanner and no tags, as two collections keep them.
 
 The Radish repository has logs of the CARMEN toolkit, corrected by SLAM. One message a line: FLASER n r1..rn x y theta
 and seven fields more, the fourth a time stamp, ranges in metres over the half plane ahead. The poses are the scanner's,
@@ -8,6 +8,7 @@ CoreSLAM and BreezySLAM have logs of the MinesRover: wheel encoders and a Hokuyo
 B. Steux and O. El Hamzaoui, "tinySLAM: a SLAM algorithm in less than 200 lines C-language program", ICARCV 2010. One
 scan a line: time (us), counts of the left and the right wheel in columns 2 and 3 (from 0), 682 ranges (mm) from column
 24 on, 240 degrees counter-clockwise round straight ahead; 0 and the scanner's error codes below 20 stand for no range.
+The scans are told later than the counts: their headings agree best with those of the wheels SCANS_LATE before.
 """
 
 from __future__ import annotations
@@ -17,18 +18,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, GroundTruth
+from tfg_drake.config import OdometryConfig, ScanConfig
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, LaserScan, Odometry, message
+from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.simulation import odometry
+from tfg_drake.slam.estimator_state import EXACT_CAMERA
+from tfg_drake.slam.shared import SCANNER_X, Shared, by_data_sheet
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
 # Of the scanners' ranges, m: their resolution of 1 cm and what the corrected poses have wrong.
 CARMEN_SIGMA = 0.02
+# The poses are the scanner's own.
+EXACT_SCANNER = ScanConfig(yaw_deviation=0.0, mount_deviation=0.0, clock_deviation=0.0, sweep_deviation=0.0)
 # Stamps that stand still or run backwards are moved on by this, s: the order of the lines is right.
 LEAST_STEP = 1e-3
 # x y theta, the odometry's x y theta, its stamp, host, the logger's stamp.
@@ -44,28 +49,15 @@ FIELD_OF_VIEW = math.radians(240.0)
 RANGE_MAX = 5.6
 LEAST_RANGE = 0.02
 ROVER_SIGMA = 0.03
+# What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
+SCANS_LATE = 0.17
+ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
 # Rays at either end that see the rover itself.
 _OWN = 70
 _FIRST = 24
 
 
-@message
-class ScanLog:
-    """One robot's run with a laser scanner, the body's origin at the scanner.
-
-    name. odometry, scans: each in the order of their stamps. model: what a filter believes of the odometry. truth: the
-    best known poses at the scans' stamps, None where nothing is known. notes: as in Recording.
-    """
-
-    name: str
-    odometry: tuple[Odometry, ...]
-    scans: tuple[LaserScan, ...]
-    model: OdometryConfig
-    truth: GroundTruth | None
-    notes: tuple[str, ...] = ()
-
-
-def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float = 20.0) -> ScanLog:
+def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float = 20.0) -> Recording:
     """The run in a file, which may be gzipped.
 
     model: errors of the odometry that is made from the corrected poses. seed: of their draws. range_max: m; rays that
@@ -91,13 +83,15 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float =
         raise DatasetError(f"{path}: fewer than two FLASER lines in it; is it a CARMEN log?")
     X_WB = np.array(poses)
     nothing = np.empty(0, dtype=np.int64)
-    return ScanLog(
+    return Recording(
         name=path.name.split(".")[0],
         odometry=_noisy_odometry(np.array(stamps), X_WB, model, seed),
         scans=tuple(scans),
         model=model,
         truth=GroundTruth(np.array(stamps), X_WB, nothing, np.empty((0, 2))),
         notes=rows.notes,
+        detections=(),
+        prior=by_data_sheet(model, EXACT_CAMERA, EXACT_SCANNER),
     )
 
 
@@ -128,12 +122,12 @@ def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig,
 
 
 def odometry_model() -> OdometryConfig:
-    """What fits wheels that skid as they turn, without a gyro: their heading is hardly worth more than a guess."""
-    return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.3, gyro_bias=0.02, gyro_scale=0.3)
+    """What is believed of wheels that skid a little as they turn, without a gyro."""
+    return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.05, gyro_bias=0.005, gyro_scale=0.05)
 
 
-def load_breezyslam(path: Path) -> ScanLog:
-    """The run in a file, which may be gzipped. The body's origin is the scanner, its odometry the wheels' alone.
+def load_breezyslam(path: Path) -> Recording:
+    """The run in a file, which may be gzipped. The body's origin is amid the wheels, its odometry theirs alone.
 
     Raises:
         DatasetError: the file cannot be read, a line is broken, two scans are at one time, or there is but one.
@@ -161,28 +155,31 @@ def load_breezyslam(path: Path) -> ScanLog:
     for stamp, row in zip(stamps, table, strict=True):
         ranges = 1e-3 * row[3:][seen]
         valid = ranges >= LEAST_RANGE
-        scans.append(LaserScan(float(stamp), angles[valid], ranges[valid], RANGE_MAX, ROVER_SIGMA))
-    return ScanLog(
+        if stamp >= SCANS_LATE:
+            scans.append(LaserScan(float(stamp - SCANS_LATE), angles[valid], ranges[valid], RANGE_MAX, ROVER_SIGMA))
+    prior = by_data_sheet(odometry_model(), EXACT_CAMERA, ROVER_SCANNER)
+    return Recording(
         name=path.name.split(".")[0],
         odometry=_wheel_odometry(stamps, METRES_PER_COUNT * table[:, 1:3]),
         scans=tuple(scans),
         model=odometry_model(),
         truth=None,
         notes=rows.notes,
+        detections=(),
+        prior=Shared(prior.mean + SCANNER_AHEAD * np.eye(len(prior.mean))[SCANNER_X], prior.covariance),
     )
 
 
 def _wheel_odometry(stamps: FloatArray, wheels: FloatArray) -> tuple[Odometry, ...]:
-    """The scanner's pose by how far (n, 2), m, the left and the right wheel have come."""
-    X_AS = np.array([SCANNER_AHEAD, 0.0, 0.0])  # From the axle to the scanner.
-    X_OA = se2.inverse(X_AS)
+    """The pose by how far (n, 2), m, the left and the right wheel have come."""
+    X_OB = np.zeros(3)
     messages = [Odometry(0.0, np.zeros(3), np.zeros(2), at_rest=True)]
     steps = zip(stamps[1:], np.diff(stamps), np.diff(wheels, axis=0), strict=True)
     for stamp, dt, (left, right) in steps:
         ahead, turn = 0.5 * (left + right), 0.5 * (right - left) / HALF_AXLE
         chord = ahead * np.sinc(0.5 * turn / math.pi)
         step = np.array([chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn), turn])
-        X_OA = se2.compose(X_OA, step)
+        X_OB = se2.compose(X_OB, step)
         still = left == right == 0.0
-        messages.append(Odometry(float(stamp), se2.compose(X_OA, X_AS), np.array([ahead, turn]) / dt, still))
+        messages.append(Odometry(float(stamp), X_OB, np.array([ahead, turn]) / dt, still))
     return tuple(messages)

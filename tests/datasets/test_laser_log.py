@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan_logs import METRES_PER_COUNT, SCANNER_AHEAD, load_breezyslam, load_carmen
 from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.laser_log import METRES_PER_COUNT, SCANNER_AHEAD, SCANS_LATE, load_breezyslam, load_carmen
 from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.slam.shared import SCANNER_X
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 EXACT = OdometryConfig(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -67,15 +68,16 @@ def test_complaints_about_carmen_logs(tmp_path, text, complaint):
 def test_a_rover_log(tmp_path):
     (tmp_path / "r.dat").write_text(rover(1_000_000, 0, 0) + rover(2_000_000, 1000, 1000) + rover(3_000_000, 900, 1100))
     log = load_breezyslam(tmp_path / "r.dat")
-    assert [one.stamp for one in log.scans] == [0.0, 1.0, 2.0]
+    # The scans are told late: the first is of a time before the wheels' first counts.
+    assert [one.stamp for one in log.scans] == [1.0 - SCANS_LATE, 2.0 - SCANS_LATE]
+    assert [one.stamp for one in log.odometry] == [0.0, 1.0, 2.0]
     assert (log.scans[0].ranges == 1.5).all()
     assert -log.scans[0].angles[0] < log.scans[0].angles[-1] < math.radians(100)
     np.testing.assert_allclose(log.odometry[1].X_OB, [1000 * METRES_PER_COUNT, 0.0, 0.0], atol=1e-12)
-    # Turning in place: the scanner swings round the axle.
-    turn = 0.5 * 200 * METRES_PER_COUNT / 0.165 - 0.0
-    X = log.odometry[2].X_OB - log.odometry[1].X_OB
-    np.testing.assert_allclose(X, [SCANNER_AHEAD * (math.cos(X[2]) - 1), SCANNER_AHEAD * math.sin(X[2]), X[2]])
-    assert 0.0 < X[2] <= turn + 1e-9
+    # It turns in place, round the middle of its axle; the scanner is before that.
+    turn = 0.5 * 200 * METRES_PER_COUNT / 0.165
+    np.testing.assert_allclose(log.odometry[2].X_OB - log.odometry[1].X_OB, [0.0, 0.0, turn], atol=1e-12)
+    assert log.prior.mean[SCANNER_X] == SCANNER_AHEAD
     assert log.truth is None
 
 
@@ -106,5 +108,6 @@ def test_the_real_carmen_logs(name, scans):
 @pytest.mark.skipif(not (DATA / "breezyslam").is_dir(), reason="the rover's log is not at hand")
 def test_the_real_rover_log():
     log = load_breezyslam(DATA / "breezyslam" / "exp1.dat.gz")
-    assert len(log.scans) == 756
+    assert len(log.scans) == 754
+    assert len(log.odometry) == 756
     assert 5.0 < np.hypot(*np.diff([one.X_OB[:2] for one in log.odometry], axis=0).T).sum() < 50.0
