@@ -84,7 +84,7 @@ def test_what_fits_the_expected_pose_is_told():
 
 def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted_to():
     known = np.concatenate([walls(ROOM), walls(ROOM, TURNED)])
-    drifted = HERE + [0.7, -0.5, 0.1]
+    drifted = HERE + np.array([0.7, -0.5, 0.1])
     found, here = find_place(seen(walls(ROOM), HERE), known, reach(known), drifted)
     assert found is not None
     np.testing.assert_allclose(se2.between(HERE, found), 0.0, atol=1e-9)

@@ -51,14 +51,9 @@ def find_place(
     for is_rival, farthest in ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED)):
         best = int(np.argmax(np.where(off < farthest, share, -1.0)))
         matched, is_rival = on[best] >= 0, is_rival & _elsewhere(poses, poses[best])
-        margin = MARGIN / directions(seen)[2].sum()
-        if (
-            share[best] < LEAST_SHARE
-            or not tells_place(seen[matched])
-            or (share[is_rival] > share[best] - margin).any()
-        ):
-            continue
-        return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
+        others = share[is_rival].max(initial=0.0) + MARGIN / directions(seen)[2].sum()
+        if share[best] >= max(LEAST_SHARE, others) and tells_place(seen[matched]):
+            return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
     return None, here
 
 
