@@ -8,7 +8,7 @@ import pytest
 
 from tfg_drake.config import GridConfig, OdometryConfig, ScanConfig
 from tfg_drake.datasets.evaluation import hits, relative_error, wall_thickness
-from tfg_drake.datasets.laser_log import EXACT_SCANNER
+from tfg_drake.datasets.laser_log import EXACT_SCANNER, load_breezyslam
 from tfg_drake.datasets.laser_run import poses_between, run_grid, run_walls
 from tfg_drake.datasets.recording import Recording
 from tfg_drake.geometry import se2
@@ -102,3 +102,9 @@ def test_relative_errors_forget_where_the_map_lies():
     translation, rotation = relative_error(X_WS, longer)
     assert 0.5 < translation["mean"] < translation["worst_tenth"] <= 2.0 + 1e-9
     assert rotation["worst_tenth"] < 1e-9
+
+
+def test_the_rovers_walls_are_sharp(shared_data):
+    log = load_breezyslam(shared_data("breezyslam") / "exp1.dat.gz")
+    # By its stamps as they are they would be 72 mm thick.
+    assert wall_thickness(hits(log.scans, run_walls(log).X_MS)) < 0.06
