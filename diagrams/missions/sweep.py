@@ -20,6 +20,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -164,7 +165,8 @@ def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(task, folder, sending), daemon=True)
     # A terminal sends Ctrl-C to all of its processes, `timeout` or a cluster SIGTERM; a mask is inherited, and the
-    # parent alone answers.
+    # parent alone answers. Whoever starts the resource tracker lifts the mask: it is to run before.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, NAMES)
     try:
         process.start()

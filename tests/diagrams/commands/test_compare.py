@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -70,6 +71,17 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
     assert err == f"tfg-drake: {out}: {complaint}\n"
 
 
+def blocked_in_missions(pid):
+    """The masks of blocked signals of a comparison's processes that run a mission, at least one."""
+    masks = []
+    while not masks:
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                status = Path(f"/proc/{child}/status").read_text()
+                masks.append(int(re.search(r"SigBlk:\s*(\w+)", status)[1], 16))
+    return masks
+
+
 @pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
 def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(room, tmp_path, number, name):
     out = tmp_path / "comparison"
@@ -97,6 +109,7 @@ def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(room, tmp_path
     while not (out / "runs" / "tfg" / "seed-0" / "task.json").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
+    assert all(mask >> (number - 1) & 1 for mask in blocked_in_missions(process.pid))
     os.killpg(process.pid, number)
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (128 + number, f"\ntfg-drake: stopping; {name} again leaves at once\n")
