@@ -15,7 +15,9 @@ def test_the_house_is_explored_to_its_end(tmp_path):
     assert summary["landmark_rmse_m"] < 0.06
 
 
-@pytest.mark.parametrize("name", ["paper_white", "corridor", "office"])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("paper_white", "corridor")), "office"]
+)
 def test_a_minute_of_a_large_world(tmp_path, name):
     summary = run_mission(LoadScenario(name), name=name, out_dir=tmp_path, max_time=60.0, record=False).summary
     assert (summary["outcome"], summary["sim_time_s"]) == ("time_limit", 60.0)

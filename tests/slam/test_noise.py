@@ -52,7 +52,12 @@ def found(robot, pieces=16):
 
 @pytest.mark.parametrize(
     ("factor", "tags", "correlation"),
-    [((1.0, 1.0), 1.0, 0.0), ((3.0, 3.0), 1.0, 0.0), ((1.0, 1.0), 1.0, 0.9), ((1.5, 1.4), 0.8, 0.6)],
+    [
+        pytest.param((1.0, 1.0), 1.0, 0.0, marks=pytest.mark.slow),
+        pytest.param((3.0, 3.0), 1.0, 0.0, marks=pytest.mark.slow),
+        pytest.param((1.0, 1.0), 1.0, 0.9, marks=pytest.mark.slow),
+        ((1.5, 1.4), 0.8, 0.6),
+    ],
 )
 def test_the_noise_is_found(factor, tags, correlation):
     truth = np.array([*np.log(factor), np.log(tags), np.arctanh(correlation)])

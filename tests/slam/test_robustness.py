@@ -109,7 +109,7 @@ def outliers(detections, rng):
     return dataclasses.replace(detections, range=r, bearing=b, ids=ids)
 
 
-@pytest.mark.parametrize("period", [0.0, 1.0])
+@pytest.mark.parametrize("period", [pytest.param(0.0, marks=pytest.mark.slow), 1.0])
 def test_outliers_and_misread_ids_hardly_matter(drive, period):
     clean, spoilt = [], []
     for seed in range(3):
@@ -208,6 +208,7 @@ def test_gaps_in_odometry_and_frames_of_the_past_are_survived(drive):
     assert tour.map_rmse() < 0.08
 
 
+@pytest.mark.slow
 def test_mapping_the_way_sharpens_the_map(drive):
     rmse = {0.0: [], 1.0: []}
     for period, values in rmse.items():
