@@ -67,7 +67,7 @@ def line(world: str, runs: list[dict]) -> str:
     """A row of the table."""
 
     def values(name: str) -> np.ndarray:
-        """What is known of a figure; nan where nothing is."""
+        """The finite values of a figure over the runs; one nan where there are none."""
         known = np.array([one[name] for one in runs], dtype=float)
         return known[np.isfinite(known)] if np.isfinite(known).any() else np.full(1, math.nan)
 

@@ -12,7 +12,6 @@ update, ms, and MB of the particles' maps at the end. The picture has the best p
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import time
 from pathlib import Path
 
@@ -21,9 +20,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from tfg_drake.config import GridConfig, OdometryConfig
-from tfg_drake.datasets.laser_log import load_breezyslam, load_carmen
+from tfg_drake.config import GridConfig
 from tfg_drake.datasets.laser_run import run_grid
+from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.recording import Recording
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
@@ -37,12 +36,11 @@ ROVER, ROVER_STEP = "exp1", 0.1
 
 def logs(folder: Path, noise: float, seed: int) -> list[Recording]:
     """Those that are there."""
-    default = dataclasses.asdict(OdometryConfig())
-    model = OdometryConfig(**{name: noise * value for name, value in default.items()})
     paths = [folder / "carmen" / f"{name}-corrected.log.gz" for name in CARMEN]
-    found = [load_carmen(path, model, seed) for path in paths if path.is_file()]
+    found = [load_dataset(path, noise=noise, seed=seed) for path in paths if path.is_file()]
     rover = folder / "breezyslam" / f"{ROVER}.dat.gz"
-    return found + ([load_breezyslam(rover)] if rover.is_file() else [])
+    found += [load_dataset(rover)] if rover.is_file() else []
+    return [one for one in found if isinstance(one, Recording)]
 
 
 def errors(log: Recording, stamps: FloatArray, X_MS: FloatArray) -> str:

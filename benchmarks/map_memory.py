@@ -1,4 +1,4 @@
-"""What maps take: unknowns, numbers and bytes, in memory and on disk, of the runs of a comparison, whole and a m^2.
+"""The size of the maps of a comparison: unknowns, numbers, bytes in memory and on disk, and kilobytes a square metre.
 
     tfg-drake compare paper --methods tfg,grid-nearest --seeds 1 --out compared
     python benchmarks/map_memory.py compared/runs/*/seed-0

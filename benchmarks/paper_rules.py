@@ -1,4 +1,4 @@
-"""What each of the paper's rules does to the method that goes by all of them: missions with one left out, a row a rule.
+"""Missions by the paper's rules, with all of them and with one left out, a row each.
 
     python benchmarks/paper_rules.py
     python benchmarks/paper_rules.py --rows "all" "without frontiers" --seeds 1

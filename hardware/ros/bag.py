@@ -21,6 +21,8 @@ from tfg_drake.slam.shared import by_data_sheet
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 STATIC = "/tf_static"
+# Least cosine of the tilt of what is upright: 8 degrees.
+UPRIGHT = 0.99
 # What is believed of a scanner whose place the bag tells, and of one whose place it does not.
 TOLD = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02)
 UNTOLD = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
@@ -82,7 +84,7 @@ def _recording(
     """The recording of the messages, each with its topic."""
     seen: list[tuple[float, Any]] = []
     told: list[tuple[float, Any]] = []
-    parents: dict[str, tuple[str, FloatArray]] = {}
+    parents: dict[str, Any] = {}
     for topic, message in read:
         if topic == scan_topic:
             seen.append((_stamp(message), message))
@@ -90,7 +92,7 @@ def _recording(
             told.append((_stamp(message), message))
         else:
             for one in field(message, "transforms"):
-                parents[field(one, "child_frame_id")] = field(one, "header.frame_id"), _planar(one)
+                parents[field(one, "child_frame_id")] = one
     if len(seen) < 2 or len(told) < 2:
         raise DatasetError(f"{path}: {len(seen)} scans and {len(told)} messages of odometry in it; record more")
     seen.sort(key=lambda one: one[0])
@@ -100,7 +102,7 @@ def _recording(
     for stamp, message in told:
         if not way or stamp - first > way[-1].stamp:
             way.append(odometry(message, stamp - first, way[-1] if way else None))
-    X_BS = _mount(parents, field(seen[0][1], "header.frame_id"), field(told[0][1], "child_frame_id"))
+    X_BS = _mount(path, parents, field(seen[0][1], "header.frame_id"), field(told[0][1], "child_frame_id"))
     if X_BS is None:
         notes += ("Where the scanner sits is not told; it is learnt, from the body's origin on.",)
     x, y, yaw = (0.0, 0.0, 0.0) if X_BS is None else X_BS
@@ -109,8 +111,10 @@ def _recording(
     for stamp, message in seen:
         before = way[max(int(np.searchsorted(stamps, stamp - first, "right")) - 1, 0)]
         scan = laser_scan(message, stamp - first, Scanner(float(x), float(y), float(yaw)), before.V_B)
-        if not scans or scan.stamp > scans[-1].stamp:
+        if (scans[-1].stamp if scans else way[0].stamp) < scan.stamp <= way[-1].stamp:
             scans.append(scan)
+    if len(scans) < 2:
+        raise DatasetError(f"{path}: fewer than two scans while there is odometry; record both at once")
     return Recording(
         name=path.name.split(".")[0],
         odometry=tuple(way),
@@ -130,22 +134,29 @@ def _stamp(message: Any) -> float:
     return stamp
 
 
-def _planar(transform: Any) -> FloatArray:
-    """The pose (3,) of a geometry_msgs/TransformStamped in the plane."""
+def _planar(transform: Any) -> FloatArray | None:
+    """The pose (3,) of a geometry_msgs/TransformStamped in the plane, None where it is not upright."""
     x, y = (number(transform, f"transform.translation.{axis}") for axis in "xy")
     q = [number(transform, f"transform.rotation.{axis}") for axis in "xyzw"]
+    if 1.0 - 2.0 * (q[0] ** 2 + q[1] ** 2) < UPRIGHT:
+        return None
     yaw = math.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), q[3] ** 2 + q[0] ** 2 - q[1] ** 2 - q[2] ** 2)
     return np.array([x, y, yaw])
 
 
-def _mount(parents: dict[str, tuple[str, FloatArray]], scanner: str, body: str) -> FloatArray | None:
-    """X_BS (3,), from the scanner's frame up to the body's; None where that is not told."""
+def _mount(path: Path, parents: dict[str, Any], scanner: str, body: str) -> FloatArray | None:
+    """X_BS (3,), from the scanner's frame up to the body's by transforms to their parents; None where that is not told.
+
+    Raises DatasetError where the scanner is not upright.
+    """
     X, frame = np.zeros(3), scanner
     for _ in range(len(parents) + 1):
         if frame == body:
             return X
         if frame not in parents:
             break
-        frame, step = parents[frame]
-        X = se2.compose(step, X)
+        step = _planar(parents[frame])
+        if step is None:
+            raise DatasetError(f"{path}: {STATIC} has {frame} tilted or upside down; a scanner must be upright")
+        frame, X = field(parents[frame], "header.frame_id"), se2.compose(step, X)
     return None

@@ -122,7 +122,7 @@ def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig,
 
 
 def odometry_model() -> OdometryConfig:
-    """What is believed of wheels that skid a little as they turn, without a gyro."""
+    """The noise of odometry by wheels alone, which skid a little as they turn."""
     return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.05, gyro_bias=0.005, gyro_scale=0.05)
 
 

@@ -153,6 +153,21 @@ def test_the_scanner_sits_where_fixed_transforms_say(tmp_path):
     assert log.notes == ()
 
 
+def test_a_scanner_upside_down_is_refused(tmp_path):
+    placed = transform("base", "laser", 0.1, 0.0)
+    placed["transforms"][0]["transform"]["rotation"] = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    messages = [("/tf_static", TRANSFORMS, placed), *way(), *looks()]
+    with pytest.raises(DatasetError, match=r"/tf_static has laser tilted or upside down; a scanner must be upright"):
+        load_bag(bag(tmp_path / "b.mcap", messages))
+
+
+def test_scans_without_odometry_round_them_are_left_out(tmp_path):
+    log = load_bag(bag(tmp_path / "b.mcap", [*way(), *looks((99.0, 100.5, 101.5, 103.0))]))
+    assert [one.stamp for one in log.scans] == [1.5, 2.5]
+    with pytest.raises(DatasetError, match="fewer than two scans while there is odometry; record both at once"):
+        load_bag(bag(tmp_path / "b.mcap", [*way(), *looks((103.0, 104.0))]))
+
+
 def test_of_two_topics_the_fuller_is_read(tmp_path):
     more = [("/other", SCAN, scan(101.0))]
     log = load_bag(bag(tmp_path / "b.mcap", [*way(), *looks(), *more]))
