@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.config import ScanConfig
-from tfg_drake.datasets.laser_log import odometry_model
+from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odometry, ros_stamp
@@ -32,7 +31,8 @@ def load_bag(path: Path) -> Recording:
     """The run in a file: its scans and its odometry, of several topics the one with the most messages.
 
     Where the scanner sits is read from the fixed transforms; where these do not tell, it is taken to be at the body's
-    origin, within some 0.2 m. Stamps are those of the headers, from the first message on.
+    origin, within some 0.2 m. Stamps are those of the headers, from the first message on. The odometry is believed to
+    be as good as a TurtleBot's.
 
     Raises:
         DatasetError: the file cannot be read, a message is broken, there are no scans or no odometry in it, or the
@@ -119,11 +119,11 @@ def _recording(
         name=path.name.split(".")[0],
         odometry=tuple(way),
         scans=tuple(scans),
-        model=odometry_model(),
+        model=OdometryConfig(),
         truth=None,
         notes=notes,
         detections=(),
-        prior=by_data_sheet(odometry_model(), EXACT_CAMERA, UNTOLD if X_BS is None else TOLD),
+        prior=by_data_sheet(OdometryConfig(), EXACT_CAMERA, UNTOLD if X_BS is None else TOLD),
     )
 
 
