@@ -64,7 +64,7 @@ _UsageError: Any = typer.BadParameter.__base__
 # How the options of `explore` are told.
 _GROUPS = {
     "Arguments": ("scenario",),
-    "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "out", "as_json", "help"),
+    "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "resume", "out", "as_json", "help"),
     "A simulated world": ("world", "tag_spacing", "start"),
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
     "The page": ("headless", "host", "page_port"),
@@ -178,6 +178,9 @@ def explore(
     ] = 0.0,
     max_time: MaxTime = 3600.0,
     settings: Settings = None,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Go on with a mission that was cut short, from its folder.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<scenario>-<seed>].")
     ] = None,
@@ -188,9 +191,11 @@ def explore(
     _check_rate_and_seed(realtime_rate, seed)
     _check_spacing(tag_spacing)
     replayed = explore_command.replayed_run(robot)
-    scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
+    if resume is not None:
+        given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
+        method, robot = explore_command.resumed(resume, method, robot, given)
     explore_command.check_robot(robot, links, place, realtime_rate)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
@@ -199,19 +204,28 @@ def explore(
         show("loading")
         # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
         warm_up = stack.enter_context(compiling_beside())
+        from tfg_drake.diagrams.missions.resume import cut_short
         from tfg_drake.diagrams.scenario import PrepareScenario
 
-        loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
+        scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
+        name, before = explore_command.run_name(scenario, world, robot), None
+        if resume is None:
+            loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
+            _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
+        else:
+            if out is not None and out.resolve() != resume.resolve():
+                _make_ready(out)
+            with complaining(out):
+                before = cut_short(resume, out)
+            loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
         if robot != "sim" and replayed is None:
             explore_command.link(loaded.hardware, robot, links)
-        _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
         cockpit, real = None, explore_command.is_real(robot)
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
 
-            name = f"{explore_command.run_name(scenario, world, robot)}, seed {loaded.seed}"
             rate = None if real else realtime_rate
-            cockpit = page_stack.enter_context(open_page(name, host, page_port, rate=rate))
+            cockpit = page_stack.enter_context(open_page(f"{name}, seed {loaded.seed}", host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
         if warm_up is not None:
             explore_command.wait_for_beginning(warm_up, show, interruption, real)
@@ -231,7 +245,7 @@ def explore(
                 loaded,
                 method=explorer,
                 robot=driven,
-                name=explore_command.run_name(scenario, world, robot),
+                name=name,
                 world_name=str(world or scenario) if driven.world_known else "unknown",
                 meshcat=explore_command.open_meshcat() if meshcat else None,
                 cockpit=cockpit,
@@ -241,6 +255,7 @@ def explore(
                 on_progress=lambda progress: show(explore_command.progress_line(progress)),
                 interrupted=interruption,
                 warm_up=None if real else warm_up,
+                before=None if before is None else before.state,
             )
         stack.close()
         _tell(result)

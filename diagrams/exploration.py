@@ -27,6 +27,7 @@ from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
+from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
 from tfg_drake.diagrams.robots import SIMULATED, Robot
@@ -60,6 +61,7 @@ def explore(
     enable: bool = False,
     meshcat: Meshcat | None = None,
     page: bool = False,
+    resume: str | Path | None = None,
     out: str | Path | None = None,
     realtime_rate: float = 0.0,
     until: float = 3600.0,
@@ -84,6 +86,8 @@ def explore(
         enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
         meshcat: where the mission is shown as it goes on; `pydrake.all.StartMeshcat()` makes one.
         page: serve the page that shows and operates it until explore returns; its address is printed.
+        resume: the folder of a mission that was cut short, to go on with: its scenario, seed and method are the run's;
+            parts of one's own are given again.
         out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept. A
             simulated run that is in it is replaced.
         realtime_rate: simulated s per second at most, 0 for as fast as possible.
@@ -93,7 +97,8 @@ def explore(
         ScenarioError, MethodError: the scenario or the method cannot be used.
         ValueError: until or realtime_rate is negative.
         TypeError: a part is given that is no such function.
-        BadInput: the folder holds a real robot's run, or the scenario that is read; or the page cannot be served.
+        BadInput: the folder holds a real robot's run, or the scenario that is read; the page cannot be served; or there
+            is no mission to go on with.
         DeviceError: the robot cannot be used.
         OSError: the folder cannot be written.
     """
@@ -108,13 +113,20 @@ def explore(
         raise TypeError("plant: is for the usual station; put it into the one that station= makes")
     named = "" if isinstance(scenario, Scenario) else str(scenario)
     make_kernels_ready()
-    loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
-    name = run_name(named or "mission", None if world is None else Path(world))
-    explorer = FindMethod(method)
-    if own:
-        if method != "tfg":
-            raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
-        explorer = Method("own", f"tfg, another {', '.join(own)}", functools.partial(MakeTfgExplorer, **own))
+    before = None
+    if resume is not None:
+        if out is not None and Path(out).resolve() != Path(resume).resolve():
+            check_kept(Path(out))
+        before = cut_short(Path(resume), None if out is None else Path(out))
+        loaded, name, named = before.scenario, before.name, before.world_name
+        method, out = before.method, before.folder
+    else:
+        loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
+        name = run_name(named or "mission", None if world is None else Path(world))
+    if own and method not in ("tfg", "own"):
+        raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
+    summary = f"tfg, another {', '.join(own)}"
+    explorer = Method("own", summary, functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
     explorer.Check(loaded)
     robot = SIMULATED
     if plant is not None:
@@ -128,7 +140,7 @@ def explore(
         return Exploration(mission, name).advance(until)
     with contextlib.ExitStack() as stack:
         stack.callback(robot.close)
-        if out is not None:
+        if out is not None and before is None:
             check_kept(Path(out), inputs=[Path(named)])
         cockpit = None
         if page:
@@ -148,6 +160,7 @@ def explore(
             realtime_rate=realtime_rate,
             max_time=until,
             out_dir=None if out is None else Path(out),
+            before=None if before is None else before.state,
         )
     if result.mission.failure is not None:
         raise result.mission.failure

@@ -32,7 +32,7 @@ class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
     the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates:
     its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press
-    keys meanwhile.
+    keys meanwhile. source: the path of its file, if there is one.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1) and requested_goal (a RequestedGoal), as many of them as it wants: without
@@ -47,6 +47,7 @@ class Method:
     keeps_budget: bool = True
     has_candidates: bool = False
     needs_keys: bool = False
+    source: str = ""
 
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs."""
@@ -125,6 +126,7 @@ def FindMethod(name_or_path: str) -> Method:
             summary=f"{manual.summary}, as in {path}",
             MakeExplorer=lambda scenario: MakeManualExplorer(scenario, drive=drive),
             needs_keys=False,
+            source=str(path.resolve()),
         )
     if path.suffix != ".py":
         raise MethodError(f"{name_or_path}: no such method; name a .py file or one of {', '.join(METHODS)}")
@@ -143,4 +145,4 @@ def FindMethod(name_or_path: str) -> Method:
             f"{name_or_path}: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"
         )
     summary = (module.__doc__ or "").strip().split("\n")[0]
-    return Method(path.stem, summary, module.MakeExplorer)
+    return Method(path.stem, summary, module.MakeExplorer, source=str(path.resolve()))

@@ -47,6 +47,22 @@ def replayed_run(robot: str) -> Path | None:
     return folder
 
 
+def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> tuple[str, str]:
+    """Method and robot of a mission that is gone on with. Raises BadInput where there is none, or where something is
+    given that it has already."""
+    from tfg_drake.storage.checkpoint import read_told
+
+    told = read_told(run)
+    for option, value in given.items():
+        if value is not None:
+            bad_input(f"{option}: is that of the run which is resumed; leave it out")
+    if method != "tfg" and method != told["source"]:
+        bad_input(f"--method {method}: the run that is resumed has {told['source']}; leave it out")
+    if robot not in ("sim", told["robot"]):
+        bad_input(f"--robot {robot}: the run that is resumed drove {told['robot']}; leave it out")
+    return told["source"], told["robot"]
+
+
 def is_real(robot: str) -> bool:
     """Whether what is driven is neither simulated nor replayed."""
     from tfg_drake.config import ROBOTS

@@ -7,18 +7,19 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
-from pydrake.systems.primitives import VectorLogSink
+from pydrake.systems.primitives import VectorLog, VectorLogSink
 
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer, map_frame
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
+from tfg_drake.diagrams.missions.context_state import restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
@@ -63,6 +64,8 @@ STAGE_FIELDS = (
     "entropy_nats",
     "landmarks",
 )
+# What a mission has noted of itself, besides its Context.
+_STATE = ("stages", "departures", "map", "stage_cpu", "resumed", "_choice")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -72,6 +75,11 @@ LATE = 1.0
 
 _log = logging.getLogger("tfg_drake.run")
 _pace_log = logging.getLogger("tfg_drake.pace")
+
+
+def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Stages as lines of stages.jsonl."""
+    return "".join(json.dumps(record) + "\n" for record in stages)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +100,8 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. failure: what ended it, of the outcome fault.
+    `say`. failure: what ended it, of the outcome fault. resumed: when it was gone on with, s. wall_start: when it began
+    by the host's monotonic clock, less what it had taken when it was gone on with, s.
     """
 
     def __init__(
@@ -105,18 +114,20 @@ class Mission:
         writer: PortWriter | None = None,
         timeline: TimelineWriter | None = None,
         cockpit: Cockpit | None = None,
+        before: Mapping[str, Any] | None = None,
     ) -> None:
-        """writer: where the station's ports are recorded, timeline: where the picture is; see `explore` for the
-        others."""
+        """writer: where the station's ports are recorded, timeline: where the picture is. before: the `state` of a
+        mission to go on with. See `explore` for the others."""
         keep_to_one_thread()
-        self._cpu_start, self.meter = time.process_time(), CpuMeter()
+        self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._X_WS = self.world.start if self.world is not None else None
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
         self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
-        if timeline is not None:
+        self._before = before
+        if timeline is not None and before is None:
             self._begin_timeline(timeline, title)
         self._meshcat = meshcat
         self._visualizer: TfgVisualizer | None = None
@@ -131,6 +142,7 @@ class Mission:
         self.grid: GridMap | None = None
         self.departures: list[Departure] = []  # one a stage
         self.stages: list[dict[str, Any]] = []
+        self.resumed: list[float] = []
         self.outcome, self.reason = "", ""
         self.failure: BaseException | None = None
         self.stage_cpu: dict[int, float] = {}
@@ -147,8 +159,43 @@ class Mission:
         takes a line a stage."""
         self._write = write
         self._build(monitor)
+        if self._before is not None:
+            self._go_on(self._before)
         self._simulator.Initialize()
         self.observe()
+
+    def state(self) -> dict[str, Any]:
+        """All that a mission needs to go on from here, between two instants."""
+        assert self._context is not None
+        self.account()
+        logs = [(log.sample_times(), log.data()) for log in self._find_logs(self._context)]
+        return {
+            "time": self.time,
+            "systems": state_of(self._simulator.get_system(), self._context),
+            "logs": [(times[times < self.time], data[:, times < self.time]) for times, data in logs],
+            "spent": self.meter.spent,
+            "cpu_time": self.cpu_time,
+            "wall_time": self.wall_time,
+            "mission": {name: getattr(self, name) for name in _STATE},
+        }
+
+    def _go_on(self, state: Mapping[str, Any]) -> None:
+        """Puts everything back: of a real robot, which may be elsewhere now, what explores only."""
+        assert self._context is not None
+        under = "/explorer" if self.robot.real else ""
+        restore_state(self._simulator.get_system(), self._context, state["systems"], state["time"], under)
+        for log, (times, data) in zip(self._find_logs(self._context), state["logs"], strict=True):
+            for stamp, column in zip(times, data.T, strict=True):
+                log.AddData(stamp, column)
+        self.meter.spent.update(state["spent"])
+        self.wall_start -= state["wall_time"]
+        self._cpu_start -= state["cpu_time"]
+        vars(self).update(state["mission"])
+        self.resumed = [*self.resumed, self.time]
+        _log.info("goes on from %.2f s", self.time)
+
+    def _find_logs(self, context: Context) -> list[VectorLog]:
+        return [log.FindMutableLog(context) for log in self._logs if log is not None]
 
     def advance(self, until: float) -> bool:
         """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
@@ -171,9 +218,9 @@ class Mission:
         if self._recorder is not None and self._context is not None:
             self._recorder.ForcedPublish(self._recorder.GetMyContextFromRoot(self._context))
 
-    def account(self, wall_time: float) -> None:
-        """Takes down what the mission has cost so far. wall_time: s."""
-        self.wall_time, self.cpu_time = wall_time, time.process_time() - self._cpu_start
+    def account(self) -> None:
+        """Takes down what the mission has cost so far."""
+        self.wall_time, self.cpu_time = time.monotonic() - self.wall_start, time.process_time() - self._cpu_start
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     def say(self, word: str) -> None:
@@ -322,7 +369,7 @@ class Mission:
         return found[0] if found is not None else None
 
     def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
-        diagram, truth_log, self._pose_log, self._covariance_log = MakeMissionDiagram(
+        diagram, *self._logs = MakeMissionDiagram(
             self.scenario,
             self.world,
             self._meshcat,
@@ -332,6 +379,7 @@ class Mission:
             self._timeline,
             (self._cockpit.requests,) if self._cockpit is not None else (),
         )
+        truth_log, self._pose_log, self._covariance_log = self._logs
         self._simulator = Simulator(diagram)
         if monitor is not None:
             self._simulator.set_monitor(monitor)
@@ -397,7 +445,7 @@ class Mission:
                 self._visualizer.PlaceMap(self.X_WM, self.time)
             if self._timeline is not None:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
-            self._write(json.dumps(record) + "\n")
+            self._write(stage_lines([record]))
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
         self._choice = self._look("goal", GoalChoice)
         if self.truth is not None:

@@ -73,23 +73,23 @@ class MissionRunner:
         self._rate, self._max_time, self._on_progress = realtime_rate, max_time, on_progress
         self._cockpit = cockpit
         self._clock_version = -1  # what the simulator knows of the page's clock
-        self._wall_start = 0.0
         self._area, self._next_area = 0.0, 0.0
 
     def run(
         self,
         write: Callable[[str], object] = lambda _line: None,
-        keep: Callable[[], None] | None = None,
+        keep: Callable[[bool], None] | None = None,
         warm_up: WarmUp | None = None,
         monitor: Callable[[Context], EventStatus] | None = None,
     ) -> None:
         """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
-        keep: called now and then, to keep what there is; what it or `write` raises ends the mission. warm_up: as for
-        `explore`."""
+        keep: called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises
+        ends the mission. warm_up: as for `explore`."""
+        keep = keep or (lambda _now: None)
         mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
-        self._wall_start = time.monotonic()
         try:
             mission.begin(monitor, write)
+            keep(True)
             mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else self._rate)
             terminated = False
             while not self._ended():
@@ -99,10 +99,10 @@ class MissionRunner:
                 boundary = now * (math.floor(mission.time / now) + 1.0)
                 terminated = self._advance(min(boundary, self._max_time, mission.robot.end_time))
                 mission.observe()
-                if keep is not None:
-                    keep()
+                keep(False)
                 self._tell()
             if not terminated:
+                keep(True)
                 # A mission that ends by itself has done all that was due at its last instant. One that is ended from
                 # outside does it here, so that a replay of its recording comes to the same.
                 mission.simulator.AdvancePendingEvents()
@@ -116,7 +116,7 @@ class MissionRunner:
             _log.exception("the mission failed at %.3f s", mission.time)
         finally:
             mission.robot.close()
-        mission.account(time.monotonic() - self._wall_start)
+        mission.account()
         if mission.built:
             self._tell()
 
@@ -191,7 +191,7 @@ class MissionRunner:
         """Says how far the mission is, to whoever asked."""
         if self._on_progress is None:
             return
-        mission, wall_time = self._mission, time.monotonic() - self._wall_start
+        mission, wall_time = self._mission, time.monotonic() - self._mission.wall_start
         if mission.outcome or wall_time >= self._next_area:
             self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
         status, landmarks = mission.status, len(mission.map.ids) if mission.map is not None else 0

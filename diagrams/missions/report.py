@@ -122,6 +122,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "outcome": mission.outcome,
         "reason": mission.reason,
         "sim_time_s": mission.end_time,
+        "resumed_at_s": mission.resumed,
         "wall_time_s": mission.wall_time,
         "cpu_time_s": mission.cpu_time,
         "real_time_factor": mission.end_time / mission.wall_time,

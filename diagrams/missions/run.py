@@ -3,8 +3,8 @@
 A run's folder holds summary.json, stages.jsonl (a line a stage), map.npz (grid.npz of a method that keeps a grid),
 trajectory.tum (in W), truth.tum where the truth is known, keys.csv of a drive by hand, ports.mcap (what the station's
 ports carried), timeline.tfg (what the mission looked like), mission.html (the page that shows it), figure.png,
-scenario.yaml (resolved) and log.txt. The map is there while it grows. A file that cannot be written, as to a full disk,
-ends no mission.
+scenario.yaml (resolved) and log.txt. The map is there while it grows, and checkpoint.bin as long as the mission can be
+gone on with. A file that cannot be written, as to a full disk, ends no mission.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import contextlib
 import dataclasses
 import gc
 import logging
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
@@ -36,6 +37,8 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
+from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
+from tfg_drake.storage.checkpoint import write_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
@@ -47,9 +50,10 @@ if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.missions.fork import Fork
 
-# The map is kept no more often than takes this share of the time on the wall: a robot that is driven in real time has
-# its newest stage kept, of a simulation that is killed a second or so of work is lost.
+# The map is kept no more often than takes this share of the time on the wall, and the mission likewise: of one that is
+# killed a few seconds of work are lost, ten in a large building.
 KEPT_SHARE = 0.01
+CHECKPOINT_SHARE = 0.02
 
 # What the page's last card says of the summary.
 TOLD_AT_THE_END = (
@@ -102,6 +106,7 @@ def run_mission(
     record: bool = True,
     warm_up: WarmUp | None = None,
     fork: Fork | None = None,
+    before: Mapping[str, Any] | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -121,6 +126,7 @@ def run_mission(
             grows; not for what a seed gives again.
         warm_up: those who compile the kernels that come after its first look, which takes its time until all are there.
         fork: what becomes of its goals from a stage on.
+        before: the state in which the mission that is in out_dir was cut short, to go on with it.
 
     The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
     An error inside the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt.
@@ -130,7 +136,7 @@ def run_mission(
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    with open_run_folder(out_dir, f"{name}-{scenario.seed}") as folder, folder.logging():
+    with open_run_folder(out_dir, f"{name}-{scenario.seed}", goes_on=before is not None) as folder, folder.logging():
         write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
@@ -143,11 +149,12 @@ def run_mission(
             gc.freeze()
             stack.callback(gc.unfreeze)
             stack.callback(gc.collect)
-            writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name)) if record else None
-            timeline = None
+            writer = timeline = None
             if record:
+                ports, picture = (None, None) if before is None else (before["ports"], before["timeline"])
+                writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name, ports))
                 watched = (lambda: cockpit.watched) if cockpit is not None else (lambda: False)
-                timeline = stack.enter_context(TimelineWriter(folder.path / TIMELINE, watched))
+                timeline = stack.enter_context(TimelineWriter(folder.path / TIMELINE, watched, picture))
             if cockpit is not None and timeline is not None:
                 cockpit.follow(folder.path / TIMELINE)
             folder.keep_reserve()
@@ -155,12 +162,17 @@ def run_mission(
                 interrupted = Interruption()
                 interrupted.first = lambda *_: None
                 stack.enter_context(interrupted.heard())
-            mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit)
-            folder.append("stages.jsonl", "")
-            keep = _Keeper(mission, folder) if record else None
+            mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit, before)
+            rows = [] if before is None else before["mission"]["stages"]
+            folder.attempt("stages.jsonl", lambda path: write_atomic(path, stage_lines(rows)))
+            told = {"scenario": name, "world": world_name or name, "seed": scenario.seed, "robot": robot.name}
+            told |= {"method": method.name, "source": method.source or method.name}
+            keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
             monitor = fork.monitor(mission) if fork is not None else None
             runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
             runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, monitor)
+            if mission.outcome in ("complete", "stuck"):
+                folder.attempt(CHECKPOINT, lambda path: path.unlink(missing_ok=True))
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
             mission.say(mission.outcome.replace("_", " "))
@@ -181,22 +193,50 @@ def run_mission(
 
 
 class _Keeper:
-    """Keeps the map of a mission under way on the disk: that of the newest stage, as often as KEPT_SHARE allows."""
+    """Keeps a mission under way on the disk, to be gone on with, and its map: as often as KEPT_SHARE allows."""
 
-    def __init__(self, mission: Mission, folder: RunFolder) -> None:
-        self._mission, self._folder = mission, folder
-        self._stage, self._again = 0, 0.0
+    def __init__(
+        self,
+        mission: Mission,
+        folder: RunFolder,
+        told: dict[str, Any],
+        writer: PortWriter,
+        timeline: TimelineWriter,
+    ) -> None:
+        """told: of the mission, with its checkpoint."""
+        self._mission, self._folder, self._told = mission, folder, told
+        self._writer, self._timeline = writer, timeline
+        self._stage, self._again = 0, {self._keep_map: 0.0, self._keep_mission: 0.0}
 
-    def __call__(self) -> None:
+    def __call__(self, now: bool) -> None:
+        """now: also where it is too early."""
+        for keep, share in ((self._keep_map, KEPT_SHARE), (self._keep_mission, CHECKPOINT_SHARE)):
+            start = time.thread_time()
+            if (now or time.monotonic() >= self._again[keep]) and keep():
+                self._again[keep] = time.monotonic() + (time.thread_time() - start) / share
+
+    def _keep_mission(self) -> bool:
+        """Writes the checkpoint; False where none is of use: a replay has its recording."""
+        mission = self._mission
+        if not math.isinf(mission.robot.end_time):
+            return False
+        state = {**mission.state(), "ports": self._writer.standing(), "timeline": self._timeline.standing()}
+        stamps, X_WB = mission.estimated_poses()
+        told = {**self._told, "sim_time_s": mission.time, "stamps": stamps, "X_WB": X_WB}
+        told["contacts"] = None if mission.truth is None else mission.truth.contacts
+        self._folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, told, state))
+        return True
+
+    def _keep_map(self) -> bool:
+        """Writes the map; False where it is there."""
         mission = self._mission
         newest = mission.tfg if mission.tfg is not None else mission.grid
-        if newest is None or newest.stage <= self._stage or time.monotonic() < self._again:
-            return
-        start = time.thread_time()
+        if newest is None or newest.stage <= self._stage:
+            return False
         grid, found = mission.grid, mission.newest_map()
         if grid is not None:
             self._folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
         elif found is not None:
             self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
         self._stage = newest.stage
-        self._again = time.monotonic() + (time.thread_time() - start) / KEPT_SHARE
+        return True

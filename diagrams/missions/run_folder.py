@@ -25,6 +25,7 @@ RESULTS: tuple[str, ...] = (
     "summary.json",
     "figure.png",
     "solved.g2o",
+    "checkpoint.bin",
 )
 RESULTS += ("trajectory.tum", "truth.tum", "online.tum")
 # Kept free for the last map and the summary of a disk that is full, bytes: the files that a run writes at its end take
@@ -72,8 +73,9 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def open_run_folder(out: Path | None, name: str) -> Iterator[RunFolder]:
-    """The folder of one run, see `make_run_folder`: without the results of an earlier run, and for nobody else.
+def open_run_folder(out: Path | None, name: str, *, goes_on: bool = False) -> Iterator[RunFolder]:
+    """The folder of one run, see `make_run_folder`, for nobody else: without the results of an earlier run, or with
+    those of the one that goes on.
 
     Raises:
         BlockingIOError: another run is at work in it.
@@ -81,10 +83,11 @@ def open_run_folder(out: Path | None, name: str) -> Iterator[RunFolder]:
     """
     path = make_run_folder(out, name)
     with claimed(path):
-        if (path / "stages.jsonl").exists():  # Elsewhere it may be what somebody wrote.
-            (path / "scenario.yaml").unlink(missing_ok=True)
-        for file in RESULTS:
-            (path / file).unlink(missing_ok=True)
+        if not goes_on:
+            if (path / "stages.jsonl").exists():  # Elsewhere it may be what somebody wrote.
+                (path / "scenario.yaml").unlink(missing_ok=True)
+            for file in RESULTS:
+                (path / file).unlink(missing_ok=True)
         folder = RunFolder(path)
         try:
             yield folder
@@ -165,7 +168,7 @@ class _LogFile(logging.FileHandler):
     """A log that may be cut short, as by a full disk."""
 
     def __init__(self, folder: RunFolder) -> None:
-        super().__init__(folder.path / "log.txt", mode="w", encoding="utf-8")
+        super().__init__(folder.path / "log.txt", mode="a", encoding="utf-8")
         self._folder = folder
 
     def handleError(self, record: logging.LogRecord) -> None:

@@ -66,6 +66,8 @@ _TYPES: Mapping[Any, Any] = {
 }
 # How protobuf's wire format says what follows a field's number.
 _BYTE, _EIGHT_BYTES, _BLOCK = 0, 1, 2
+# What a writer knows of the file that it goes on with.
+_STANDING = ("_bytes", "_stage", "_told", "_last_data", "_count")
 _log = logging.getLogger("tfg_drake.storage.port_recording")
 
 
@@ -113,11 +115,14 @@ class PortWriter:
     the run; failure: what ended it, None where nothing did.
     """
 
-    def __init__(self, path: Path, robot: str) -> None:
-        """robot: what was driven. Raises OSError where the file cannot be written."""
+    def __init__(self, path: Path, robot: str, standing: Mapping[str, Any] | None = None) -> None:
+        """robot: what was driven. standing: what `standing` said of a file that is written further. Raises OSError
+        where it cannot be, RecordingError where it is not what it was."""
         self._path = path
         self.failure: OSError | None = None
-        self._file = path.open("wb")
+        # The new file is in the place of the old one when it has all that stands there.
+        beside = path if standing is None else path.with_name(f".{path.name}")
+        self._file = beside.open("wb")
         self._writer: Writer | None = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(library="tfg_drake")
         self._writer.add_metadata("run", {"robot": robot})
@@ -136,7 +141,31 @@ class PortWriter:
         self._told: dict[str, list[float]] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
-        self._flushed = -math.inf
+        self._flushed, self._count = -math.inf, 0
+        if standing is not None:
+            self._copy(path, standing["_count"])
+            vars(self).update(standing)
+            beside.replace(path)
+
+    def standing(self) -> dict[str, Any]:
+        """Puts all on the disk, and says what stands there."""
+        self._write_waiting()
+        return {name: getattr(self, name) for name in _STANDING}
+
+    def _copy(self, path: Path, count: int) -> None:
+        """Takes the first messages of another recording."""
+        assert self._writer is not None
+        topics: dict[int, str] = {}
+        with reading(path, RecordingError):
+            for record in _records(path):
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and self._count < count:
+                    channel = self._channels[topics[record.channel_id]]
+                    self._writer.add_message(channel, record.log_time, record.data, record.publish_time)
+                    self._count += 1
+        if self._count < count:
+            raise RecordingError(f"{path}: has {self._count} of {count} messages; copy it again from where it was made")
 
     def _register(self, topic: str, name: str, files: Any) -> None:
         assert self._writer is not None
@@ -221,6 +250,7 @@ class PortWriter:
                 now, stamp = nanoseconds(time), getattr(value, "stamp", time)
                 published = nanoseconds(stamp) if 0.0 <= stamp < math.inf else now
                 self._writer.add_message(self._channels[port], now, data, published)
+                self._count += 1
             self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError as error:
             self._give_up(error)

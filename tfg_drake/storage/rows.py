@@ -46,15 +46,15 @@ class Table:
     keys: IntArray | None = None
 
 
+@dataclasses.dataclass(eq=False)
 class StandingRows:
     """The rows of a layer that stand in a file. A row's number counts the rows that were written before it."""
 
-    def __init__(self) -> None:
-        self._count = 0
-        self._numbers = np.zeros(0, dtype=np.int64)
-        self._places: FloatArray = np.zeros((0, 2))
-        self._values: FloatArray | None = None
-        self._keys: IntArray | None = None
+    _count: int = 0
+    _numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    _values: FloatArray | None = None
+    _keys: IntArray | None = None
 
     def change(self, table: Table, near: Near = EVERYWHERE) -> tuple[IntArray, IntArray]:
         """Makes what stands like a table, as far as the table tells.

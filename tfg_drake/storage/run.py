@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from tfg_drake.io.files import FileError, read_object, read_text, reading
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 from tfg_drake.messages import FloatArray, TagDetections
+from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
+from tfg_drake.storage.checkpoint import read_told
 from tfg_drake.storage.port_recording import PortRecording, read_recording
 from tfg_drake.storage.trajectory import read_tum
 
@@ -94,10 +96,16 @@ class Run:
 
 
 def load_run(folder: str | Path) -> Run:
-    """Read a run's folder. Raises RunError where it holds no summary.json, FileError where a file in it is damaged."""
+    """Read a run's folder; of a mission that was cut short its checkpoint tells what summary and trajectory would, its
+    outcome is cut_short. Raises RunError where it holds neither, FileError where a file in it is damaged."""
     folder = Path(folder)
     if not (folder / "summary.json").is_file():
-        raise RunError(f"{folder}: holds no run: no summary.json; name the folder of a mission that has ended")
+        if not (folder / CHECKPOINT).is_file():
+            raise RunError(f"{folder}: holds no run: no summary.json; name the folder of a mission")
+        summary = {**read_told(folder), "outcome": "cut_short"}
+        trajectory = summary.pop("stamps"), summary.pop("X_WB")
+    else:
+        summary, trajectory = read_object(folder / "summary.json"), _trajectory(folder / "trajectory.tum")
     stages = folder / "stages.jsonl"
     with reading(stages):
         lines = read_text(stages).splitlines() if stages.exists() else []
@@ -105,9 +113,9 @@ def load_run(folder: str | Path) -> Run:
     true_stamps, X_WB_true = _trajectory(folder / "truth.tum")
     return Run(
         folder,
-        read_object(folder / "summary.json"),
+        summary,
         rows,
-        *_trajectory(folder / "trajectory.tum"),
+        *trajectory,
         true_stamps,
         X_WB_true,
         load_map(folder / "map.npz") if (folder / "map.npz").exists() else None,

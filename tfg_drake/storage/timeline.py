@@ -17,6 +17,7 @@ last second.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import logging
 import math
@@ -103,16 +104,28 @@ class TimelineWriter:
     failure: what ended it, None where nothing did. watched: whether somebody looks on, to whom it is to be told soon.
     """
 
-    def __init__(self, path: Path, watched: Callable[[], bool] = lambda: False) -> None:
-        """Raises OSError where the file cannot be written."""
+    def __init__(
+        self, path: Path, watched: Callable[[], bool] = lambda: False, standing: Mapping[str, Any] | None = None
+    ) -> None:
+        """standing: what `standing` said of a file that is written further. Raises OSError where it cannot be."""
         self._path, self.watched = path, watched
         self.failure: OSError | None = None
-        self._file: BinaryIO | None = path.open("wb", buffering=0)
-        self._file.write(MAGIC)
+        self._file: BinaryIO | None = path.open("wb" if standing is None else "r+b", buffering=0)
         self._records: list[bytes] = []
         self._due: dict[str, float] = {}
         self._rows: dict[str, StandingRows] = {}
         self._flushed = time.monotonic()
+        if standing is None:
+            self._file.write(MAGIC)
+        else:
+            self._file.truncate(standing["size"])
+            self._file.seek(0, io.SEEK_END)
+            self._due, self._rows = standing["due"], standing["rows"]
+
+    def standing(self) -> dict[str, Any]:
+        """Puts all on the disk, and says what stands there."""
+        self.flush()
+        return {"size": self._path.stat().st_size, "due": self._due, "rows": self._rows}
 
     def __enter__(self) -> TimelineWriter:
         return self

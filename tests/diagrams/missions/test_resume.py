@@ -1,0 +1,117 @@
+"""A mission that was cut short, gone on with."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import tfg_drake
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.resume import cut_short
+from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.storage.checkpoint import CheckpointError
+from tfg_drake.storage.port_recording import read_recording
+from tfg_drake.storage.timeline import read_timeline
+
+# People and changes, too: the whole world goes on.
+ROOMS = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4], [6, 0, 6, 2.6]]
+explorer: {first_look: 4, first_turns: 1}
+reality:
+  people: 1
+  changes: [{time: 20, walls: [[4, 1, 4.4, 1]]}]
+disturbances: [{time: 26, duration: 0.5, ahead: 0.1, turn: 0.1}]
+"""
+CUT, END = 27.0, 45.0
+# What a machine takes differs from run to run.
+COSTS = ("wall_time_s", "cpu_time_s", "real_time_factor", "peak_rss_bytes", "stage_ms")
+
+
+def scenario():
+    return ApplyWorldFile(LoadScenario(data=ROOMS), tag_spacing=1.0)
+
+
+def same(summary):
+    return {key: value for key, value in summary.items() if key not in COSTS and not key.endswith("cpu_s")}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return run.run_mission(scenario(), name="rooms", max_time=END, out_dir=tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture(scope="module")
+def half(tmp_path_factory):
+    return run.run_mission(scenario(), name="rooms", max_time=CUT, out_dir=tmp_path_factory.mktemp("half"))
+
+
+def gone_on(folder, out, end=END):
+    before = cut_short(folder, out)
+    return run.run_mission(before.scenario, name=before.name, max_time=end, out_dir=before.folder, before=before.state)
+
+
+def test_a_resumed_mission_ends_as_if_it_had_not_been_cut(whole, half, tmp_path):
+    after = gone_on(half.folder, tmp_path / "after")
+    assert after.summary["resumed_at_s"] == [CUT]
+    assert same(after.summary) == {**same(whole.summary), "resumed_at_s": [CUT]}
+    for name in ("stages.jsonl", "trajectory.tum", "truth.tum"):
+        assert (after.folder / name).read_bytes() == (whole.folder / name).read_bytes()
+    one, two = (tfg_drake.load_run(result.folder) for result in (whole, after))
+    np.testing.assert_array_equal(one.map.p_ML, two.map.p_ML)
+    for port, times in one.recording.log_times.items():
+        np.testing.assert_array_equal(times, two.recording.log_times[port])
+    before, now = (
+        [record.time for record in read_timeline(r.folder) if record.layer == "pose"] for r in (whole, after)
+    )
+    assert sorted(set(now)) == sorted(set(before))
+
+
+def test_a_resumed_run_replays(half, tmp_path):
+    after = gone_on(half.folder, tmp_path / "after")
+    robot = ReplayRobot(read_recording(after.folder))
+    again = run.run_mission(scenario(), robot=robot, name="rooms", max_time=END, out_dir=tmp_path / "again")
+    assert again.summary["landmark_rmse_m"] == after.summary["landmark_rmse_m"]
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(whole, half, tmp_path):
+    # As a kill leaves it: more of stages, recording and timeline than the checkpoint knows, no summary.
+    killed = shutil.copytree(whole.folder, tmp_path / "killed")
+    (killed / "summary.json").unlink()
+    shutil.copy(half.folder / "checkpoint.bin", killed)
+    with (killed / "timeline.tfg").open("ab") as file:
+        file.write(b"\1\0")
+    cut = tfg_drake.load_run(killed)
+    assert cut.summary["outcome"] == "cut_short"
+    assert cut.stamps[-1] == pytest.approx(CUT, abs=0.2)
+    after = gone_on(killed, None)
+    assert same(after.summary) == {**same(whole.summary), "resumed_at_s": [CUT]}
+    assert (after.folder / "stages.jsonl").read_bytes() == (whole.folder / "stages.jsonl").read_bytes()
+
+
+def test_from_python_a_run_goes_on_where_it_is(half, tmp_path):
+    copy = shutil.copytree(half.folder, tmp_path / "copy")
+    mission = tfg_drake.explore(resume=copy, until=CUT + 2.0)
+    assert mission.folder == copy
+    assert mission.time == CUT + 2.0
+    assert mission.summary["resumed_at_s"] == [CUT]
+    assert tfg_drake.explore(resume=copy, until=CUT + 4.0).summary["resumed_at_s"] == [CUT, CUT + 2.0]
+
+
+def test_what_cannot_be_gone_on_with_is_told(half, tmp_path):
+    with pytest.raises(CheckpointError, match="holds no mission to go on with"):
+        cut_short(tmp_path)
+    (tmp_path / "summary.json").write_text(json.dumps({}))
+    with pytest.raises(CheckpointError, match=r"has ended.*--map"):
+        cut_short(tmp_path)
+
+
+def test_a_replay_is_not_gone_on_with(half, tmp_path):
+    robot = dataclasses.replace(ReplayRobot(read_recording(half.folder)))
+    run.run_mission(scenario(), robot=robot, name="rooms", max_time=5.0, out_dir=tmp_path)
+    assert not (tmp_path / "checkpoint.bin").exists()
