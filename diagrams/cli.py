@@ -64,7 +64,18 @@ _UsageError: Any = typer.BadParameter.__base__
 # How the options of `explore` are told.
 _GROUPS = {
     "Arguments": ("scenario",),
-    "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "resume", "out", "as_json", "help"),
+    "The mission": (
+        "method",
+        "seed",
+        "known_map",
+        "max_time",
+        "realtime_rate",
+        "settings",
+        "resume",
+        "out",
+        "as_json",
+        "help",
+    ),
     "A simulated world": ("world", "tag_spacing", "start"),
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
     "The page": ("headless", "host", "page_port"),
@@ -167,6 +178,10 @@ def explore(
         str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
     ] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
+    known_map: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="MAP", help="Begin with a map of the building, a file or the folder of a run."),
+    ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
     meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
     host: Host = "localhost",
@@ -195,6 +210,7 @@ def explore(
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
     if resume is not None:
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
+        given["--map"] = known_map
         method, robot = explore_command.resumed(resume, method, robot, given)
     explore_command.check_robot(robot, links, place, realtime_rate)
     if method == "manual":  # Nobody drives faster.
@@ -210,7 +226,8 @@ def explore(
         scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
         name, before = explore_command.run_name(scenario, world, robot), None
         if resume is None:
-            loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
+            known = [] if known_map is None else [f"explorer.known_map={known_map.resolve()}"]
+            loaded = PrepareScenario(scenario, [*(settings or []), *known], seed, world, tag_spacing, _start(start))
             _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
         else:
             if out is not None and out.resolve() != resume.resolve():

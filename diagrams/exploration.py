@@ -61,6 +61,7 @@ def explore(
     enable: bool = False,
     meshcat: Meshcat | None = None,
     page: bool = False,
+    map: str | Path | None = None,
     resume: str | Path | None = None,
     out: str | Path | None = None,
     realtime_rate: float = 0.0,
@@ -86,6 +87,8 @@ def explore(
         enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
         meshcat: where the mission is shown as it goes on; `pydrake.all.StartMeshcat()` makes one.
         page: serve the page that shows and operates it until explore returns; its address is printed.
+        map: the file of a map of the building, or the folder of a run: the mission begins with it; its summary's
+            `changes` tells what has changed since.
         resume: the folder of a mission that was cut short, to go on with: its scenario, seed and method are the run's;
             parts of one's own are given again.
         out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept. A
@@ -121,7 +124,8 @@ def explore(
         loaded, name, named = before.scenario, before.name, before.world_name
         method, out = before.method, before.folder
     else:
-        loaded = PrepareScenario(scenario, settings, seed, world, tag_spacing, start)
+        known = [] if map is None else [f"explorer.known_map={Path(map).resolve()}"]
+        loaded = PrepareScenario(scenario, [*settings, *known], seed, world, tag_spacing, start)
         name = run_name(named or "mission", None if world is None else Path(world))
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")

@@ -32,7 +32,8 @@ class Method:
     """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
     the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates:
     its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press
-    keys meanwhile. source: the path of its file, if there is one.
+    keys meanwhile. knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is
+    one.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1) and requested_goal (a RequestedGoal), as many of them as it wants: without
@@ -48,6 +49,7 @@ class Method:
     has_candidates: bool = False
     needs_keys: bool = False
     source: str = ""
+    knows_map: bool = True
 
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs."""
@@ -57,6 +59,8 @@ class Method:
         if limits and not self.keeps_budget:
             key = limits[0]
             raise MethodError(f"{self.name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
+        if scenario.explorer.known_map and not self.knows_map:
+            raise MethodError(f"{self.name}: cannot begin with a map; leave --map out, or take another method: tfg")
 
 
 def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
@@ -90,12 +94,14 @@ METHODS = {
             "the paper's baseline: GMapping and the nearest frontier",
             MakeGridExplorer,
             keeps_budget=False,
+            knows_map=False,
         ),
         Method(
             "weighted",
             "weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map",
             lambda scenario: MakeGridExplorer(scenario, weighted=True),
             keeps_budget=False,
+            knows_map=False,
         ),
         Method("random", "any place within reach, on the TFG", _TfgWith("random"), has_candidates=True),
         Method(

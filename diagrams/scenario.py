@@ -265,6 +265,8 @@ def _Load(
         defaults = _WithCamera(defaults or Scenario(), tree.get("camera") or {})
     scenario = yaml_load_typed(schema=Scenario, data=dump_yaml(tree), defaults=defaults)
     assert isinstance(scenario, Scenario)
+    if path is not None and scenario.explorer.known_map:
+        scenario.explorer.known_map = str(path.parent.resolve() / scenario.explorer.known_map)
     _CheckWorld(scenario, source)
     return scenario
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
+from tfg_drake.mapfile.known_map import begun_with
+from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import (
     GoalChoice,
     LaserScan,
@@ -68,7 +71,8 @@ class SlamEstimator(LeafSystem):
         explorer: ExplorerConfig,
     ) -> None:
         """odometry_config, sensor, scanner: what the estimator believes of odometry, camera and scanner. explorer: its
-        path_keyframe_period, solver and landmarks, see `tfg_drake.slam.estimator_state.initial_state`."""
+        path_keyframe_period, solver and landmarks, see `tfg_drake.slam.estimator_state.initial_state`, and known_map.
+        Raises MapFileError where that is no map."""
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
@@ -78,10 +82,12 @@ class SlamEstimator(LeafSystem):
         self._mission = declare_message_input(self, "mission")
         self._goal = declare_message_input(self, "goal")
         prior = by_data_sheet(odometry_config, sensor, scanner)
-        self._state = MessageState(
-            self,
-            initial_state(odometry_config, explorer.path_keyframe_period, prior, explorer.solver, explorer.landmarks),
+        state = initial_state(
+            odometry_config, explorer.path_keyframe_period, prior, explorer.solver, explorer.landmarks
         )
+        if explorer.known_map:
+            state = begun_with(load_map(Path(explorer.known_map)), state)
+        self._state = MessageState(self, state)
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)

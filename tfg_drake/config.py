@@ -432,6 +432,8 @@ class ExplorerConfig:
     solver: str = "dissection"
     # What the map is made of, one of LANDMARKS: tags, walls as the scan sees them, or both.
     landmarks: str = "both"
+    # The file of a map of the building, or the folder of a run, that the mission begins with; "": none.
+    known_map: str = ""
 
 
 @dataclasses.dataclass

@@ -58,25 +58,28 @@ class KnownWorld:
         from those."""
         X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
         published, X_MB, covariance = mission.published_poses()
-        X_WB_then = poses_at(published, true_stamps, X_WB_true)
+        # Until it has found itself in a map that it began with, the robot does not claim to know where it is.
+        since = mission.placed_since if math.isfinite(mission.placed_since) else -math.inf
+        placed, claimed = stamps > since, published > since
+        X_WB_then = poses_at(published[claimed], true_stamps, X_WB_true)
         area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
             **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
-            "online_pose_anees": online_pose_anees(X_MB, covariance, X_WB_then, self._world.start),
-            **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
+            "online_pose_anees": online_pose_anees(X_MB[claimed], covariance[claimed], X_WB_then, mission.X_WM),
+            **pose_errors(X_WB[placed], poses_at(stamps[placed], true_stamps, X_WB_true)),
             **area,
         }
 
 
-def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WS: FloatArray) -> float:
+def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WM: FloatArray) -> float:
     """ANEES of poses X_MB (n, 3) that a robot drove by, with the covariances (n, 3, 3) that were published with them.
 
-    X_WB_true: (n, 3) at the same instants. M lies where the robot started, X_WS (3,). Poses with a singular covariance
+    X_WB_true: (n, 3) at the same instants. X_WM: (3,) pose of the map frame. Poses with a singular covariance
     are left out: the first, at M's origin by definition.
     """
     judged = np.linalg.det(covariance) > 0.0
-    return metrics.pose_anees(X_MB[judged], compose(inverse(X_WS), X_WB_true[judged]), covariance[judged])
+    return metrics.pose_anees(X_MB[judged], compose(inverse(X_WM), X_WB_true[judged]), covariance[judged])
 
 
 def path_length(X_WB: FloatArray) -> float:

@@ -100,8 +100,9 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. failure: what ended it, of the outcome fault. resumed: when it was gone on with, s. wall_start: when it began
-    by the host's monotonic clock, less what it had taken when it was gone on with, s.
+    `say`. X_WM: (3,) pose of the map frame in the world, see `map_frame`. failure: what ended it, of the outcome fault.
+    resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
+    taken when it was gone on with, s.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class Mission:
         keep_to_one_thread()
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
-        self._X_WS = self.world.start if self.world is not None else None
+        self.X_WM = map_frame(scenario, self.world.start if self.world is not None else None)
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
@@ -287,9 +288,11 @@ class Mission:
         return noise_by_data_sheet(random_walks(self.scenario.odometry)) if state is None else state.noise
 
     @property
-    def X_WM(self) -> FloatArray:
-        """(3,) pose of the map frame in the world, see `map_frame`."""
-        return map_frame(self._X_WS)
+    def placed_since(self) -> float:
+        """Since when the robot has known where it is in the map that it began with, s; -inf where it began with none,
+        nan or inf where it has not found itself."""
+        state = self._estimator_state()
+        return -math.inf if state is None else state.placed
 
     def _estimator_state(self) -> EstimatorState | None:
         """What the estimator knows, in the end with the final map; None of a method without one."""
@@ -346,7 +349,7 @@ class Mission:
         state = StateOfExplorer(self._explorer, context)
         # Of an estimator that says no more than its map, that is the final one.
         self._final = finished_map(state) if self._explorer.HasOutputPort("estimator_state") else state
-        return MapOfExplorer(self._explorer, context, self._X_WS, self._final, self.scenario)
+        return MapOfExplorer(self._explorer, context, self.X_WM, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
@@ -365,7 +368,7 @@ class Mission:
         if self._context is None or not self._maps:
             return None
         context = self._explorer.GetMyContextFromRoot(self._context)
-        found = MapOfExplorer(self._explorer, context, self._X_WS)
+        found = MapOfExplorer(self._explorer, context, self.X_WM)
         return found[0] if found is not None else None
 
     def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
@@ -410,8 +413,7 @@ class Mission:
         camera = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
         layer = scene.walls(self.world) if self.world is not None else {}
         timeline.write("world", 0.0, layer, **told, camera=camera)
-        if self._X_WS is not None:
-            timeline.write("frame", 0.0, {"pose": self._X_WS.astype(np.float32)})
+        timeline.write("frame", 0.0, {"pose": self.X_WM.astype(np.float32)})
         timeline.flush()
 
     def _spent(self, names: tuple[str, ...]) -> float:

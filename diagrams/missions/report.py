@@ -17,7 +17,8 @@ from tfg_drake.diagrams.missions.run_folder import RunFolder
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
-from tfg_drake.mapfile.saved_map import SavedMap, save_map
+from tfg_drake.mapfile.changes import map_changes
+from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.slam.shared import SHARED
@@ -61,6 +62,10 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     summary |= {"scenario": name, "world": world_name}
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
+    if saved is not None and mission.scenario.explorer.known_map:
+        found = mission.placed_since
+        known_map = load_map(Path(mission.scenario.explorer.known_map))
+        summary["changes"] = {"found_at_s": found, **map_changes(known_map, saved)}
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
     if world is not None:
@@ -137,6 +142,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "landmark_error_max_m": None,
         "landmark_rmse_aligned_m": None,
         "least_known": None,
+        "changes": None,
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
         "landmark_anees": None,
         "landmark_nees": None,

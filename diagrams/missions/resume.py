@@ -14,7 +14,7 @@ from tfg_drake.storage.port_recording import FILE_NAME as PORTS
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
 # What a mission goes on with.
-_FILES = ("scenario.yaml", CHECKPOINT, PORTS, TIMELINE, "map.npz", "grid.npz", "log.txt")
+_FILES = ("scenario.yaml", CHECKPOINT, PORTS, TIMELINE, "map.npz", "grid.npz", "known_map.npz", "log.txt")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +47,6 @@ def cut_short(run: Path, out: Path | None = None) -> CutShort:
             (out / name).unlink(missing_ok=True)
             if (run / name).is_file():
                 shutil.copyfile(run / name, out / name)
-    scenario = LoadScenario(run / "scenario.yaml")
+    folder = run if out is None else out
     names = told["scenario"], told["world"], told["robot"], told["source"]
-    return CutShort(run if out is None else out, scenario, *names, state)
+    return CutShort(folder, LoadScenario(folder / "scenario.yaml"), *names, state)

@@ -10,6 +10,7 @@ gone on with. A file that cannot be written, as to a full disk, ends no mission.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import gc
 import logging
@@ -34,7 +35,7 @@ from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.grid.saved_grid import save_grid
-from tfg_drake.io.files import write_atomic
+from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
 # killed a few seconds of work are lost, ten in a large building.
 KEPT_SHARE = 0.01
 CHECKPOINT_SHARE = 0.02
+# The map that a mission began with, in its folder.
+KNOWN_MAP = "known_map.npz"
 
 # What the page's last card says of the summary.
 TOLD_AT_THE_END = (
@@ -137,7 +140,7 @@ def run_mission(
             later is told in the log and in the result.
     """
     with open_run_folder(out_dir, f"{name}-{scenario.seed}", goes_on=before is not None) as folder, folder.logging():
-        write_atomic(folder.path / "scenario.yaml", yaml_dump_typed(scenario))
+        scenario = _with_map_kept(scenario, folder.path)
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
             for line in odd_tags(MakeWorld(scenario.world)):
@@ -190,6 +193,21 @@ def run_mission(
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
+
+
+def _with_map_kept(scenario: Scenario, folder: Path) -> Scenario:
+    """Writes the scenario of a run into its folder, and the map that it begins with; the scenario that reads it
+    there."""
+    kept = copy.deepcopy(scenario)
+    if scenario.explorer.known_map:
+        path, known = folder / KNOWN_MAP, of_run(Path(scenario.explorer.known_map), "map.npz")
+        if not (path.exists() and path.samefile(known)):
+            write_atomic(path, known.read_bytes())
+        kept.explorer.known_map = KNOWN_MAP
+    write_atomic(folder / "scenario.yaml", yaml_dump_typed(kept))
+    if scenario.explorer.known_map:
+        kept.explorer.known_map = str((folder / KNOWN_MAP).resolve())
+    return kept
 
 
 class _Keeper:

@@ -26,6 +26,7 @@ RESULTS: tuple[str, ...] = (
     "figure.png",
     "solved.g2o",
     "checkpoint.bin",
+    "known_map.npz",
 )
 RESULTS += ("trajectory.tum", "truth.tum", "online.tum")
 # Kept free for the last map and the summary of a disk that is full, bytes: the files that a run writes at its end take

@@ -18,17 +18,19 @@ from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
+from tfg_drake.slam.evidence import Evidence
 from tfg_drake.slam.keyframe import Keyframe, of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import LEAST_SIGMA, METRES, SHARED, Shared, exactly_known
+from tfg_drake.slam.walls import Walls
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
-SCHEMA = 12
+SCHEMA = 13
 # Fields of the TfgMap that are places.
 _PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -43,7 +45,8 @@ class SavedMap:
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: views in it. stamp: time of the last, s. graph: the
     estimator's keyframes and values. compared: how many sightings were compared with the scan. doubtful: (d,) ids,
-    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. tfg_graph: the
+    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. walls: how far each
+    has been seen. evidence: for where the map has its tags. tfg_graph: the
     topological feature graph, anchored to landmarks and views, of the same stage or, where a run was cut short between
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
@@ -54,6 +57,8 @@ class SavedMap:
     graph: KeyframeGraph
     compared: int
     doubtful: IntArray
+    walls: Walls
+    evidence: Evidence
     tfg_graph: TfgGraph
     tfg: TfgMap
 
@@ -126,6 +131,8 @@ REGISTRY: Registry = {
         "on_error": ("n", 2, 2),
         "errors": ("a", "b"),
     },
+    Walls: {"first": ("w",), "reach": ("w", 2), "by_floor": ("f",)},
+    Evidence: {"ids": ("h",), "view": ("h",), "p_AL": ("h", 2), "variance": ("h",), "frames": ("h",)},
     TfgGraph: {
         "tag_ids": ("n",),
         "tag_view": ("n",),
@@ -191,6 +198,8 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         graph=replace(state.graph, p_ML=estimate.p_ML),
         compared=state.ranges.pairs,
         doubtful=estimate.doubtful,
+        walls=state.walls,
+        evidence=state.evidence.kept(state.evidence.is_mapped),
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
@@ -201,22 +210,28 @@ def state_of_map(estimate: MapEstimate) -> EstimatorState:
     """The state of an estimator that tells no more than its map: that Gaussian as one keyframe, seen from the map's
     origin. Landmarks that are not known jointly count as independent, what is known exactly has the deviation
     LEAST_SIGMA."""
-    n = len(estimate.ids)
-    covariance = LEAST_SIGMA**2 * np.eye(2 * n + 3)
-    for row, own in enumerate(estimate.landmark_covariance):
-        covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
-    joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
-    covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
-    one, prior = of_places(estimate.ids, estimate.p_ML, estimate.X_MD, covariance), exactly_known()
-    graph = extended(empty_graph(prior), one, estimate.X_MD, is_view=True)
+    prior = exactly_known()
     graph = replace(
-        graph,
+        as_one_keyframe(estimate, prior),
         view_keyframe=np.zeros(estimate.stage, dtype=np.int64),
         X_AV=estimate.X_MA,
         landmark_covariance=estimate.landmark_covariance,
         entropy=estimate.entropy,
     )
     return replace(initial_state(OdometryConfig(), prior=prior), graph=graph, map=estimate)
+
+
+def as_one_keyframe(estimate: MapEstimate, prior: Shared) -> KeyframeGraph:
+    """A map as a graph of one keyframe, seen from its origin. Landmarks that are not known jointly count as
+    independent."""
+    n = len(estimate.ids)
+    covariance = LEAST_SIGMA**2 * np.eye(2 * n + 3)
+    for row, own in enumerate(estimate.landmark_covariance):
+        covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
+    joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
+    covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
+    one = of_places(estimate.ids, estimate.p_ML, estimate.X_MD, covariance)
+    return extended(empty_graph(prior), one, estimate.X_MD, is_view=False)
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
@@ -306,6 +321,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != len(saved.ids):
         return "tfg.facing does not fit graph.ids"
+    if not (_within(saved.walls.first, of_walls) and _within(saved.evidence.ids, known)):
+        return "walls or evidence does not fit graph.ids"
     if len(tfg_graph.tried_count) != len(tfg_graph.tried.view):
         return "tfg_graph.tried_count does not fit tfg_graph.tried"
     if len(tfg_graph.met_stamp) != len(tfg_graph.met.view):

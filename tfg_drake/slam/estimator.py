@@ -31,7 +31,15 @@ from tfg_drake.messages import (
     is_tag,
     replace,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, OpenObservation, Source, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import (
+    KIDNAPPED,
+    EstimatorState,
+    OpenObservation,
+    Source,
+    instant,
+    opened,
+    unknown_way,
+)
 from tfg_drake.slam.evidence import (
     Evidence,
     Sighted,
@@ -110,6 +118,26 @@ _log = logging.getLogger("tfg_drake.slam")
 _remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 
+def carried(state: EstimatorState) -> EstimatorState:
+    """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
+    return replace(
+        state,
+        newest=None,
+        odometry=(),
+        pending=(),
+        scans=(),
+        unread=(),
+        looked=-math.inf,
+        contradictions=CONTRADICTIONS,
+        suspect=None,
+        kidnapped=True,
+        placed=math.nan,
+        turn=None,
+        piece=None,
+        way=(),
+    )
+
+
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
@@ -118,7 +146,8 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
         state = replace(
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
-        return replace(state, piece=opened(state))
+        piece = opened(state)
+        return replace(state, piece=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
     if odometry.stamp <= state.newest.stamp:
         return state
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
@@ -295,7 +324,7 @@ def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
         sheet=prior,
         graph=graph,
         solved=graph,
-        localizer=start_localizer(empty_map(prior)),
+        localizer=start_localizer(state.map or empty_map(prior), state.walls),
     )
 
 
@@ -384,7 +413,9 @@ def _step(
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
     contradictions, agreed = state.contradictions, state.agreed
-    if ignored > MOST_IGNORED * known:
+    if math.isnan(state.placed):
+        contradictions = CONTRADICTIONS
+    elif ignored > MOST_IGNORED * known:
         contradictions += 1
     elif known:
         contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
@@ -575,6 +606,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         piece=None,
         way=(),
         kidnapped=False,
+        placed=math.inf if math.isnan(state.placed) else state.placed,
         contradictions=0,
         suspect=None,
         lost=False,
@@ -627,7 +659,7 @@ def _with_keyframe(
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
         # It may be the robot that is elsewhere.
         counted, agrees = only(counted, agrees), agrees[agrees]
-    weighed_up = weighed(evidence, counted, agrees, longer)
+    weighed_up = weighed(evidence, counted, agrees, longer) if len(counted.frames) else evidence
     anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected
     if not len(anew):
         return longer, after, weighed_up, rejected, anew

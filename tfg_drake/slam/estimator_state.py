@@ -86,12 +86,13 @@ class EstimatorState:
     reckoning then. contradictions: frames that contradict the pose, less those that agree since. agreed: s, when the
     last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost: where the
     robot is since then is a guess. kidnapped: the robot was moved since the last view by something else than its
-    wheels. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what has
-    become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of the
-    newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
-    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
-    odometry. looked: s, when lines were last taken for a turn or piece. published: the map without its walls, which all
-    others get.
+    wheels. placed: s, since when the robot knows where it is in a map that it began with, or in which it may have been
+    carried while nobody looked; nan as long as it does not, inf where it has mapped on without. turn, piece: the open
+    turn and piece of the way, way: those before it since the last view. map: what has become of the solved graph since,
+    None before the first view. rejected: (r,) ids of known tags left out of the newest view. look: the first look, None
+    once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
+    is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
+    for a turn or piece. published: the map without its walls, which all others get.
     """
 
     noise: LearntNoise
@@ -116,6 +117,7 @@ class EstimatorState:
     suspect: OpenObservation | None = None
     lost: bool = False
     kidnapped: bool = False
+    placed: float = -np.inf
     turn: OpenObservation | None = None
     piece: OpenObservation | None = None
     way: tuple[tuple[Sighted, Source | None], ...] = ()

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,7 @@ OPEN_HEADING = 1.0
 LEAST_TAGS = 3
 FIT = 0.3
 
-_log = logging.getLogger("tfg_drake.slam")
+_log, _operator = logging.getLogger("tfg_drake.slam"), logging.getLogger("tfg_drake.operator")
 
 
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
@@ -111,12 +112,14 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
         return state
     if not any(rows_of(frame.detections.ids, estimate.ids)[1].any() for frame in suspect.frames):
         return _found_among_walls(state, estimate, suspect, stamp, at_last=at_last)
+    anywhere = math.isnan(state.placed)
     if at_last:
-        return state
+        return _found_among_walls(state, estimate, suspect, stamp, at_last=True) if anywhere else state
     seen = gathered(state, suspect)
     way = se2.between(suspect.begin.X_OB, state.X_OB)
     moved = np.sqrt(suspect.sigma**2 + PUSHES**2 + (suspect.unwatched * CARRIES) ** 2)
-    expected = Expected(se2.compose(suspect.X_MB, way), suspect.sigma, moved)
+    X_MB = se2.compose(suspect.X_MB, way)
+    expected = Expected(X_MB, None, KIDNAPPED) if anywhere else Expected(X_MB, suspect.sigma, moved)
     found = relocalize(estimate, seen, expected)
     if found is None:
         if state.kidnapped or disagreeing(estimate, seen, expected.X_MB) < LEAST_AGAINST:
@@ -128,7 +131,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
         )
     tags = select(seen, found.agreeing)
     # As far from what was expected as the search took it to be: two tags may say no more of where it is on their ring.
-    sigma = moved if found.is_near else KIDNAPPED
+    sigma = moved if found.is_near and not anywhere else KIDNAPPED
     begun = replace(suspect, X_MB=se2.compose(found.X_MB, se2.inverse(way)), sigma=sigma)
     if not found.is_known:
         if not state.lost:
@@ -139,14 +142,17 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
     distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
-    if not state.lost and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
+    if not state.lost and not anywhere and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
         return replace(state, contradictions=0, suspect=None)
-    _log.warning(
-        "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
-        stamp, distance, angle, len(tags.ids),
-    )  # fmt: skip
+    if anywhere:
+        _tell_place(stamp, found.X_MB, f"{len(tags.ids)} mapped tags")
+    else:
+        _log.warning(
+            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
+            stamp, distance, angle, len(tags.ids),
+        )  # fmt: skip
     # The ties of the newest views to the others may be wrong as well.
-    graph = decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
+    graph = state.graph if anywhere else decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
         _log.warning(
             "%.2f s: nothing but that way ties the newest views to the others: they are not tied any longer", stamp
@@ -160,7 +166,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     )
     localizer = _restarted(state, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return _kidnapped(state, begun)
+    return _kidnapped(replace(state, placed=stamp) if anywhere else state, begun)
 
 
 def _found_among_walls(
@@ -183,7 +189,8 @@ def _found_among_walls(
     firm = known & (np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2)
     walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
-    X_MA, here = find_place(seen, walls, reach, expected)
+    anywhere = math.isnan(state.placed)
+    X_MA, here = find_place(seen, walls, reach, expected, anywhere=anywhere)
     if here > LEAST_LIKE and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
     if X_MA is None:
@@ -193,14 +200,24 @@ def _found_among_walls(
         return _kidnapped(state, replace(opened(state), sigma=KIDNAPPED))
     off = X_MA - expected
     distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
-    _log.warning(
-        "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
-        stamp, distance, angle,
-    )  # fmt: skip
+    if anywhere:
+        _tell_place(stamp, X_MA, "the walls")
+        state = replace(state, placed=stamp)
+    else:
+        _log.warning(
+            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
+            stamp, distance, angle,
+        )  # fmt: skip
     X_MB = se2.compose(X_MA, se2.between(begin.X_OB, state.X_OB))
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
     return _kidnapped(state, OpenObservation(begin, X_MA, PLACED, newest))
+
+
+def _tell_place(stamp: float, X_MB: FloatArray, by: str) -> None:
+    """Tells the operator where in its map the robot is."""
+    x, y, _ = X_MB
+    _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
 
 
 def _restarted(
@@ -265,11 +282,11 @@ def gathered(state: EstimatorState, since: OpenObservation) -> TagDetections:
 
 
 class Expected(NamedTuple):
-    """The pose X_MB (3,) of a robot that nobody has moved. still: its deviations (3,), m, m, rad, sigma: those of one
-    that was moved as far as could go unnoticed."""
+    """The pose X_MB (3,) of a robot that nobody has moved. still: its deviations (3,), m, m, rad, None where it must
+    have been moved; sigma: those of one that was moved as far as could go unnoticed."""
 
     X_MB: FloatArray
-    still: FloatArray
+    still: FloatArray | None
     sigma: FloatArray
 
 
@@ -300,8 +317,10 @@ def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expec
         return None
     X, squared, cost, H = _refined(seen, _candidates(seen), expected)
     best = int(np.argmin(cost))
-    agrees, still = squared[best] < GATE, expected._replace(sigma=expected.still)
-    unmoved = float(_refined(seen, expected.X_MB[None], still)[2][0]) - MOVED
+    agrees, unmoved = squared[best] < GATE, math.inf
+    if expected.still is not None:
+        still = expected._replace(sigma=expected.still)
+        unmoved = float(_refined(seen, expected.X_MB[None], still)[2][0]) - MOVED
     if cost[best] >= unmoved or agrees.sum() < LEAST_SHARE * len(mapped):
         return None
     off = X - X[best]

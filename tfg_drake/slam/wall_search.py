@@ -33,14 +33,14 @@ DRIFTED, CARRIED = 1.5, 10.0
 
 
 def find_place(
-    seen: FloatArray, walls: FloatArray, reach: FloatArray, expected: FloatArray
+    seen: FloatArray, walls: FloatArray, reach: FloatArray, expected: FloatArray, *, anywhere: bool = False
 ) -> tuple[FloatArray | None, float]:
     """The pose X_MA (3,) of the frame A in which walls (s, 2, 2) m were seen, None where that is not known; and the
     share of what was seen that lies on the map's walls from the best pose that is no farther than SAME from the
     expected one (3,).
 
     walls: (w, 2, 2) pairs of points of the map's walls, m in M, reach: (w, 2) how far each has been seen, m from its
-    first point towards the second.
+    first point towards the second. anywhere: the robot may be, and no place is likelier than others beforehand.
     """
     if not (len(walls) and len(seen)):
         return None, 0.0
@@ -48,7 +48,8 @@ def find_place(
     poses = np.vstack([expected, _candidates(seen, walls)])
     share, on = _judged(poses, seen, walls, reach)
     here, off = float(share[~_elsewhere(poses, expected)].max()), np.hypot(*(poses - expected)[:, :2].T)
-    for is_rival, farthest in ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED)):
+    near = ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED))
+    for is_rival, farthest in ((off < np.inf, np.inf),) if anywhere else near:
         best = int(np.argmax(np.where(off < farthest, share, -1.0)))
         matched, is_rival = on[best] >= 0, is_rival & _elsewhere(poses, poses[best])
         others = share[is_rival].max(initial=0.0) + MARGIN / directions(seen)[2].sum()
