@@ -20,9 +20,9 @@ import numpy as np
 from tfg_drake.config import TagConfig
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario, Scenario
+from tfg_drake.geometry.distance import point_distance
 from tfg_drake.world.reachability import make_grid, reachable_cells
 from tfg_drake.world.tag_placement import place_tags
-from tfg_drake.world.world import wall_distance
 
 SHARE, FAR, APART = 0.05, 0.3, 0.25
 CHAIR, ROOM = 0.4, 0.8
@@ -36,13 +36,13 @@ def chair(p_WC: np.ndarray) -> list[list[float]]:
 
 
 def changed(scenario: Scenario, tags: list[TagConfig], rng: np.random.Generator) -> tuple[Scenario, set[int]]:
-    """The building of a scenario as the robot finds it: some of its tags moved, a chair, another start; the ids moved."""
+    """The building as the robot finds it, some of its tags moved, a chair, another start; the ids moved."""
     bare = MakeWorld(scenario.world)
     radius = scenario.robot.radius
     _, places, facing = place_tags(bare.walls, bare.start, 0.35, radius)
     grid = make_grid(bare)
     free = grid.centers(reachable_cells(grid, bare, radius))
-    free = free[wall_distance(free, bare.walls) > ROOM]
+    free = free[point_distance(free, bare.walls) > ROOM]
     at, start = free[rng.integers(len(free))], None
     while start is None or np.hypot(*(start - at)) < 1.5:
         start = free[rng.integers(len(free))]

@@ -114,7 +114,8 @@ class SlamEstimator(LeafSystem):
             estimator = process_detections(estimator, detections)
             self._detections_stamp.set(state, detections.stamp)
         stage = estimator.map.stage if estimator.map is not None else 0
-        if mission.phase in ("observe", "glance") and estimator.turn is None and stage == mission.stage:
+        waits = estimator.turn is None and estimator.newest is not None
+        if mission.phase in ("observe", "glance") and waits and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
             explored = self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).is_explored

@@ -28,7 +28,7 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.pictures import scene
-from tfg_drake.slam.estimator import finished_map
+from tfg_drake.slam.estimator import carried, finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import random_walks
@@ -80,6 +80,22 @@ _pace_log = logging.getLogger("tfg_drake.pace")
 def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     """Stages as lines of stages.jsonl."""
     return "".join(json.dumps(record) + "\n" for record in stages)
+
+
+def _looking_round(systems: Mapping[str, list[Any]], time: float) -> dict[str, list[Any]]:
+    """The state of an explorer whose robot looks for itself in the map from a time on, s; empty where there is none."""
+    parts = [part for system in systems.values() for part in system]
+    known = next((part.map for part in parts if isinstance(part, EstimatorState)), None)
+    if known is None:
+        return {}
+    round_there = {"phase": "observe", "resume_phase": "", "stage": known.stage, "since": time, "moving": False}
+
+    def changed(part: Any) -> Any:
+        if isinstance(part, MissionStatus):
+            return dataclasses.replace(part, **round_there, replans=0, failures=0, changes=0)
+        return carried(part) if isinstance(part, EstimatorState) else part
+
+    return {path: [changed(part) for part in system] for path, system in systems.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,10 +197,12 @@ class Mission:
         }
 
     def _go_on(self, state: Mapping[str, Any]) -> None:
-        """Puts everything back: of a real robot, which may be elsewhere now, what explores only."""
+        """Puts everything back; of a real robot, which may be elsewhere now, what explores, and it looks round."""
         assert self._context is not None
-        under = "/explorer" if self.robot.real else ""
-        restore_state(self._simulator.get_system(), self._context, state["systems"], state["time"], under)
+        systems, under = state["systems"], "/explorer" if self.robot.real else ""
+        if self.robot.real:
+            systems = _looking_round(systems, state["time"])
+        restore_state(self._simulator.get_system(), self._context, systems, state["time"], under)
         for log, (times, data) in zip(self._find_logs(self._context), state["logs"], strict=True):
             for stamp, column in zip(times, data.T, strict=True):
                 log.AddData(stamp, column)

@@ -141,6 +141,8 @@ def carried(state: EstimatorState) -> EstimatorState:
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
     """The state after one odometry message; one that is not newer than the last is ignored."""
     if state.newest is None:
+        if odometry.stamp < state.stamp:
+            return state  # From before the robot was carried.
         state = _kept(state, odometry)
         first = first_reckoning(odometry)
         state = replace(

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 import tfg_drake
+from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.robots import SIMULATED
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
-from tfg_drake.storage.checkpoint import CheckpointError
+from tfg_drake.geometry.se2 import compose, pose_at
+from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.timeline import read_timeline
 
@@ -115,3 +119,20 @@ def test_a_replay_is_not_gone_on_with(half, tmp_path):
     robot = dataclasses.replace(ReplayRobot(read_recording(half.folder)))
     run.run_mission(scenario(), robot=robot, name="rooms", max_time=5.0, out_dir=tmp_path)
     assert not (tmp_path / "checkpoint.bin").exists()
+
+
+def test_a_real_robot_that_was_carried_finds_itself_first(half):
+    elsewhere = scenario()
+    elsewhere.world.start = [7.5, 3.0, 2.0]
+    robot = dataclasses.replace(SIMULATED, name="kobuki", world_known=False, real=True, enabled=True)
+    mission = Mission(elsewhere, METHODS["tfg"], None, "", robot, before=read_checkpoint(half.folder)[1])
+    mission.begin()
+    assert (mission.time, mission.status.phase) == (CUT, "observe")
+    stages = len(mission.stages)
+    mission.advance(CUT + 12.0)
+    assert CUT <= mission.placed_since < CUT + 8.0
+    assert len(mission.stages) > stages
+    station = mission.simulator.get_system().GetSubsystemByName("station")
+    truth = station.GetOutputPort("truth.pose").Eval(station.GetMyContextFromRoot(mission.simulator.get_context()))
+    X_WB = compose(np.array(scenario().world.start), pose_at(mission.pose, mission.time))
+    np.testing.assert_allclose(X_WB[:2], truth[:2], atol=0.05)
