@@ -279,6 +279,12 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     if least := summary["least_known"]:
         x, y = least["p_WL"]
         rows["map"] = f"known to {least['deviation_m']:.3f} m or better (1 sigma); least at ({x:.1f}, {y:.1f})"
+    if changes := summary["changes"]:
+        from tfg_drake.mapfile.changes import told
+
+        found = changes["found_at_s"]
+        place = "the robot did not find itself in it" if found is None else f"the robot found itself at {found:.0f} s"
+        rows["known map"] = f"{place}; changed since: {told(changes)}"
     if position.get("mean") is not None:
         rows["pose error"] = (
             f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"

@@ -260,8 +260,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(13)}, "FILE has map schema 13; this version reads schema 12: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 12: make the map anew"),
+        ({"schema": np.int64(14)}, "FILE has map schema 14; this version reads schema 13: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 13: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),

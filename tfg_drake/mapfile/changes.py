@@ -45,7 +45,8 @@ def told(changes: dict[str, Any]) -> str:
         if ids := changes[f"tags_{name}"]:
             parts.append(f"tags {name}: {', '.join(map(str, ids))}")
     for name in ("new", "gone"):
-        if pieces := np.array(changes[f"surfaces_{name}"]).reshape(-1, 4):
+        pieces = np.array(changes[f"surfaces_{name}"]).reshape(-1, 4)
+        if len(pieces):
             x, y = pieces[:, :2].mean(axis=0)
             length = np.hypot(*(pieces[:, 2:] - pieces[:, :2]).T).sum()
             parts.append(f"{length:.1f} m of surface {name}, about ({x:.1f}, {y:.1f})")
