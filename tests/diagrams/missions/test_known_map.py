@@ -1,0 +1,90 @@
+"""A mission that begins with the map of an earlier one."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import tfg_drake
+from tfg_drake.diagrams.methods import METHODS, MethodError
+from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.resume import cut_short
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.mapfile.saved_map import MapFileError
+
+ROOMS = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4], [6, 0, 6, 2.6]]
+explorer: {first_look: 4, first_turns: 1}
+"""
+
+
+def rooms():
+    return ApplyWorldFile(LoadScenario(data=ROOMS), tag_spacing=1.0)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    return run.run_mission(rooms(), name="rooms", out_dir=tmp_path_factory.mktemp("first"))
+
+
+@pytest.fixture(scope="module")
+def second(first, tmp_path_factory):
+    """Elsewhere in the same rooms, where a tag hangs elsewhere and a post stands."""
+    scenario = rooms()
+    scenario.seed, scenario.world.start = 4, [7.5, 3.0, 2.0]
+    scenario.world.walls += [[4, 1, 4.4, 1], [4.4, 1, 4.4, 1.4], [4.4, 1.4, 4, 1.4], [4, 1.4, 4, 1]]
+    moved = scenario.world.tags[0]
+    scenario.world.tags[0] = dataclasses.replace(moved, position=[moved.position[0] + 0.35, moved.position[1]])
+    scenario.explorer.known_map = str(first.folder)
+    return run.run_mission(scenario, name="rooms", out_dir=tmp_path_factory.mktemp("second")), moved.id
+
+
+def test_it_finds_itself_and_tells_what_has_changed(first, second):
+    result, moved = second
+    summary, changes = result.summary, result.summary["changes"]
+    assert first.summary["changes"] is None
+    assert summary["outcome"] == "complete"
+    assert 0.0 <= changes["found_at_s"] < 5.0
+    assert (changes["tags_moved"], changes["tags_gone"], changes["tags_new"]) == ([moved], [], [])
+    middle = np.array(changes["surfaces_new"]).reshape(-1, 2, 2).mean(axis=1)
+    assert len(middle)
+    assert np.all(np.abs(middle - [4.2, 1.2]) < 0.35)
+    assert changes["surfaces_gone"] == []
+    assert summary["landmarks_mapped"] == summary["landmarks_reachable"]
+    assert summary["landmark_rmse_m"] < 0.02
+    # The errors before it has found itself do not count: it began 6 m from where the map does.
+    assert summary["position_error_m"]["max"] < 0.2
+    assert summary["map_bytes"] < 2.0 * first.summary["map_bytes"]
+
+
+def test_the_folder_has_the_map_that_it_began_with(first, second, tmp_path):
+    result, _ = second
+    assert (result.folder / "known_map.npz").read_bytes() == (first.folder / "map.npz").read_bytes()
+    moved = tmp_path / "moved"
+    result.folder.rename(moved)
+    assert LoadScenario(moved / "scenario.yaml").explorer.known_map == str(moved / "known_map.npz")
+    moved.rename(result.folder)
+
+
+def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
+    scenario = rooms()
+    half = tfg_drake.explore(scenario, map=first.folder, until=12.0, out=tmp_path / "half")
+    assert half.summary["changes"]["found_at_s"] < 5.0
+    before = cut_short(half.folder, tmp_path / "after")
+    assert before.scenario.explorer.known_map == str(tmp_path / "after" / "known_map.npz")
+    after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=14.0)
+    assert (after.folder / "known_map.npz").exists()
+    assert json.loads((after.folder / "summary.json").read_text())["resumed_at_s"] == [12.0]
+
+
+def test_what_is_no_map_is_told(tmp_path):
+    scenario = rooms()
+    scenario.explorer.known_map = str(tmp_path / "nothing.npz")
+    with pytest.raises(MapFileError, match="no such map"):
+        tfg_drake.explore(scenario, until=0.0)
+    with pytest.raises(MethodError, match="cannot begin with a map"):
+        METHODS["grid-nearest"].Check(scenario)
