@@ -3,21 +3,44 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
+import math
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tfg_drake.config import CameraConfig
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
 from tfg_drake.diagrams.commands.screen import Screen
-from tfg_drake.io.files import of_run
+from tfg_drake.io.files import of_run, write_atomic
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
-SUFFIXES = (".g2o", ".csv", ".png", ".pdf", ".html")
+# By their names: the suffix, and what makes the contents of a saved map, in tfg_drake. Of those with one suffix the
+# first is its own.
+FORMATS = {
+    "csv": (".csv", "mapfile.landmark_table", "landmark_csv"),
+    "dxf": (".dxf", "mapfile.dxf", "dxf_text"),
+    "g2o": (".g2o", "mapfile.g2o", "g2o_text"),
+    "geojson": (".geojson", "mapfile.geojson", "geojson_text"),
+    "gtsam": (".gtsam", "mapfile.gtsam_text", "gtsam_texts"),
+    "html": (".html", "", ""),
+    "pdf": (".pdf", "", ""),
+    "png": (".png", "", ""),
+    "svg": (".svg", "pictures.plan", "plan_svg"),
+    "map_server": (".yaml", "mapfile.occupancy_grid", "map_server_files"),
+    "tagslam": (".yaml", "mapfile.tag_layout", "tagslam_yaml"),
+    "apriltag_ros": (".yaml", "mapfile.tag_layout", "apriltag_ros_yaml"),
+    "wpilib": (".json", "mapfile.tag_layout", "wpilib_json"),
+}
+SUFFIXES = tuple(dict.fromkeys(suffix for suffix, _, _ in FORMATS.values()))
+# Of the formats of two files, the suffix of the second.
+BESIDE = {"gtsam": ".values", "map_server": ".pgm"}
+_NAMED = ", ".join(name if f".{name}" == one[0] else f"{name} ({one[0]})" for name, one in FORMATS.items())
 
 
 def _map_file(path: Path) -> Path:
@@ -64,33 +87,95 @@ def view(map_file: MapArgument) -> None:
 @map_app.command()
 def export(
     map_file: MapArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help=f"The file to write: {', '.join(SUFFIXES)}.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.")],
+    name: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help=f"By default the first with OUT's suffix: {_NAMED}.")
+    ] = None,
+    tag_height: Annotated[
+        float, typer.Option(metavar="M", help="Of the tags' centres (tagslam, apriltag_ros, wpilib).")
+    ] = CameraConfig.tag_height,
+    tag_size: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Of the tags' black squares (tagslam, apriltag_ros); by default the run's."),
+    ] = None,
 ) -> None:
-    """Write a map in another format, by the suffix of OUT."""
-    from tfg_drake.cockpit.page import export_page, viewer_script
-    from tfg_drake.io.files import write_atomic
-    from tfg_drake.mapfile.g2o import g2o_text
-    from tfg_drake.mapfile.landmark_table import landmark_csv
+    """Write a map in another format. A grid (map_server) has its image beside OUT, a graph (gtsam) its .values."""
+    if name is None:
+        name = next((one for one, (suffix, _, _) in FORMATS.items() if suffix == out.suffix.lower()), None)
+        if name is None:
+            bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    elif name not in FORMATS:
+        bad_input(f"--format {name}: unknown; must be one of {', '.join(FORMATS)}")
+    elif out.suffix.lower() != FORMATS[name][0]:
+        bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name][0]}")
+    for option, value in (("--tag-height", tag_height), ("--tag-size", tag_size)):
+        if value is not None and not 0.0 < value < math.inf:
+            bad_input(f"{option} {value:g}: must be greater than 0 m")
+    saved = _load(map_file)
+    with writing(out):
+        if name == "html":
+            _write_page(saved, map_file, out)
+        elif name in ("pdf", "png"):
+            _draw(saved, map_file, out)
+        else:
+            arguments: list[object] = [tag_height] if "tag_layout" in FORMATS[name][1] else []
+            if name in ("tagslam", "apriltag_ros"):
+                arguments.append(tag_size or _tag_size(map_file))
+            elif name == "map_server":
+                arguments.append(out.with_suffix(BESIDE[name]).name)
+            _write(saved, out, name, arguments)
+    files = [out, out.with_suffix(BESIDE[name])] if name in BESIDE else [out]
+    size = sum(file.stat().st_size for file in files)
+    print(f"{', '.join(map(str, files))}: {len(saved.ids)} landmarks, {size / 1e3:.0f} kB")
+
+
+def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> None:
+    """Write the file, or both, of a format that is made of the map and of arguments."""
+    _, module, function = FORMATS[name]
+    try:
+        made = importlib.import_module(f"tfg_drake.{module}")
+    except ImportError as error:
+        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[export]'")
+    contents = getattr(made, function)(saved, *arguments)
+    if name in BESIDE:
+        contents, beside = contents
+        write_atomic(out.with_suffix(BESIDE[name]), beside)
+    write_atomic(out, contents)
+    if module == "mapfile.tag_layout":
+        print("".join(f"{line}\n" for line in made.left_out(saved)), end="")
+
+
+def _tag_size(map_file: Path) -> float:
+    """Of the tags of a run, m, by its scenario beside the map. Raises BadInput."""
+    from tfg_drake.io.yaml_text import parse_yaml
+
+    try:
+        scenario: Any = parse_yaml(map_file.with_name("scenario.yaml").read_text())
+        if scenario["hardware"]["tags"].startswith("camera:"):
+            return float(scenario["hardware"]["camera"]["tag_size"])
+        if map_file.with_name("truth.tum").exists():  # It was simulated.
+            return float(scenario["camera"]["tag_size"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        pass
+    bad_input(
+        f"{map_file}: nothing beside it says how large the tags are; give the side of their black squares, --tag-size M"
+    )
+
+
+def _draw(saved: SavedMap, map_file: Path, out: Path) -> None:
     from tfg_drake.mapfile.summary import map_rows
     from tfg_drake.pictures.figure import draw_map
 
-    suffix = out.suffix.lower()
-    if suffix not in SUFFIXES:
-        bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    saved = _load(map_file)
-    with writing(out):
-        if suffix == ".g2o":
-            write_atomic(out, g2o_text(saved))
-        elif suffix == ".csv":
-            write_atomic(out, landmark_csv(saved))
-        elif suffix == ".html":
-            with _timeline(saved, map_file) as timeline:
-                export_page(timeline, out, map_file.name, viewer_script())
-        else:
-            rows = dict(map_rows(saved, map_file.stat().st_size))
-            known = "; ".join(rows[name] for name in ("deviation", "walls") if rows.get(name, "-") != "-")
-            draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{known}", saved)
-    print(f"{out}: {len(saved.ids)} landmarks, {out.stat().st_size / 1e3:.0f} kB")
+    rows = dict(map_rows(saved, map_file.stat().st_size))
+    known = "; ".join(rows[name] for name in ("deviation", "walls") if rows.get(name, "-") != "-")
+    draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{known}", saved)
+
+
+def _write_page(saved: SavedMap, map_file: Path, out: Path) -> None:
+    from tfg_drake.cockpit.page import export_page, viewer_script
+
+    with _timeline(saved, map_file) as timeline:
+        export_page(timeline, out, map_file.name, viewer_script())
 
 
 def _load(path: Path) -> SavedMap:

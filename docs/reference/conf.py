@@ -21,7 +21,7 @@ inspect.TypeAliasForwardRef.__repr__ = lambda alias: alias.name
 python_use_unqualified_type_names = True
 napoleon_google_docstring = True
 # What is not installed here is of no matter for the docstrings.
-_OPTIONAL = ("cv2", "rclpy", "robotpy_apriltag", "roslibpy", "ray", "serial", "tf2_msgs")
+_OPTIONAL = ("cv2", "ezdxf", "rclpy", "robotpy_apriltag", "roslibpy", "ray", "serial", "shapely", "tf2_msgs")
 autodoc_mock_imports = [name for name in _OPTIONAL if importlib.util.find_spec(name) is None]
 # Docstrings are plain text: |x| is an absolute value there, and * a product.
 suppress_warnings = ["docutils", "ref", "autodoc"]

@@ -32,6 +32,12 @@ def test_printed_tags_are_read_and_have_their_size(ids, size):
     np.testing.assert_allclose(sides, size / 0.0254 * DPI, atol=1.0)
 
 
+def test_they_stand_upright_as_apriltag_has_them():
+    (tag,) = TagDetector(DetectorConfig(decimation=1.0)).detect(page_image([5], 0.16)).corners
+    # Its corners run counter-clockwise from the lower left one of the tag; rows of an image run downward.
+    np.testing.assert_array_equal(np.sign(tag - tag.mean(axis=0)), [[-1, 1], [1, 1], [1, -1], [-1, -1]])
+
+
 def test_tags_do_not_touch_one_another_or_the_page_s_edge():
     across, down = per_page(0.06)
     assert (across, down) == (2, 3)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from tfg_drake.geometry.se2 import rotation, transform
+from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray
 
 HEADER = "id,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,facing_rad"
 
@@ -16,16 +13,9 @@ HEADER = "id,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,facing_rad"
 def landmark_csv(saved: SavedMap) -> str:
     """The file's contents: a line a landmark, in the world frame W; facing is empty where it is not known."""
     p_WL, covariance = landmarks_in_world(saved)
-    facing = saved.facing @ rotation(float(saved.X_WM[2])).T
+    facing = tfg_in_world(saved).facing
     lines = [HEADER]
     for tag, p, P, f in zip(saved.ids.tolist(), p_WL.tolist(), covariance.tolist(), facing.tolist(), strict=True):
         side = repr(math.atan2(f[1], f[0])) if any(f) else ""
         lines.append(f"{tag},{p[0]!r},{p[1]!r},{P[0][0]!r},{P[0][1]!r},{P[1][1]!r},{side}")
     return "\n".join(lines) + "\n"
-
-
-def landmarks_in_world(saved: SavedMap) -> tuple[FloatArray, FloatArray]:
-    """Positions of the landmarks in the world (n, 2), m, and their covariances (n, 2, 2), m^2."""
-    R_WM = rotation(float(saved.X_WM[2]))
-    covariance: FloatArray = R_WM @ saved.landmark_covariance @ R_WM.T
-    return np.asarray(transform(saved.X_WM, saved.p_ML)), covariance

@@ -32,7 +32,7 @@ from tfg_drake.world.world import LONGEST
 # To be raised whenever the fields of a class in REGISTRY change.
 SCHEMA = 13
 # Fields of the TfgMap that are places.
-_PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
+PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
 
 class MapFileError(FileError):
@@ -330,7 +330,7 @@ def _contradiction(saved: SavedMap) -> str:
     if len(tfg_graph.viewpoints.view) != len(tfg_graph.sighted.view):
         return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
     places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
-    places |= {f"tfg.{name}": getattr(tfg, name) for name in _PLACES}
+    places |= {f"tfg.{name}": getattr(tfg, name) for name in PLACES}
     for name, p_M in places.items():
         if not (np.abs(p_M) <= LONGEST).all():
             return f"{name} is more than {LONGEST:g} m from the origin"

@@ -38,20 +38,26 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
     The values are those of the last solve, and of landmarks that were first seen since. They are the optimum where tags
     have no constant errors; `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
     """
+    return named_graph(graph, [L(row) for row in range(len(graph.ids))])
+
+
+def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """As `map_graph`, with other keys (n,) for the landmarks."""
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.prior.covariance)
     factors.add(gtsam.PriorFactorVector(S(0), graph.prior.mean, prior))
     for j, one in enumerate(graph.keyframes):
         rows = np.searchsorted(graph.ids, one.ids)
-        keys = [*(L(row) for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
+        keys = [*(names[row] for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
         factors.add(_factor(one, keys, from_origin=j == 0))
-    return factors, _values_of(Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML)))
+    values = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
+    return factors, _values_of(values, names)
 
 
-def _values_of(values: Values) -> gtsam.Values:
+def _values_of(values: Values, names: list[int]) -> gtsam.Values:
     where = gtsam.Values()
-    for row, p_ML in enumerate(values.p_ML):
-        where.insert(L(row), p_ML)
+    for name, p_ML in zip(names, values.p_ML, strict=True):
+        where.insert(name, p_ML)
     for j, X_MN in enumerate(values.X_MN[1:], 1):
         where.insert(X(j), X_MN)
     where.insert(S(0), values.shared)
@@ -162,7 +168,7 @@ class GtsamSolver:
     def _linear(self, values: Values) -> tuple[gtsam.GaussianFactorGraph, FloatArray, float]:
         """The linear factors at some values, their gradient and twice the cost."""
         if self._newest is None or values is not self._newest[0]:
-            where = _values_of(values)
+            where = _values_of(values, [L(row) for row in range(len(values.p_ML))])
             linear, gradient = self._graph.linearize(where), np.empty(self._at[S(0)].stop)
             found = linear.gradientAtZero()
             for key, at in self._at.items():

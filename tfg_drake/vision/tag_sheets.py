@@ -43,7 +43,7 @@ def parse_ids(text: str) -> list[int]:
 
 
 def tag_cells(tag: int) -> NDArray[np.bool_]:
-    """(CELLS, CELLS) of a tag's square, top row first: which cells are black."""
+    """(CELLS, CELLS) of a tag's square, top row first: which cells are black. OpenCV's tags stand on their heads."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, tag, CELLS) < 128)
 
@@ -96,9 +96,9 @@ def _draw_tag(axes: Axes, tag: int, size: float, x: float, y: float) -> None:
     """A tag whose tile's lower left corner is (x, y), m."""
     cell = size / CELLS
     whole, height = _tile(size)
-    # One outline of all black cells: between patches of their own, hairlines would show.
+    # One outline of all black cells: between patches of their own, hairlines would show. Upright, as AprilTag has them.
     vertices, codes = [], []
-    for row, column in np.argwhere(tag_cells(tag)).tolist():
+    for row, column in np.argwhere(tag_cells(tag)[::-1, ::-1]).tolist():
         x0, y0 = x + (column + 1) * cell, y + height - (row + 2) * cell
         vertices += [(x0, y0), (x0 + cell, y0), (x0 + cell, y0 + cell), (x0, y0 + cell), (x0, y0)]
         codes += [Outline.MOVETO, *3 * [Outline.LINETO], Outline.CLOSEPOLY]

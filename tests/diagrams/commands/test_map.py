@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import pty
 import re
@@ -8,9 +9,16 @@ import sys
 import urllib.request
 
 import gtsam
+import numpy as np
 import pytest
+import yaml
 
-from tfg_drake.mapfile.saved_map import save_map
+from tests.diagrams.rooms import SHORT_LOOK
+from tfg_drake.diagrams.commands.map import SUFFIXES
+from tfg_drake.diagrams.missions.run import run_mission
+from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.geometry.star import covered_area
+from tfg_drake.mapfile.saved_map import load_map, save_map
 
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
@@ -72,17 +80,94 @@ def test_export(call, path, tmp_path):
         ".csv": b"id,x_m",
         ".html": b"<!DOCTYPE html>",
         ".g2o": b"VERTEX_SE2",
+        ".geojson": b'{"type": "FeatureCollection"',
+        ".dxf": b"  0\nSECTION",
+        ".svg": b"<svg xmlns=",
+        ".json": b'{\n "tags": [',
+        ".yaml": b"image: out.pgm\n",
+        ".gtsam": b"22 serialization::archive",
     }
+    assert starts.keys() == set(SUFFIXES)
     for suffix, start in starts.items():
         out = tmp_path / f"out{suffix}"
         code, said, complaint = call("map", "export", path, out)
         first = out.read_bytes()
-        assert (code, said, complaint) == (0, f"{out}: 4 landmarks, {len(first) / 1e3:.0f} kB\n", "")
+        files = [
+            out,
+            *(out.with_suffix(beside) for beside in {".yaml": [".pgm"], ".gtsam": [".values"]}.get(suffix, [])),
+        ]
+        size = sum(file.stat().st_size for file in files)
+        told = f"{', '.join(map(str, files))}: 4 landmarks, {size / 1e3:.0f} kB\n"
+        assert (code, said, complaint) == (0, told, "")
         assert first.startswith(start)
         assert call("map", "export", path, out) == (0, said, "")
         assert out.read_bytes() == first
     factors, values = gtsam.readG2o(str(tmp_path / "out.g2o"), False)
     assert (factors.size(), values.size()) == (3, 8)
+    assert (tmp_path / "out.pgm").read_bytes().startswith(b"P5\n")
+    values = gtsam.Values()
+    values.deserialize((tmp_path / "out.values").read_text())
+    assert values.size() == 8
+
+
+def test_a_format_is_named_where_the_suffix_is_that_of_several(call, path, tmp_path, small_map):
+    out = tmp_path / "tags.yaml"
+    sized = ("--tag-size", "0.2", "--tag-height", "1.5")
+    assert call("map", "export", path, out, "--format", "tagslam", *sized)[0] == 0
+    assert yaml.safe_load(out.read_text())["default_body"] == "map"
+    assert call("map", "export", path, out, "--format", "apriltag_ros", *sized)[0] == 0
+    tags = yaml.safe_load(out.read_text())["tag_bundles"][0]["layout"]
+    assert [(tag["id"], tag["size"], tag["z"]) for tag in tags] == [(tag, 0.2, 1.5) for tag in (10, 11, 12, 13)]
+
+
+def test_what_was_explored_is_explored_again_by_its_grid(call, tmp_path, finished):
+    assert call("map", "export", finished.folder, tmp_path / "room.yaml")[0] == 0
+    scenario = ApplyWorldFile(LoadScenario(data=SHORT_LOOK), tmp_path / "room.yaml", 1.0, (2.0, 1.5, 0.3))
+    summary = run_mission(scenario, name="again", out_dir=tmp_path / "again", record=False).summary
+    assert (summary["outcome"], summary["contacts"]) == ("complete", 0)
+    assert summary["landmarks_mapped"] == summary["landmarks_reachable"] >= 20
+    again = load_map(tmp_path / "again" / "map.npz")
+    areas = [covered_area(one.tfg.star_offsets, one.tfg.star_vertices) for one in (again, load_map(finished.folder))]
+    # But for the cells that the walls take.
+    assert 0.95 < areas[0] / areas[1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("tags", "simulated", "size"), [("", True, 0.1), ("camera:0", False, 0.3), ("", False, None), (None, True, None)]
+)
+def test_the_run_says_how_large_its_tags_are(call, path, tmp_path, tags, simulated, size):
+    scenario = {"camera": {"tag_size": 0.1}, "hardware": {"tags": tags, "camera": {"tag_size": 0.3}}}
+    path.with_name("scenario.yaml").write_text(yaml.safe_dump(scenario) if tags is not None else "base: paper")
+    if simulated:
+        path.with_name("truth.tum").touch()
+    out = tmp_path / "tags.yaml"
+    said = call("map", "export", path, out, "--format", "apriltag_ros")
+    if size is None:
+        ask = "give the side of their black squares, --tag-size M"
+        assert said == (2, "", f"tfg-drake: {path}: nothing beside it says how large the tags are; {ask}\n")
+    else:
+        assert {tag["size"] for tag in yaml.safe_load(out.read_text())["tag_bundles"][0]["layout"]} == {size}
+
+
+def test_tags_that_are_left_out_are_told(call, tmp_path, small_map):
+    facing = small_map.tfg.facing.copy()
+    facing[:2] = 0.0
+    tfg = dataclasses.replace(small_map.tfg, facing=facing)
+    save_map(tmp_path / "map.npz", dataclasses.replace(small_map, tfg=tfg, doubtful=np.array([12])))
+    code, said, complaint = call("map", "export", tmp_path, tmp_path / "field.json")
+    assert (code, complaint) == (0, "")
+    assert said.splitlines()[:-1] == [
+        "left out, as it is not known which way they face: tags 10, 11",
+        "left out, as they are doubtful: tags 12",
+    ]
+
+
+@pytest.mark.parametrize(("suffix", "missing"), [(".geojson", "shapely"), (".dxf", "ezdxf")])
+def test_a_missing_package_is_named(call, path, tmp_path, monkeypatch, suffix, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    monkeypatch.delitem(sys.modules, f"tfg_drake.mapfile.{suffix[1:]}", raising=False)
+    said = call("map", "export", path, tmp_path / f"a{suffix}")
+    assert said == (2, "", f"tfg-drake: {missing} is not installed; get it with pip install 'tfg-drake[export]'\n")
 
 
 @pytest.mark.parametrize(
@@ -93,7 +178,19 @@ def test_export(call, path, tmp_path):
         ("info empty", "no such map: empty/map.npz"),
         ("view text.npz", "text.npz is damaged or not a map of tfg-drake"),
         ("export none.npz a.csv", "no such map: none.npz"),
-        ("export map.npz a.zip", "a.zip: unknown format; name a file that ends in .g2o, .csv, .png, .pdf or .html"),
+        (
+            "export map.npz a.zip",
+            "a.zip: unknown format; name a file that ends in .csv, .dxf, .g2o, .geojson, .gtsam, .html, .pdf, .png, "
+            ".svg, .yaml or .json",
+        ),
+        (
+            "export map.npz a.yaml --format ros",
+            "--format ros: unknown; must be one of csv, dxf, g2o, geojson, gtsam, html, pdf, png, svg, map_server, "
+            "tagslam, apriltag_ros, wpilib",
+        ),
+        ("export map.npz a.csv --format wpilib", "a.csv: --format wpilib is written to a file that ends in .json"),
+        ("export map.npz a.json --tag-height -1", "--tag-height -1: must be greater than 0 m"),
+        ("export map.npz a.json --tag-size nan", "--tag-size nan: must be greater than 0 m"),
         ("export map.npz none/a.csv", "none/a.csv: cannot be written: no such file or directory"),
         ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
         ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),

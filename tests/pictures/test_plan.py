@@ -1,0 +1,47 @@
+import dataclasses
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+
+from tfg_drake.mapfile.in_world import corners_of, landmarks_in_world, stars_of, tfg_in_world
+from tfg_drake.pictures.plan import plan_svg
+from tfg_drake.tfg.graph import empty_map
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def polylines(path):
+    return [np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", line), dtype=float) for line in path.get("d").split("M")[1:]]
+
+
+def test_the_plan_is_the_map_to_scale(small_map):
+    root, tfg, (p_WL, _) = (
+        ElementTree.fromstring(plan_svg(small_map)),
+        tfg_in_world(small_map),
+        landmarks_in_world(small_map),
+    )
+    x, y, width, height = map(float, root.get("viewBox").split())
+    # A metre is a centimetre; y is up in the world and down in the picture.
+    assert (root.get("width"), root.get("height")) == (f"{10.0 * width:.2f}mm", f"{10.0 * height:.2f}mm")
+    low, high = corners_of(p_WL, tfg)
+    np.testing.assert_allclose(
+        [x, y, x + width, y + height], [low[0] - 1, -high[1] - 1, high[0] + 1, 1 - low[1]], atol=2e-3
+    )
+    parts = {part.get("id"): part for part in root if part.get("id")}
+    assert list(parts) == ["free_space", "edge", "wall_end", "bare_surface", "frontier", "tags", "scale"]
+    down = np.array([1.0, -1.0])
+    for found, star in zip(polylines(parts["free_space"]), stars_of(tfg), strict=True):
+        np.testing.assert_allclose(found, star * down, atol=1e-3)
+    for kind, name in enumerate(("edge", "wall_end", "bare_surface")):
+        pieces = tfg.segments[tfg.segment_kind == kind].reshape(-1, 2, 2) * down
+        np.testing.assert_allclose(polylines(parts[name]), pieces, atol=1e-3)
+    dots = [(float(dot.get("cx")), float(dot.get("cy"))) for dot in parts["tags"].iter(f"{SVG}circle")]
+    np.testing.assert_allclose(dots, p_WL * down, atol=1e-3)
+    assert [text.text for text in parts["tags"].iter(f"{SVG}text")] == ["10", "11", "12", "13"]
+    assert "h5" in parts["scale"].get("d")
+
+
+def test_a_map_of_tags_alone_has_a_plan(small_map):
+    root = ElementTree.fromstring(plan_svg(dataclasses.replace(small_map, tfg=empty_map())))
+    assert len(list(root.iter(f"{SVG}text"))) == 5

@@ -1,0 +1,47 @@
+"""A map as a DXF drawing in metres of the world frame W. Needs ezdxf (extra `export`)."""
+
+from __future__ import annotations
+
+import io
+
+import ezdxf
+from ezdxf.enums import TextEntityAlignment
+
+from tfg_drake.mapfile.in_world import KINDS, landmarks_in_world, tfg_in_world
+from tfg_drake.mapfile.saved_map import SavedMap
+
+# The layers with their colours by AutoCAD's numbers: black or white, grey, orange, green, violet, blue.
+LAYERS = {"edge": 7, "wall_end": 8, "bare_surface": 30, "tag": 94, "doubtful_tag": 200, "frontier": 5}
+# Length of the line that says which side a tag faces, and height of its number, m.
+FACING, NUMBER = 0.2, 0.12
+
+
+def dxf_text(saved: SavedMap) -> str:
+    """The file's contents, the same on any day: surfaces as lines, each kind on its layer, tags as points with their
+    number and a line to the side that they face, frontiers as points."""
+    before, text = ezdxf.options.write_fixed_meta_data_for_testing, io.StringIO()
+    ezdxf.options.write_fixed_meta_data_for_testing = True  # else the time and random identifiers
+    try:
+        _drawing(saved).write(text)
+    finally:
+        ezdxf.options.write_fixed_meta_data_for_testing = before
+    return text.getvalue()
+
+
+def _drawing(saved: SavedMap) -> ezdxf.document.Drawing:
+    tfg, drawing = tfg_in_world(saved), ezdxf.new("R2010", units=ezdxf.units.M)
+    space = drawing.modelspace()
+    for name, colour in LAYERS.items():
+        drawing.layers.add(name, color=colour)
+    for piece, kind in zip(tfg.segments, tfg.segment_kind.tolist(), strict=True):
+        space.add_line(piece[:2], piece[2:], {"layer": KINDS[kind]})
+    for p in tfg.frontiers:
+        space.add_point(p, {"layer": "frontier"})
+    columns = (saved.ids.tolist(), landmarks_in_world(saved)[0], tfg.facing, saved.is_doubtful.tolist())
+    for tag, p, f, doubtful in zip(*columns, strict=True):
+        layer = {"layer": "doubtful_tag" if doubtful else "tag"}
+        space.add_point(p, layer)
+        space.add_line(p, p + FACING * f, layer)
+        number = space.add_text(str(tag), height=NUMBER, dxfattribs=layer)
+        number.set_placement(p + 2.0 * FACING * f, align=TextEntityAlignment.MIDDLE_CENTER)
+    return drawing

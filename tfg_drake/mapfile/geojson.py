@@ -1,0 +1,34 @@
+"""A map as GeoJSON, in metres of the world frame W instead of degrees. Needs shapely (extra `export`)."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import shapely
+
+from tfg_drake.mapfile.in_world import KINDS, landmarks_in_world, stars_of, tfg_in_world
+from tfg_drake.mapfile.saved_map import SavedMap
+
+
+def geojson_text(saved: SavedMap) -> str:
+    """The file's contents: features whose property `layer` is free_space, surface, frontier or tag."""
+    tfg, (p_WL, covariance) = tfg_in_world(saved), landmarks_in_world(saved)
+    free = shapely.union_all([shapely.make_valid(shapely.Polygon(star), method="structure") for star in stars_of(tfg)])
+    features = [_feature(free, "free_space", area_m2=free.area)] if not free.is_empty else []
+    for piece, kind, ends in zip(tfg.segments, tfg.segment_kind.tolist(), tfg.segment_ids.tolist(), strict=True):
+        features.append(_feature(shapely.LineString(piece.reshape(2, 2)), "surface", kind=KINDS[kind], landmarks=ends))
+    for p, length in zip(tfg.frontiers, tfg.frontier_length.tolist(), strict=True):
+        features.append(_feature(shapely.Point(p), "frontier", length_m=length))
+    columns = (saved.ids.tolist(), p_WL, covariance.tolist(), tfg.facing.tolist(), saved.is_doubtful.tolist())
+    for tag, p, ((xx, xy), (_, yy)), f, doubtful in zip(*columns, strict=True):
+        known = {"cov_xx_m2": xx, "cov_xy_m2": xy, "cov_yy_m2": yy, "doubtful": doubtful}
+        known["facing_rad"] = math.atan2(f[1], f[0]) if any(f) else None
+        features.append(_feature(shapely.Point(p), "tag", id=tag, **known))
+    # A feature a line.
+    return '{"type": "FeatureCollection", "features": [\n' + ",\n".join(map(json.dumps, features)) + "\n]}\n"
+
+
+def _feature(geometry: Any, layer: str, **known: object) -> dict[str, object]:
+    return {"type": "Feature", "geometry": shapely.geometry.mapping(geometry), "properties": {"layer": layer, **known}}
