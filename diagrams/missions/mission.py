@@ -88,11 +88,10 @@ def _looking_round(systems: Mapping[str, list[Any]], time: float) -> dict[str, l
     known = next((part.map for part in parts if isinstance(part, EstimatorState)), None)
     if known is None:
         return {}
-    round_there = {"phase": "observe", "resume_phase": "", "stage": known.stage, "since": time, "moving": False}
 
     def changed(part: Any) -> Any:
         if isinstance(part, MissionStatus):
-            return dataclasses.replace(part, **round_there, replans=0, failures=0, changes=0)
+            return MissionStatus(phase="observe", stage=known.stage, since=time, path_id=part.path_id)
         return carried(part) if isinstance(part, EstimatorState) else part
 
     return {path: [changed(part) for part in system] for path, system in systems.items()}
