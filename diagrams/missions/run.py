@@ -174,10 +174,10 @@ def run_mission(
             monitor = fork.monitor(mission) if fork is not None else None
             runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
             runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, monitor)
-            if mission.outcome in ("complete", "stuck"):
-                folder.attempt(CHECKPOINT, lambda path: path.unlink(missing_ok=True))
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
+            if mission.outcome in ("complete", "stuck"):
+                folder.attempt(CHECKPOINT, lambda path: path.unlink(missing_ok=True))
             mission.say(mission.outcome.replace("_", " "))
             mission.show()
             if timeline is not None:
