@@ -58,16 +58,13 @@ class KnownWorld:
         from those."""
         X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
         published, X_MB, covariance = mission.published_poses()
-        # Until it has found itself in a map that it began with, the robot does not claim to know where it is.
-        since = mission.placed_since if math.isfinite(mission.placed_since) else -math.inf
-        placed, claimed = stamps > since, published > since
-        X_WB_then = poses_at(published[claimed], true_stamps, X_WB_true)
+        X_WB_then = poses_at(published, true_stamps, X_WB_true)
         area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
             **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
-            "online_pose_anees": online_pose_anees(X_MB[claimed], covariance[claimed], X_WB_then, mission.X_WM),
-            **pose_errors(X_WB[placed], poses_at(stamps[placed], true_stamps, X_WB_true)),
+            "online_pose_anees": online_pose_anees(X_MB, covariance, X_WB_then, mission.X_WM),
+            **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
             **area,
         }
 

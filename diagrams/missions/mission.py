@@ -352,10 +352,16 @@ class Mission:
         return stamps, values[:, :3], values[:, 3:].reshape(-1, 3, 3)
 
     def _logged(self, log: VectorLogSink) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,), s, each once, and values (n, w) of a log of vectors (stamp, values), up to the mission's end."""
+        """Stamps (n,), s, each once, and values (n, w) of a log of vectors (stamp, values), up to the mission's end.
+
+        While the robot looks for itself in a map it does not claim to be anywhere: that is left out.
+        """
         data = log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
+        if math.isfinite(self.placed_since):
+            lost_since = self.resumed[-1] if self.resumed and self.robot.real else -math.inf
+            lived &= (stamps < lost_since) | (stamps > self.placed_since)
         return stamps[lived], data[1:, first[lived]].T
 
     def final_map(self) -> tuple[SavedMap | None, MapEstimate, TfgMap] | None:
