@@ -203,7 +203,7 @@ def explore(
 
         loaded = PrepareScenario(scenario, settings or [], seed, world, tag_spacing, _start(start))
         if robot != "sim" and replayed is None:
-            explore_command.link(loaded.hardware, robot, links)
+            explore_command.link(loaded, robot, links)
         _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
         cockpit, real = None, explore_command.is_real(robot)
         if not headless:

@@ -6,9 +6,9 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
 from tfg_drake.diagrams.parts import Factory, MakePart
-from tfg_drake.diagrams.scenario import CheckScenario, Scenario
+from tfg_drake.diagrams.scenario import CheckScenario, MakeKeepOut, Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
-from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, replace
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.message_delay import MessageDelay
@@ -113,7 +113,8 @@ def MakeTfgExplorer(
         estimator,
         lambda _: SlamEstimator(scenario.odometry, tags, scenario.scan, explorer),
     )
-    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
+    building = TfgBuilder(tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
+    tfg_builder = wiring.Add("tfg_builder", building)
     selector = add(
         "goal_selector",
         "goal_selector",
@@ -226,7 +227,8 @@ def MapOfExplorer(
         return None, estimate, tfg
     tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
     if final is not None and scenario is not None and tfg_graph.stage == estimate.stage:
-        tfg = resolve(tfg_graph, state.map or estimate, scenario.robot, scenario.explorer)
+        now = resolve(tfg_graph, state.map or estimate, scenario.robot, scenario.explorer)
+        tfg = replace(now, keep_out=tfg.keep_out)
     return saved_map(map_frame(X_WS), state, tfg_graph, tfg), estimate, tfg
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.config import HardwareConfig
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
@@ -54,12 +53,14 @@ def is_real(robot: str) -> bool:
     return robot in ROBOTS
 
 
-def link(hardware: HardwareConfig, robot: str, links: dict[str, str | None]) -> None:
-    """Sets which robot is driven, and those of its links that were given."""
-    hardware.robot = robot
+def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
+    """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's."""
+    from tfg_drake.diagrams.scenario import WorldConfig
+
+    scenario.world, scenario.hardware.robot = WorldConfig(), robot
     for name, value in links.items():
         if value is not None:
-            setattr(hardware, name, value)
+            setattr(scenario.hardware, name, value)
 
 
 def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:

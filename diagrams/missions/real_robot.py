@@ -84,7 +84,7 @@ def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -
     """Runs the beginning of a simulated mission of the same explorer: all its kernels are compiled then, and a real
     robot need not wait for them in the middle of its way."""
     rehearsed = copy.deepcopy(scenario)
-    rehearsed.world = LoadScenario("paper").world
+    rehearsed.world, rehearsed.explorer.keep_out = LoadScenario("paper").world, []
     rehearsed.explorer.first_look, rehearsed.explorer.first_turns = 0.0, 1
     mission = Mission(rehearsed, method, None, "rehearsal")
     MissionRunner(mission, interrupted, max_time=REHEARSAL).run()

@@ -166,6 +166,9 @@ def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
     for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without landmark")):
         if mask.any():
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+    if len(tfg.keep_out):
+        lines = list(transform(X_WM, tfg.keep_out.reshape(-1, 2)).reshape(-1, 2, 2))
+        axes.add_collection(LineCollection(lines, colors=_MISSED, linewidths=0.6, label="keep-out area"))
 
 
 def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph, size: float) -> None:
