@@ -66,7 +66,7 @@ _GROUPS = {
     "Arguments": ("scenario",),
     "The mission": ("method", "seed", "max_time", "realtime_rate", "settings", "out", "as_json", "help"),
     "A simulated world": ("world", "tag_spacing", "start"),
-    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
+    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
     "The page": ("headless", "host", "page_port"),
 }
 
@@ -166,6 +166,9 @@ def explore(
     scan: Annotated[
         str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
     ] = None,
+    skip_checks: Annotated[
+        bool, typer.Option("--skip-checks", help="Do not check battery, sensors and clocks before it may be enabled.")
+    ] = False,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
     meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
@@ -191,7 +194,7 @@ def explore(
     scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
-    explore_command.check_robot(robot, links, place, realtime_rate)
+    explore_command.check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
@@ -224,7 +227,7 @@ def explore(
         from tfg_drake.diagrams.missions import run
 
         stack.enter_context(explore_command.remarks_on_screen())
-        opened = explore_command.open_robot(robot, loaded, explorer, interruption)
+        opened = explore_command.open_robot(robot, loaded, explorer, interruption, checked=not skip_checks)
         driven, loaded = stack.enter_context(opened)
         with complaining(out):
             result = run.run_mission(

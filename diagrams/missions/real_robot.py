@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
@@ -17,6 +18,7 @@ from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.battery_watch import BatteryWatch
+from tfg_drake.hardware.checks import check, refuse
 from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
@@ -28,14 +30,19 @@ REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
+def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Robot, Scenario]]:
     """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
     at the end.
 
-    Keys on standard input and the robot's own buttons operate it. Raises DeviceError.
+    checked: what it says while it stands is looked at, and told on standard output. Keys on standard input and the
+    robot's own buttons operate it. Raises DeviceError, also where a check fails.
     """
-    devices = open_devices(scenario.hardware, scenario.robot)
+    devices = dataclasses.replace(open_devices(scenario.hardware, scenario.robot), checked=checked)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
+        if checked:
+            checks = check(devices)
+            print(*checks, sep="\n", flush=True)
+            refuse(checks)
         yield RobotOf(scenario, devices, [keyboard.requests]), Bounded(scenario, devices)
 
 
