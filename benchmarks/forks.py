@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import tfg_drake
-from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer, map_frame
+from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
 from tfg_drake.diagrams.missions.run import run_mission
-from tfg_drake.diagrams.scenario import LoadScenario
+from tfg_drake.diagrams.scenario import LoadScenario, MapFrame
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import MissionStatus
 from tfg_drake.slam.estimator import finished_map
@@ -36,7 +36,7 @@ def fork_is_same(folder: Path, stage: int, scratch: Path) -> bool:
     state = finished_map(StateOfExplorer(explorer, context))
     scenario = LoadScenario(folder / "scenario.yaml")
     X_WS = np.array(scenario.world.start)
-    save_map(scratch, MapOfExplorer(explorer, context, map_frame(scenario, X_WS), state, scenario)[0])
+    save_map(scratch, MapOfExplorer(explorer, context, MapFrame(scenario, X_WS), state, scenario)[0])
     pose = station.GetOutputPort("truth.pose").Eval(station.GetMyContextFromRoot(root))[:3]
     return (
         scratch.read_bytes() == (folder / "map.npz").read_bytes()

@@ -77,7 +77,7 @@ _GROUPS = {
         "help",
     ),
     "A simulated world": ("world", "tag_spacing", "start"),
-    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan"),
+    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
     "The page": ("headless", "host", "page_port"),
 }
 
@@ -177,6 +177,9 @@ def explore(
     scan: Annotated[
         str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
     ] = None,
+    skip_checks: Annotated[
+        bool, typer.Option("--skip-checks", help="Do not check battery, sensors and clocks before it may be enabled.")
+    ] = False,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
     known_map: Annotated[
         Path | None,
@@ -212,7 +215,7 @@ def explore(
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
         given["--map"] = known_map
         method, robot = explore_command.resumed(resume, method, robot, given)
-    explore_command.check_robot(robot, links, place, realtime_rate)
+    explore_command.check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
@@ -236,7 +239,7 @@ def explore(
                 before = cut_short(resume, out)
             loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
         if robot != "sim" and replayed is None:
-            explore_command.link(loaded.hardware, robot, links)
+            explore_command.link(loaded, robot, links)
         cockpit, real = None, explore_command.is_real(robot)
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
@@ -255,7 +258,7 @@ def explore(
         from tfg_drake.diagrams.missions import run
 
         stack.enter_context(explore_command.remarks_on_screen())
-        opened = explore_command.open_robot(robot, loaded, explorer, interruption)
+        opened = explore_command.open_robot(robot, loaded, explorer, interruption, checked=not skip_checks)
         driven, loaded = stack.enter_context(opened)
         with complaining(out):
             result = run.run_mission(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
 from tfg_drake.diagrams.parts import Factory, MakePart
-from tfg_drake.diagrams.scenario import CheckScenario, Scenario
-from tfg_drake.mapfile.saved_map import SavedMap, load_map, saved_map, state_of_map
-from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.diagrams.scenario import CheckScenario, MakeKeepOut, Scenario
+from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
+from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, replace
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.message_delay import MessageDelay
@@ -115,7 +112,8 @@ def MakeTfgExplorer(
         estimator,
         lambda _: SlamEstimator(scenario.odometry, tags, scenario.scan, explorer),
     )
-    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(tags, scenario.scan, robot, explorer))
+    building = TfgBuilder(tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
+    tfg_builder = wiring.Add("tfg_builder", building)
     selector = add(
         "goal_selector",
         "goal_selector",
@@ -214,7 +212,7 @@ def MapOfExplorer(
 
     Args:
         explorer: with the ports map and tfg; without tfg_graph nothing can be kept. context: its own.
-        X_WM: (3,) pose of the map frame in the world, m and rad, see `map_frame`.
+        X_WM: (3,) pose of the map frame in the world, m and rad, see `MapFrame`.
         final: what the estimator knows, `finished_map`; else the map is taken as it is.
         scenario: with `final`, whose explorer it is.
 
@@ -228,13 +226,6 @@ def MapOfExplorer(
         return None, estimate, tfg
     tfg_graph = explorer.GetOutputPort("tfg_graph").Eval(context)
     if final is not None and scenario is not None and tfg_graph.stage == estimate.stage:
-        tfg = resolve(tfg_graph, state.map or estimate, scenario.robot, scenario.explorer)
+        now = resolve(tfg_graph, state.map or estimate, scenario.robot, scenario.explorer)
+        tfg = replace(now, keep_out=tfg.keep_out)
     return saved_map(X_WM, state, tfg_graph, tfg), estimate, tfg
-
-
-def map_frame(scenario: Scenario, X_WS: FloatArray | None) -> FloatArray:
-    """(3,) pose X_WM of the map frame in the world: that of the map that the mission begins with, else where the robot
-    started, X_WS (3,); zeros where that is unknown."""
-    if scenario.explorer.known_map:
-        return load_map(Path(scenario.explorer.known_map)).X_WM
-    return np.zeros(3) if X_WS is None else X_WS

@@ -7,9 +7,10 @@ import dataclasses
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import Wiring
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario
 from tfg_drake.grid import frontier_goal, weighted_goal
 from tfg_drake.grid.frontier_goal import TriedPlaces
+from tfg_drake.grid.path import with_segments
 from tfg_drake.messages import GoalChoice, GridMap, PoseEstimate
 from tfg_drake.systems.frontier_goal_selector import FrontierGoalSelector
 from tfg_drake.systems.grid_mapper import GridMapper
@@ -27,7 +28,10 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     # The first look is for the heading of a map of tags: scan matching gains nothing from it.
     robot, explorer = scenario.robot, dataclasses.replace(scenario.explorer, first_look=0.0, first_turns=1)
 
+    keep_out = MakeKeepOut(scenario)
+
     def choose(grid: GridMap, pose: PoseEstimate, tried: TriedPlaces) -> tuple[GoalChoice, TriedPlaces]:
+        grid = with_segments(grid, keep_out)
         if weighted:
             return weighted_goal.choose(
                 grid, pose, tried, scenario.odometry, scenario.scan, robot, explorer, scenario.grid
@@ -37,7 +41,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     wiring = Wiring(scenario.reality.planning_time)
     mapper = wiring.Add("grid_mapper", GridMapper(scenario.grid, scenario.odometry, scenario.seed))
     selector = wiring.Add("goal_selector", FrontierGoalSelector(choose, robot, scenario.grid.eager))
-    planner = wiring.Add("grid_planner", GridPlanner(robot))
+    planner = wiring.Add("grid_planner", GridPlanner(robot, keep_out))
     follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, None))
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, maps={"grid": GridMap}))
 

@@ -6,7 +6,7 @@ import copy
 
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario, WorldConfig
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.sensor import HardwareSensor
@@ -22,7 +22,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     """
     scenario, builder, clock = Bounded(scenario, devices), DiagramBuilder(), devices.clock
     # The robot's own watchdog locks the base, and knows when it is enabled.
-    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, locks=False)
+    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, MakeKeepOut(scenario), locks=False)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     wheels = builder.AddNamedSystem("base", HardwareBase(devices))
     tags = HardwareSensor("detections", devices.tags, no_detections(), clock)
@@ -40,6 +40,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
+    builder.ExportInput(safety_filter.GetInputPort("pose"), "base.pose")
     builder.ConnectInput("base.enable", wheels.GetInputPort("enable"))
     builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
     builder.ExportOutput(wheels.GetOutputPort("hazards"), "base.hazards")
@@ -53,8 +54,10 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
 
 
 def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
-    """The scenario within the limits of the robot, and of what its scanner and camera see."""
+    """The scenario within the limits of the robot, and of what its scanner and camera see, without its world: that is
+    another one, and the frame of the start is W."""
     bounded = copy.deepcopy(scenario)
+    bounded.world = WorldConfig()
     bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
     bounded.robot.max_acceleration = devices.limits.acceleration
     bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration

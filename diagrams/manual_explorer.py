@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import Wiring
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
@@ -36,7 +36,8 @@ def MakeManualExplorer(
         "slam_estimator",
         SlamEstimator(scenario.odometry, scenario.tags, scenario.scan, explorer),
     )
-    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
+    building = TfgBuilder(scenario.tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
+    tfg_builder = wiring.Add("tfg_builder", building)
     driver = wiring.Add("manual_driver", ManualDriver(robot, keys, drive, explorer.glance_period > 0.0))
     parameters = robot, scenario.odometry, scenario.tags, explorer, scenario.planner, scenario.seed
     planner = wiring.Add("prm_planner", PrmPlanner(*parameters, scenario.scan.least_range))

@@ -18,7 +18,7 @@ from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
 from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
 from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
-from tfg_drake.diagrams.scenario import ApplySettings, Scenario
+from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario
 from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
 from tfg_drake.mission.manual_drive import DriveError, read_drive
 
@@ -52,7 +52,9 @@ class Method:
     knows_map: bool = True
 
     def Check(self, scenario: Scenario) -> None:
-        """Raises MethodError where the scenario lacks what the method needs."""
+        """Raises MethodError where the scenario lacks what the method needs, ScenarioError where the robot must not be
+        where it starts."""
+        MakeKeepOut(scenario)
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
         limits = [key for key in ("budget_time", "budget_distance", "return_home") if getattr(scenario.explorer, key)]

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
 
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
-    """Connects what a station senses to the explorer's inputs of the same names, and the explorer's command to the
-    station."""
+    """Connects what a station senses to the explorer's inputs of the same names, and the explorer's command, and the
+    pose that it goes by, to the station."""
     for name in (explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())):
         if of_station(name):
             builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort(COMMANDED), station.GetInputPort(COMMANDED))
+    if station.HasInputPort("base.pose") and explorer.HasOutputPort("pose"):
+        builder.Connect(explorer.GetOutputPort("pose"), station.GetInputPort("base.pose"))
 
 
 def MakeMissionDiagram(

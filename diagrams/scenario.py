@@ -41,10 +41,13 @@ from tfg_drake.config import (
     TagConfig,
     TagSensorConfig,
 )
+from tfg_drake.geometry.polygon import fault, hatched
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
+from tfg_drake.messages import FloatArray
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
-from tfg_drake.world.world import World, WorldError, check_world
+from tfg_drake.world.world import World, WorldError, check_world, wall_distance
 
 
 class ScenarioError(BadInput, ValueError):
@@ -164,6 +167,7 @@ _SIGNED = (
     "world.tags",
     "world.start",
     "drive",
+    "explorer.keep_out",
     "reality.tags.clock_offset",
     "reality.tags.yaw",
     "reality.tags.ahead",
@@ -199,6 +203,7 @@ _LENGTHS = {
     "reality.changes[].opened[]": (4, "[x0, y0, x1, y1]"),
     "reality.changes[].tags[].position": (2, "[x, y]"),
     "drive[]": (2, "[x, y]"),
+    "explorer.keep_out[][]": (2, "[x, y]"),
 }
 
 
@@ -321,7 +326,10 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
                 owner = getattr(owner, name)
         value = _Parse(text, source)
         _CheckTree(value, schema, key, source)
-        if dataclasses.is_dataclass(schema) or typing.get_origin(schema) is list:
+        innermost = schema
+        while typing.get_origin(innermost) is list:
+            (innermost,) = typing.get_args(innermost)
+        if dataclasses.is_dataclass(innermost):
             raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
         setattr(owner, names[-1], None if value is None else _Given(schema)(value))
         if key == "station.eyes" and value == "camera":
@@ -368,6 +376,35 @@ def MakeWorld(config: WorldConfig) -> World:
         tag_facing=np.array([tag.facing for tag in config.tags], dtype=float),
         start=np.array(config.start, dtype=float),
     )
+
+
+def HatchedKeepOut(scenario: Scenario) -> FloatArray:
+    """What surrounds and fills the areas that the robot must not enter, so that it fits nowhere in them: segments
+    (k, 4), m in W."""
+    polygons = [np.array(corners, dtype=float) for corners in scenario.explorer.keep_out]
+    return hatched(polygons, scenario.robot.radius)
+
+
+def MakeKeepOut(scenario: Scenario) -> FloatArray:
+    """HatchedKeepOut (k, 4), m in M. Raises ScenarioError where the robot starts in such an area."""
+    start, keep_out = np.array(scenario.world.start, dtype=float), HatchedKeepOut(scenario)
+    # In a map that it knows the robot may be anywhere.
+    near = wall_distance(start[:2], keep_out) < scenario.robot.radius
+    if near.any() and not scenario.explorer.known_map:
+        where = f"at ({start[0]:g}, {start[1]:g}), or nearer to it than its radius, {scenario.robot.radius:g} m"
+        raise ScenarioError(f"explorer.keep_out: the robot starts in it, {where}; move its corners or the start")
+    return transform(inverse(MapFrame(scenario, start)), keep_out.reshape(-1, 2)).reshape(-1, 4)
+
+
+def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
+    """(3,) pose X_WM of the map frame in the world: that of the map that the mission begins with, else where the robot
+    starts, X_WS (3,). Raises MapFileError."""
+    if not scenario.explorer.known_map:
+        return X_WS
+    # Few missions need what this imports.
+    from tfg_drake.mapfile.saved_map import load_map
+
+    return load_map(Path(scenario.explorer.known_map)).X_WM
 
 
 def MakeWorldConfig(world: World) -> WorldConfig:
@@ -570,6 +607,10 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
 
 
 def _CheckWorld(scenario: Scenario, source: str) -> None:
+    for i, corners in enumerate(scenario.explorer.keep_out):
+        if told := fault(np.array(corners, dtype=float).reshape(-1, 2)):
+            mend = "give the three or more corners [x, y] of a polygon, in their order round it"
+            raise ScenarioError(f"{source}: explorer.keep_out[{i}]: {told}; {mend}")
     try:
         world = MakeWorld(scenario.world)
         check_world(world, scenario.robot.radius)

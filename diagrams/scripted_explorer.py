@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import Wiring
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
@@ -27,7 +27,8 @@ def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
         "slam_estimator",
         SlamEstimator(scenario.odometry, scenario.tags, scenario.scan, explorer),
     )
-    tfg_builder = wiring.Add("tfg_builder", TfgBuilder(scenario.tags, scenario.scan, robot, explorer))
+    building = TfgBuilder(scenario.tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
+    tfg_builder = wiring.Add("tfg_builder", building)
     driver = wiring.Add("scripted_driver", ScriptedDriver(p_MG))
     follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot))

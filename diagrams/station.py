@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import RandomSource
 
 from tfg_drake.diagrams.parts import Factory, MakePart
-from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import MakeKeepOut, MakeWorld, Scenario
 from tfg_drake.systems import odometry, people
 from tfg_drake.systems.changing_world import ChangingWorld
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
@@ -46,6 +46,7 @@ def MakeTurtlebotStation(
         input_ports:
         - base.velocity_commanded
         - base.enable
+        - base.pose
         - truth.pushes
         output_ports:
         - base.odometry
@@ -63,6 +64,7 @@ def MakeTurtlebotStation(
     base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
     0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
     unconnected, a simulated base is enabled and a real one is not. base.enabled: 1 while the base may move, else 0.
+    base.pose: PoseEstimate, by which the base keeps out of explorer.keep_out; left unconnected, it does not.
     base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections and scan.ranges: LaserScan, messages.
     truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
@@ -88,7 +90,7 @@ def MakeTurtlebotStation(
     world, reality, disturbances = MakeWorld(scenario.world), scenario.reality, scenario.disturbances
     builder = DiagramBuilder()
 
-    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan)
+    filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, MakeKeepOut(scenario))
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     base = MakePart("plant", plant, lambda _: DifferentialDrivePlant(world, scenario.robot, disturbances), scenario)
     builder.AddNamedSystem("differential_drive_plant", base)
@@ -117,6 +119,7 @@ def MakeTurtlebotStation(
 
     builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
     builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
+    builder.ExportInput(safety_filter.GetInputPort("pose"), "base.pose")
     if base.HasInputPort("pushes"):
         pushes = builder.ExportInput(base.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))

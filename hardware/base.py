@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
@@ -12,6 +13,7 @@ from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
 
 # Of commands, and of odometry: the simulated station's.
@@ -22,6 +24,10 @@ ODOMETRY_PERIOD = 1.0 / 16.0
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # After this long without one there is no more hope, s.
 LOST = 60.0
+# The first turn, rad: at five scans a second enough of them at the rate of the first look.
+FIRST_TURN = 1.5 * math.pi
+# Of so many messages at most: half a minute's.
+HEARD = 1000
 
 _log = logging.getLogger("tfg_drake.hardware")
 
@@ -29,7 +35,8 @@ _log = logging.getLogger("tfg_drake.hardware")
 @message
 class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
-    waiting: what it waits for, "" for nothing. since: when it began to wait, s. watch: of what the operator is told."""
+    waiting: what it waits for, "" for nothing. since: when it began to wait, s. watch: of what the operator is told.
+    heard: what was said in the first turn so far, turned: whether that is over."""
 
     hazards: Hazards
     tried: float = 0.0
@@ -37,6 +44,8 @@ class _BaseState:
     waiting: str = ""
     since: float = 0.0
     watch: Watch = dataclasses.field(default_factory=Watch)
+    heard: tuple[Message, ...] = ()
+    turned: bool = False
 
 
 class HardwareBase(LeafSystem):
@@ -59,6 +68,9 @@ class HardwareBase(LeafSystem):
     velocity: forward speed (m/s) and turn rate (rad/s). enable: 0 (also unconnected): stand; every other number enables
     the base once, until it stops by itself. detections, scan: messages, looked at for their age only. enabled: 1 while
     the base may move and every sensor speaks.
+
+    When the base has turned by FIRST_TURN, what tags and scans say of that is held against its odometry: where they
+    turn against it, or the scanner's clock is wrong, it stands until it is enabled anew.
 
     Raises DeviceError in a simulation when the robot is lost for good.
     """
@@ -108,6 +120,7 @@ class HardwareBase(LeafSystem):
         velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
+        now = self._Turned(now, context)
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
         for line in [*lines, *self.devices.take_remarks()]:
             _log.warning("%.2f s: %s", time, line)
@@ -134,6 +147,29 @@ class HardwareBase(LeafSystem):
             _log.warning("%.2f s: the base stands until it is enabled anew: %s", time, reason)
             return replace(before, enabled=False)
         return before
+
+    def _Turned(self, before: _BaseState, context: Context) -> _BaseState:
+        """Holds the sensors against the odometry when the first turn is over, and locks the device by what is wrong."""
+        if before.turned or not before.enabled or not self.devices.checked:
+            return before
+        said: list[Message] = [
+            self._odometry(context),
+            eval_message(self._scan, context, LaserScan),
+            eval_message(self._detections, context, TagDetections),
+        ]
+        known = {(type(one), one.stamp) for one in before.heard}
+        heard = (*before.heard, *(one for one in said if (type(one), one.stamp) not in known))[-HEARD:]
+        heading = np.unwrap([one.X_OB[2] for one in heard if isinstance(one, Odometry)])
+        if np.abs(np.diff(heading)).sum() < FIRST_TURN:
+            return replace(before, heard=heard)
+        tags, scan = held_against_odometry(heard)
+        # The camera's clock is learnt with the map.
+        wrong = remedies(replace(tags, ahead=0.0), scan)
+        if wrong:
+            self._device.lock(wrong[0])
+        else:
+            _log.info("%.2f s: scan, tags and odometry agree on how it turned", context.get_time())
+        return replace(before, heard=(), turned=True)
 
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
         """Which message is too old; raises DeviceError where it is so for too long."""

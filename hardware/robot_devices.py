@@ -32,7 +32,7 @@ class RobotDevices:
 
     limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
     and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
-    of a camera of our own, None of another one. clock: of the station that is made of them.
+    of a camera of our own, None of another one. clock: of the station that is made of them. checked: its first turn is.
     """
 
     base: Device
@@ -44,6 +44,7 @@ class RobotDevices:
     least_range: float = 0.0
     view: CameraView | None = None
     clock: HostClock = dataclasses.field(default_factory=HostClock)
+    checked: bool = True
 
     def take_remarks(self) -> list[str]:
         """Lines for the operator that the processes of base and sensors had to say since the last call."""

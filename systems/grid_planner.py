@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import pose_at
-from tfg_drake.grid.path import find_ways, path_in_grid_is_free, path_in_scan_is_free, plan_path, with_returns
+from tfg_drake.grid.path import (
+    find_ways,
+    path_in_grid_is_free,
+    path_in_scan_is_free,
+    plan_path,
+    with_returns,
+    with_segments,
+)
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
@@ -62,9 +70,10 @@ class GridPlanner(LeafSystem):
     all in M. scan: LaserScan.
     """
 
-    def __init__(self, robot: RobotConfig):
+    def __init__(self, robot: RobotConfig, keep_out: FloatArray | None = None):
+        """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
         super().__init__()
-        self._robot = robot
+        self._robot, self._keep_out = robot, np.zeros((0, 4)) if keep_out is None else keep_out
         self._grid = declare_message_input(self, "grid")
         self._pose = declare_message_input(self, "pose")
         self._goal = declare_message_input(self, "goal")
@@ -102,7 +111,7 @@ class GridPlanner(LeafSystem):
         p_MG: FloatArray,
         mission: MissionStatus,
     ) -> _PlannerState:
-        seen = with_returns(grid, scan, pose_at(pose, scan.stamp))
+        seen = with_segments(with_returns(grid, scan, pose_at(pose, scan.stamp)), self._keep_out)
         p_MB = pose.X_MB[:2]
         points = plan_path(seen, find_ways(seen, p_MB, self._robot), p_MB, p_MG)
         if len(points):
@@ -118,6 +127,7 @@ class GridPlanner(LeafSystem):
         points, X_MS = now.path.points, pose_at(pose, scan.stamp)
         free = path_in_scan_is_free(points, grid, scan, X_MS, self._robot)
         if grid.stamp > now.grid_stamp:
-            free = free and path_in_grid_is_free(points, grid, X_MS[:2], self._robot)
+            barred = with_segments(grid, self._keep_out)
+            free = free and path_in_grid_is_free(points, barred, X_MS[:2], self._robot)
         status = now.status if free else PathStatus(now.path.id, free=False)
         return replace(now, status=status, scan_stamp=scan.stamp, grid_stamp=grid.stamp)

@@ -7,7 +7,7 @@ from functools import partial
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tfg_drake.storage.port_recording import COMMAND, GOAL, MESSAGES, PortRecording
-from tfg_drake.systems.ports import declare_message_output
+from tfg_drake.systems.ports import declare_message_input, declare_message_output
 
 
 class PortPlayer(LeafSystem):
@@ -19,6 +19,7 @@ class PortPlayer(LeafSystem):
         input_ports:
         - base.velocity_commanded
         - base.enable
+        - base.pose
         output_ports:
         - base.odometry
         - base.hazards
@@ -27,9 +28,9 @@ class PortPlayer(LeafSystem):
         - base.enabled
         - operator.goal
 
-    base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enable: (1,), as of the station.
-    base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges: LaserScan,
-    base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
+    base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enable: (1,), base.pose: PoseEstimate,
+    as of the station. base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges:
+    LaserScan, base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
 
     The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
@@ -39,6 +40,7 @@ class PortPlayer(LeafSystem):
         self._recording = recording
         self.DeclareVectorInputPort(COMMAND, 2)
         self.DeclareVectorInputPort("base.enable", 1)
+        declare_message_input(self, "base.pose")
         for name in MESSAGES:
             declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
         self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})

@@ -10,8 +10,10 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.geometry.motion import advance
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, replace
+from tfg_drake.geometry.se2 import pose_at
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, PoseEstimate, replace
 from tfg_drake.mission.operation import stopped_by
+from tfg_drake.safety.keep_out import walled
 from tfg_drake.safety.scan_watch import HELD, no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     MOST_REFLEXES,
@@ -25,7 +27,7 @@ from tfg_drake.safety.velocity_filter import (
 )
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
 
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
@@ -35,6 +37,8 @@ _HELD_SCANS = 20
 # What stops the base is no farther from where it is to stop than this, m: noise, and its way while it brakes.
 _NEAR = 0.1
 _BLOCKED = "something stands in its way; it may turn on the spot, and goes on when its way is free"
+
+_KEPT_OUT = "an area of explorer.keep_out is in its way; it may turn on the spot, or be led elsewhere"
 
 _log = logging.getLogger("tfg_drake.hardware")
 
@@ -51,27 +55,39 @@ class SafetyFilter(LeafSystem):
         - scan
         - odometry
         - enable
+        - pose
         output_ports:
         - velocity
         - enabled
         - scan_believed
 
     velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards, scan, odometry: messages. enable,
-    enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1. scan_believed: the newest scan that
-    is believed: a scanner that says nothing new is as good as silent.
+    enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1. pose: PoseEstimate; by it the base
+    keeps out of areas as if walls stood round them, unconnected it does not. scan_believed: the newest scan that is
+    believed: a scanner that says nothing new is as good as silent.
     """
 
-    def __init__(self, robot: RobotConfig, safety: SafetyConfig, scan: ScanConfig, *, locks: bool = True):
-        """locks: after a cliff or a wheel drop an `enable` that is connected must be another number for the base to
-        move, as a robot's own watchdog has it."""
+    def __init__(
+        self,
+        robot: RobotConfig,
+        safety: SafetyConfig,
+        scan: ScanConfig,
+        keep_out: FloatArray | None = None,
+        *,
+        locks: bool = True,
+    ):
+        """keep_out: (k, 4) what fills the areas not to be entered, m in M; None for none. locks: after a cliff or a
+        wheel drop an `enable` that is connected must be another number for the base to move, as a robot's own watchdog
+        has it."""
         super().__init__()
-        self._locks = locks
+        self._locks, self._keep_out = locks, keep_out
         self._robot, self._safety, self._scanner = robot, safety, scan
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._hazards = declare_message_input(self, "hazards")
         self._scan = declare_message_input(self, "scan")
         self._odometry = declare_message_input(self, "odometry")
         self._enable = self.DeclareVectorInputPort("enable", 1)
+        self._pose = declare_message_input(self, "pose")
         # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
@@ -110,9 +126,16 @@ class SafetyFilter(LeafSystem):
     def _Filtered(self, context: Context) -> FloatArray:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
         hazards = eval_message(self._hazards, context, Hazards)
-        scan, watch = eval_message(self._scan, context, LaserScan), self._watch(context)
+        scan, watch = self._Barred(context), self._watch(context)
         state, now, odometry = self._State(context), context.get_time(), eval_message(self._odometry, context, Odometry)
         return filter_command(state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, PERIOD)
+
+    def _Barred(self, context: Context) -> LaserScan:
+        """The newest scan, as if walls stood round the areas that the base must not enter."""
+        scan, pose = eval_message(self._scan, context, LaserScan), eval_optional(self._pose, context, PoseEstimate)
+        if pose is None or self._keep_out is None or not len(self._keep_out) or not len(scan.ranges):
+            return scan
+        return walled(scan, pose_at(pose, scan.stamp), self._keep_out)
 
     def _State(self, context: Context) -> FloatArray:
         state: FloatArray = context.get_discrete_state(self._state).value()
@@ -125,7 +148,8 @@ class SafetyFilter(LeafSystem):
             return EventStatus.DidNothing()
         odometry = eval_message(self._odometry, context, Odometry)
         X_OB = _pose_at(odometry, scan.stamp)
-        after = watched(before, scan, X_OB, odometry.at_rest, self._robot.radius, self._scanner.least_range)
+        size, barred = (self._robot.radius, self._scanner.least_range), self._Barred(context)
+        after = watched(before, scan, X_OB, odometry.at_rest, *size, barred)
         if after.doubt != before.doubt:
             now = context.get_time()
             if after.doubt:
@@ -137,7 +161,9 @@ class SafetyFilter(LeafSystem):
             after = replace(after, held=before.held + 1)
             if after.held == _HELD_SCANS:
                 unseen = held(after, X_OB, wanted, self._robot, self._safety) and not self._Meets(scan, wanted)
-                _log.warning("%.2f s: the base stands: %s", context.get_time(), HELD if unseen else _BLOCKED)
+                told = HELD if unseen else _BLOCKED
+                told = _KEPT_OUT if self._Meets(barred, wanted) and not self._Meets(scan, wanted) else told
+                _log.warning("%.2f s: the base stands: %s", context.get_time(), told)
         self._watch.set(state, after)
         return EventStatus.Succeeded()
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
+from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
 from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
@@ -53,9 +54,18 @@ class TfgBuilder(LeafSystem):
     was missed.
     """
 
-    def __init__(self, tags: TagSensorConfig, scan: ScanConfig, robot: RobotConfig, explorer: ExplorerConfig):
+    def __init__(
+        self,
+        tags: TagSensorConfig,
+        scan: ScanConfig,
+        robot: RobotConfig,
+        explorer: ExplorerConfig,
+        keep_out: FloatArray | None = None,
+    ):
+        """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
+        self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
         self._scan = declare_message_input(self, "scan")
         self._map = declare_message_input(self, "map")
         self._landmarks = declare_message_input(self, "landmarks")
@@ -102,4 +112,5 @@ class TfgBuilder(LeafSystem):
         graph = update(
             now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
         )
-        return _BuilderState(graph, resolve(graph, estimate, self._robot, self._explorer), (), no_sightings())
+        tfg = replace(resolve(graph, estimate, self._robot, self._explorer), keep_out=self._keep_out)
+        return _BuilderState(graph, tfg, (), no_sightings())

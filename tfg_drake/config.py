@@ -415,6 +415,9 @@ class ExplorerConfig:
     # tell where among the landmarks the robot stood.
     first_look: float = 20.0
     first_turns: int = 3
+    # Areas that the robot must not enter, each the corners [x, y] of a polygon in W, m: of a robot in a building that
+    # is not known in the frame of its start.
+    keep_out: list[list[list[float]]] = dataclasses.field(default_factory=list)
 
     # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
 

@@ -284,7 +284,8 @@ class TfgMap:
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
     given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map
-    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there.
+    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there. keep_out: (k, 4)
+    what surrounds and fills the areas that the robot must not enter, m in M: it sees across them.
     """
 
     stage: int
@@ -303,6 +304,12 @@ class TfgMap:
     given_up_normal: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     viewpoints: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     inspected: float = dataclasses.field(default=0.0, metadata={"kept": False})
+    keep_out: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)), metadata={"kept": False})
+
+    @property
+    def obstacles(self) -> FloatArray:
+        """What the robot must keep clear of, (m + k, 4), m in M: the segments and keep_out."""
+        return _freeze(np.vstack([self.segments, self.keep_out])) if len(self.keep_out) else self.segments
 
 
 @message

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.config import HardwareConfig
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
@@ -70,19 +69,25 @@ def is_real(robot: str) -> bool:
     return robot in ROBOTS
 
 
-def link(hardware: HardwareConfig, robot: str, links: dict[str, str | None]) -> None:
-    """Sets which robot is driven, and those of its links that were given."""
-    hardware.robot = robot
+def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
+    """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's."""
+    from tfg_drake.diagrams.scenario import WorldConfig
+
+    scenario.world, scenario.hardware.robot = WorldConfig(), robot
     for name, value in links.items():
         if value is not None:
-            setattr(hardware, name, value)
+            setattr(scenario.hardware, name, value)
 
 
-def check_robot(robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float) -> None:
+def check_robot(
+    robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float, *, checked: bool = True
+) -> None:
     """Raises BadInput: what fits a simulated robot only is refused for a real one, and the other way round."""
     from tfg_drake.config import ROBOTS
 
     if robot not in ROBOTS:
+        if not checked:
+            bad_input(f"--skip-checks: is for a real robot; give --robot {', '.join(ROBOTS)} too")
         for link, value in links.items():
             if value is not None:
                 bad_input(f"--{link} {value}: is for a real robot; give --robot {', '.join(ROBOTS)} too")
@@ -119,9 +124,11 @@ def open_robot(
     scenario: Scenario,
     method: Method,
     interrupted: threading.Event,
+    *,
+    checked: bool = True,
 ) -> Iterator[tuple[Robot, Scenario]]:
-    """The robot to drive, and the scenario within its limits; raises BadInput where there is none. A rehearsal ends
-    when interrupted."""
+    """The robot to drive, and the scenario within its limits; raises BadInput where there is none, or where a real one
+    is checked and something is wrong with it. A rehearsal ends when interrupted."""
     from tfg_drake.diagrams.robots import SIMULATED
 
     if name == "sim":
@@ -143,7 +150,9 @@ def open_robot(
             bad_input(f"--robot {name}: that run's world is another; leave the scenario out, or base it on {of_run}")
         yield robot, scenario
         return
-    with OpenRobot(scenario) as opened:
+    if not checked:
+        print("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn", flush=True)
+    with OpenRobot(scenario, checked=checked) as opened:
         print(f"{name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
         Rehearse(scenario, method, interrupted)
         print(HELP, flush=True)

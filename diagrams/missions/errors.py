@@ -10,7 +10,7 @@ import numpy as np
 from tfg_drake.comparison import metrics
 from tfg_drake.comparison.curves import scan_coverage
 from tfg_drake.diagrams.missions.mission import Departure, Mission
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import HatchedKeepOut, Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
@@ -37,9 +37,10 @@ class KnownWorld:
         """X_WB: (3,) where the robot was at the end, if that is known: a door may have shut behind it."""
         self._world, self._scenario = world, scenario
         self._grid = make_grid(world)
-        self._cells = reachable_cells(self._grid, world, scenario.robot.radius)
+        limits = scenario.robot.radius, HatchedKeepOut(scenario)
+        self._cells = reachable_cells(self._grid, world, *limits)
         if X_WB is not None and scenario.reality.changes:
-            self._cells |= reachable_cells(self._grid, replace(world, start=X_WB), scenario.robot.radius)
+            self._cells |= reachable_cells(self._grid, replace(world, start=X_WB), *limits)
         tags = scenario.tags
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
 

@@ -16,13 +16,13 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
 from pydrake.systems.primitives import VectorLog, VectorLogSink
 
-from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer, map_frame
+from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.context_state import restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
@@ -115,7 +115,7 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. X_WM: (3,) pose of the map frame in the world, see `map_frame`. failure: what ended it, of the outcome fault.
+    `say`. X_WM: (3,) pose of the map frame in the world, see `MapFrame`. failure: what ended it, of the outcome fault.
     resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
     taken when it was gone on with, s.
     """
@@ -137,7 +137,7 @@ class Mission:
         keep_to_one_thread()
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
-        self.X_WM = map_frame(scenario, self.world.start if self.world is not None else None)
+        self.X_WM = MapFrame(scenario, self.world.start if self.world is not None else np.zeros(3))
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None

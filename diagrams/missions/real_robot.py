@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
@@ -17,6 +18,7 @@ from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.battery_watch import BatteryWatch
+from tfg_drake.hardware.checks import check, refuse
 from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
@@ -28,14 +30,19 @@ REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario) -> Iterator[tuple[Robot, Scenario]]:
+def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Robot, Scenario]]:
     """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
     at the end.
 
-    Keys on standard input and the robot's own buttons operate it. Raises DeviceError.
+    checked: what it says while it stands is looked at, and told on standard output. Keys on standard input and the
+    robot's own buttons operate it. Raises DeviceError, also where a check fails.
     """
-    devices = open_devices(scenario.hardware, scenario.robot)
+    devices = dataclasses.replace(open_devices(scenario.hardware, scenario.robot), checked=checked)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
+        if checked:
+            checks = check(devices)
+            print(*checks, sep="\n", flush=True)
+            refuse(checks)
         yield RobotOf(scenario, devices, [keyboard.requests]), Bounded(scenario, devices)
 
 
@@ -84,7 +91,7 @@ def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -
     """Runs the beginning of a simulated mission of the same explorer: all its kernels are compiled then, and a real
     robot need not wait for them in the middle of its way."""
     rehearsed = copy.deepcopy(scenario)
-    rehearsed.world = LoadScenario("paper").world
+    rehearsed.world, rehearsed.explorer.keep_out = LoadScenario("paper").world, []
     rehearsed.explorer.first_look, rehearsed.explorer.first_turns = 0.0, 1
     mission = Mission(rehearsed, method, None, "rehearsal")
     MissionRunner(mission, interrupted, max_time=REHEARSAL).run()

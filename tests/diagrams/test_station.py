@@ -166,7 +166,7 @@ def test_ports_and_names(station):
     inputs = [station.get_input_port(i).get_name() for i in range(station.num_input_ports())]
     outputs = [station.get_output_port(i).get_name() for i in range(station.num_output_ports())]
     assert station.get_name() == "station"
-    assert inputs == ["base.velocity_commanded", "base.enable", "truth.pushes"]
+    assert inputs == ["base.velocity_commanded", "base.enable", "base.pose", "truth.pushes"]
     assert outputs == OUTPUTS
     assert [system.get_name() for system in station.GetSystems()] == [
         "safety_filter",

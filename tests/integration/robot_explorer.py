@@ -11,11 +11,11 @@ import pytest
 class Explorer:
     """`tfg-drake explore --robot kobuki` in a process, whose lines are awaited and whose keys are pressed."""
 
-    def __init__(self, emulator, folder, max_time):
+    def __init__(self, emulator, folder, max_time, *options):
         host, port = emulator.sensors
         source = f"socket:{host}:{port}"
         arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
-        arguments += ["--headless", "--max-time", str(max_time)]
+        arguments += ["--headless", "--max-time", str(max_time), *options]
         arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],

@@ -10,6 +10,7 @@ from tests.integration.robot_explorer import Explorer, moves, stands
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.hardware.emulation.emulator import Emulator
+from tfg_drake.messages import replace
 from tfg_drake.storage.trajectory import read_tum
 
 WORLD = MakeWorld(LoadScenario("house").world)
@@ -137,3 +138,41 @@ def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
 def test_its_last_word_to_the_wheels_is_a_stop(mission):
     _, marks, _ = mission
     assert marks["end"][1].speed == 0
+
+
+def _mirrored(scan):
+    return replace(scan, angles=-scan.angles[::-1], ranges=scan.ranges[::-1])
+
+
+def test_a_mirrored_scan_stops_it_in_the_first_turn_until_somebody_enables_it_anew(tmp_path):
+    with Emulator(WORLD) as emulator:
+        emulator.faults = {"scan": _mirrored}
+        explorer = Explorer(emulator, tmp_path, 300.0)
+        explorer.wait_for("answer, none is pressed")
+        _drives(emulator, explorer)
+        explorer.wait_for("the base stands until it is enabled anew: the scan turns against the robot: is the scanner")
+        over = stands(emulator, time.monotonic())
+        explorer.press("e")
+        moves(emulator, over)
+        explorer.press("q")
+        explorer.wait_for("files")
+    assert sum("enabled anew: the scan turns against" in line for line in explorer.lines) == 1
+
+
+def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
+    with Emulator(WORLD) as emulator:
+        emulator.faults, emulator.base.bumper = {"scan": _mirrored}, 4
+        refused = Explorer(emulator, tmp_path / "refused", 300.0)
+        refused.wait_for("bumper left  FAILS: see what presses it")
+        refused.wait_for("tfg-drake: checks that failed: bumper, cliff; mend that, or leave all out by --skip-checks")
+        assert refused.process.wait(60.0) == 2
+        assert not any(one.speed for _, one in emulator.commands)
+        emulator.base.bumper = 0
+        explorer = Explorer(emulator, tmp_path / "run", 300.0, "--skip-checks")
+        explorer.wait_for("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn")
+        _drives(emulator, explorer)
+        # The estimator says so when the turn is over.
+        explorer.wait_for("the scan turns against the robot")
+        explorer.press("q")
+        explorer.wait_for("files")
+    assert not any("enabled anew: the scan turns against" in line for line in explorer.lines)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tests.mapfile.array_names import array_names
 from tests.mutations import assert_refused_or_read
-from tfg_drake.mapfile.message_arrays import to_arrays
+from tfg_drake.mapfile.message_arrays import hints_of, to_arrays
 from tfg_drake.mapfile.saved_map import (
     REGISTRY,
     SCHEMA,
@@ -326,8 +326,7 @@ def test_other_schemas_and_contradictions(path, changes, complaint):
 
 def test_the_registry_has_every_class_and_array_of_a_map():
     for kind, shapes in REGISTRY.items():
-        hints = typing.get_type_hints(kind)
-        arrays = {name for name, hint in hints.items() if typing.get_origin(hint) is np.ndarray}
+        arrays = {name for name, hint in hints_of(kind).items() if typing.get_origin(hint) is np.ndarray}
         assert set(shapes) == arrays, kind
     array_names(SavedMap, REGISTRY)
 

@@ -67,9 +67,10 @@ def test_free_space_that_is_not_convex_has_its_area():
 
 
 def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
-    segments = np.array([[0, 0, 1, 0], [1, 0, 1, 3], [5, 5, 6, 6]], dtype=float)
-    shown = {one.name: one for one in solids("tfg", {"segments": segments, "kind": np.array([0, 2, 2])}, {}, 0.1)}
-    assert {name: len(one.outlines) for name, one in shown.items()} == {"edge": 1, "wall_end": 0, "bare": 2}
+    segments = np.array([[0, 0, 1, 0], [1, 0, 1, 3], [5, 5, 6, 6], [7, 7, 8, 7]], dtype=float)
+    shown = {one.name: one for one in solids("tfg", {"segments": segments, "kind": np.array([0, 2, 2, 3])}, {}, 0.1)}
+    counts = {name: len(one.outlines) for name, one in shown.items()}
+    assert counts == {"edge": 1, "wall_end": 0, "bare": 2, "keep_out": 1}
     assert all(one.high > one.low == 0.0 for one in shown.values())
 
     covariance = np.array([[1e-4, 0.0, 1e-4], [0.04, 0.0, 0.04]])

@@ -55,7 +55,7 @@ def test_nowhere_to_go_is_stuck_where_much_is_left():
 ROOMS = 4  # A row of cells of 4 m, one node in each, a frontier of another length in front of each node.
 
 
-def frontiers_seen(reachable, enterable, once_open, distance=4.0, seen=0.5):
+def frontiers_seen(reachable, enterable, once_open, distance=4.0, seen=0.5, keep_out=None):
     """The frontier left in cells divided by walls, each with a node that is reachable, enterable or was once open.
 
     seen: how far (m) from each node free space was seen, sideways.
@@ -77,6 +77,7 @@ def frontiers_seen(reachable, enterable, once_open, distance=4.0, seen=0.5):
         star_offsets=4 * np.arange(ROOMS + 1),
         star_vertices=(points[:, None] + corners).reshape(-1, 2),
         star_centers=points,
+        keep_out=np.zeros((0, 4)) if keep_out is None else keep_out,
     )
     kinds = (np.array(kind, dtype=bool) for kind in (reachable, enterable, once_open))
     is_reachable, is_enterable, was_open = kinds
@@ -135,3 +136,12 @@ def test_a_frontier_given_up_inside_a_hollow_obstacle_does_not_count():
 
 def test_a_frontier_given_up_behind_a_wall_does_not_count():
     assert given_up_behind(1.0, (-3.0, -0.4, 3.0, -0.4)) == 0.0
+
+
+def test_what_an_area_not_to_be_entered_keeps_the_robot_from_is_named_and_no_hindrance():
+    masks = [1, 0, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]
+    assert frontiers_seen(*masks) == FrontierLeft(not_worth=1.0, too_narrow=14.0)
+    left = frontiers_seen(*masks, keep_out=np.array([[2.0, -3.0, 2.0, 3.0]]))
+    assert left == FrontierLeft(not_worth=1.0, kept_out=14.0)
+    told = "No frontier is left but 14.0 m where the robot does not fit or must not enter, 1.0 m not worth the way, "
+    assert end(kept_out=14.0, not_worth=1.0) == ("complete", f"{told}and no place promises more than 20 nats.")

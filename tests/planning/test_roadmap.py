@@ -16,6 +16,7 @@ from tfg_drake.config import (
     TagSensorConfig,
 )
 from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.polygon import hatched
 from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, replace
@@ -579,3 +580,32 @@ def test_a_path_keeps_the_risk_of_the_whole_by_a_detour_or_stays_away():
     assert not np.isfinite(ways.cost[behind])
     assert ways.predecessor[behind] == -1
     assert np.isfinite(ways.time[nearest(state, (3, 0))])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_neither_roadmap_nor_path_enters_an_area_to_keep_out_of(seed):
+    """Whatever its shape, wherever it lies; what was driven before the map moved under it does not lead through."""
+    random = np.random.default_rng(seed)
+    angles = np.arange(6) + random.uniform(0, 0.9, 6)
+    spokes = random.uniform(0.3, 1.2, 6)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    corners = random.uniform([-3, -1], [3, 1]) + spokes
+    area, segments, views = shapely.Polygon(corners), two_rooms(), [(-5, 1.5, 0), (5, -1.5, 1)]
+    driven = np.linspace(views[0][:2], views[1][:2], 80)
+    state = empty_roadmap()
+    for k in (1, 2):
+        estimate, tfg = known(segments, views[:k])
+        tfg = replace(tfg, keep_out=hatched([corners], ROBOT.radius))
+        state = extend(state, tfg, estimate, PARAMETERS, driven=driven if k == 2 else None)
+    nodes = shapely.distance(shapely.points(state.points), area)
+    # Where the robot has driven there are nodes, too, but no way.
+    sampled = shapely.distance(shapely.points(state.points), shapely.LineString(driven)) > 0.1
+    assert (nodes[sampled] >= ROBOT.radius + NODE_MARGIN - 1e-9).all()
+    edges = shapely.linestrings(state.points[state.edges.nodes[state.edges.usable]])
+    assert len(edges)
+    assert (shapely.distance(edges, area) >= ROBOT.radius).all()
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    reached = random.permutation(np.flatnonzero(np.isfinite(ways.cost)))[:12]
+    paths = [plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS) for node in reached]
+    paths = [shapely.LineString(points) for points in paths if len(points)]
+    assert paths
+    assert (shapely.distance(paths, area) >= ROBOT.radius).all()

@@ -8,7 +8,8 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
-from tfg_drake.messages import Hazards, Odometry, replace
+from tfg_drake.geometry.polygon import hatched
+from tfg_drake.messages import Hazards, Odometry, PoseEstimate, replace
 from tfg_drake.safety.scan_watch import EMPTY, FROZEN, HELD
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.systems.safety_filter import SafetyFilter
@@ -20,8 +21,8 @@ ROOM = np.array([[9, -3, 9, 3], [9, 3, -4, 3], [-4, 3, -4, -3], [-4, -3, 9, -3]]
 class Filter:
     """The filter of a robot that drives ahead at 0.3 m/s as it is told, by its odometry, in a room."""
 
-    def __init__(self):
-        self.system = SafetyFilter(RobotConfig(), SafetyConfig(), SCAN)
+    def __init__(self, keep_out=None):
+        self.system = SafetyFilter(RobotConfig(), SafetyConfig(), SCAN, keep_out)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.random, self.x, self.step = np.random.default_rng(0), 0.0, 0
@@ -99,3 +100,20 @@ def test_a_robot_with_something_in_its_way_says_so_once(caplog):
     assert stopped.run(6.0)[-1] == 0.0
     assert caplog.text.count("the base stands: something stands in its way") == 1
     assert HELD not in caplog.text
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_area_to_keep_out_of_is_a_wall_where_the_pose_is_known(known, caplog):
+    """The robot began at (10, 5) of the map, looking along its y axis; the area is one 3 m ahead of it."""
+    corners = np.array([[9.0, 8.0], [11.0, 8.0], [11.0, 9.0], [9.0, 9.0]])
+    filtered = Filter(hatched([corners], RobotConfig().radius))
+    for step in range(160):
+        if known:
+            pose, speed = np.array([10.0, 5.0 + filtered.x, 0.5 * np.pi]), np.array([filtered.read("velocity")[0], 0.0])
+            none = np.zeros(0, dtype=int)
+            filtered.fix("pose", PoseEstimate(step / 8, pose, np.zeros((3, 3)), speed, 1, none, np.zeros((0, 2))))
+        filtered.run(1 / 8)
+    stops = 3.0 - RobotConfig().radius - SafetyConfig().stop_distance
+    assert filtered.x == pytest.approx(stops, abs=0.05) if known else filtered.x > 4.0
+    assert filtered.x < stops + 0.005 or not known
+    assert ("an area of explorer.keep_out is in its way" in caplog.text) == known

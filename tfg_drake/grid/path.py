@@ -263,7 +263,19 @@ def with_returns(grid: GridMap, scan: LaserScan, X_MB: FloatArray) -> GridMap:
     """
     hit = scan.ranges < RETURN_REACH
     r, angle = scan.ranges[hit], scan.angles[hit]
-    p_MP = transform(X_MB, np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
+    return with_points(grid, transform(X_MB, np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)))
+
+
+def with_segments(grid: GridMap, segments: FloatArray) -> GridMap:
+    """The grid with the cells on segments (m, 4), m in M, marked as occupied."""
+    if not len(segments):
+        return grid
+    pieces = [resample(segment.reshape(2, 2), 0.5 * grid.resolution) for segment in segments]
+    return with_points(grid, np.vstack(pieces))
+
+
+def with_points(grid: GridMap, p_MP: FloatArray) -> GridMap:
+    """The grid with the cells that hold points (n, 2), m in M, marked as occupied."""
     inside = ((p_MP >= grid.origin) & (p_MP < grid.origin + grid.resolution * np.array(grid.probability.T.shape))).all(
         1
     )

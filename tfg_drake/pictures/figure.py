@@ -99,7 +99,14 @@ def run_figure(
         if len(missed):
             label = "landmark missed"
             axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
-    axes.plot(*(X_WB[0] if len(X_WB) else X_WM)[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
+    axes.plot(
+        *(X_WB_estimated[0] if len(X_WB_estimated) else X_WM)[:2],
+        "^",
+        color="0.1",
+        markersize=7,
+        label="start",
+        zorder=6,
+    )
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
     if len(way):
         axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
@@ -166,6 +173,9 @@ def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
     for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without landmark")):
         if mask.any():
             axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+    if len(tfg.keep_out):
+        lines = list(transform(X_WM, tfg.keep_out.reshape(-1, 2)).reshape(-1, 2, 2))
+        axes.add_collection(LineCollection(lines, colors=_MISSED, linewidths=0.6, label="keep-out area"))
 
 
 def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph, size: float) -> None:

@@ -12,6 +12,7 @@ WALL: Colour = (0.84, 0.85, 0.87)
 EDGE: Colour = (0.16, 0.18, 0.22)
 WALL_END: Colour = (0.52, 0.54, 0.58)
 BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
+KEEP_OUT: Colour = (0.84, 0.15, 0.16)
 LANDMARK: Colour = (0.07, 0.53, 0.44)
 DOUBTFUL: Colour = (0.64, 0.18, 0.66)
 WALL_LANDMARK: Colour = (0.42, 0.16, 0.82)
@@ -44,6 +45,7 @@ LIGHT: dict[str, Colour] = {
     "edge_in_space": (0.42, 0.46, 0.54),
     "wall_end": WALL_END,
     "bare_surface": BARE_SURFACE,
+    "keep_out": KEEP_OUT,
     "landmark": LANDMARK,
     "doubtful": DOUBTFUL,
     "wall_landmark": WALL_LANDMARK,

@@ -62,8 +62,8 @@ def landmarks(estimate: MapEstimate | SavedMap) -> Layer:
 
 
 def surfaces(tfg: TfgMap) -> Layer:
-    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark."""
-    return {"segments": tfg.segments, "kind": tfg.segment_kind}
+    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark, 3 area not to be entered."""
+    return {"segments": tfg.obstacles, "kind": np.append(tfg.segment_kind, np.full(len(tfg.keep_out), 3))}
 
 
 def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:

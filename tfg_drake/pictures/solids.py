@@ -18,7 +18,12 @@ from tfg_drake.pictures.palette import Colour
 WALL_HEIGHT, SURFACE_HEIGHT, TAG_HEIGHT, ROBOT_HEIGHT, PERSON_HEIGHT = 0.35, 0.4, 0.45, 0.3, 1.6
 # Heights of what lies on the floor, m: far enough apart for a browser to tell which is above.
 SHEETS = {name: 0.01 * k for k, name in enumerate(("floor", "free", "gains", "ellipses", "frontiers", "path"), 1)}
-SURFACES = (("edge", palette.EDGE), ("wall_end", palette.WALL_END), ("bare", palette.BARE_SURFACE))
+SURFACES = (
+    ("edge", palette.EDGE),
+    ("wall_end", palette.WALL_END),
+    ("bare", palette.BARE_SURFACE),
+    ("keep_out", palette.KEEP_OUT),
+)
 WHITE, FLOOR, GAIN = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85), (0.85, 0.45, 0.62)
 # Of its colour: what a solid shines by itself, lest lamps leave half a building in the dark, and what it reflects. Its
 # sides are darker than its top.

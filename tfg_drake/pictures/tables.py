@@ -48,9 +48,9 @@ def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
 
 def surfaces(tfg: TfgMap) -> Table:
     """segments, kind: see `scene.surfaces`."""
-    segments, kind = tfg.segments, tfg.segment_kind.astype(np.uint8)
+    segments, kind = scene.surfaces(tfg).values()
     values = np.column_stack([segments / POSITION, 2.0 * kind])
-    return Table({"segments": segments, "kind": kind}, _middles(segments), values)
+    return Table({"segments": segments, "kind": kind.astype(np.uint8)}, _middles(segments), values)
 
 
 def facing(tfg: TfgMap, ids: IntArray, p_ML: FloatArray) -> Table:

@@ -317,7 +317,7 @@ def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> t
         reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
         return int(at[nearest]), "goal", reason, looked
     verdict, reason = why_end(
-        any_left,
+        any_left or len(now.tfg.keep_out) > 0,
         float(narrow.gain.max(initial=0.0)),
         given_up_open(now.tfg, roadmap, now.parameters.robot.radius + NODE_MARGIN),
         frontier_left(now.tfg, roadmap, now.parameters.sensor, now.parameters.robot.radius),

@@ -37,9 +37,9 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
     near = cKDTree(places).query_ball_point(before, AT_HAND)
     point = np.repeat(np.arange(len(before)), [len(rows) for rows in near])
     ways = np.hstack([places[np.concatenate([np.array(rows, dtype=np.int64) for rows in near])], before[point]])
-    reached = np.unique(point[clearance(ways, tfg.segments, need) >= need])
+    reached = np.unique(point[clearance(ways, tfg.obstacles, need) >= need])
     through = np.hstack([before, tfg.given_up])[reached]
-    return float(tfg.given_up_length[reached[clearance(through, tfg.segments, need) >= need]].sum())
+    return float(tfg.given_up_length[reached[clearance(through, tfg.obstacles, need) >= need]].sum())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,17 +49,19 @@ class FrontierLeft:
     not_worth: it is seen from places that the robot can reach, none of which is worth the way. too_uncertain: only from
     behind passages that have room for the robot but not for its uncertainty. shut: only from where it could have driven
     when that was seen to be free, but not by the newest map: a door that shut. too_narrow: from no other place that it
-    fits into.
+    fits into. kept_out: likewise, where there are areas that it must not enter.
     """
 
     not_worth: float = 0.0
     too_uncertain: float = 0.0
     shut: float = 0.0
     too_narrow: float = 0.0
+    kept_out: float = 0.0
 
     def __str__(self) -> str:
         named = [
             (self.too_narrow, "where the robot does not fit"),
+            (self.kept_out, "where the robot does not fit or must not enter"),
             (self.too_uncertain, "behind passages too narrow for the uncertainty of the map"),
             (self.shut, "behind a door that shut"),
             (self.not_worth, "not worth the way"),
@@ -70,7 +72,8 @@ class FrontierLeft:
 def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FrontierLeft:
     """The live frontier by the places of the roadmap that see it; of these the one counts that is the easiest to get
     to. radius: of the robot, m."""
-    hindrance = np.full(len(roadmap.points), 3)
+    elsewhere = 4 if len(tfg.keep_out) else 3
+    hindrance = np.full(len(roadmap.points), elsewhere)
     shut = np.flatnonzero(roadmap.once_open)
     # Where the free space is narrower than the robot it was seen by rays that some wall swallowed.
     outline = radius * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
@@ -81,9 +84,9 @@ def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius
     hindrance[roadmap.enterable] = 1
     hindrance[roadmap.reachable] = 0
     seen = expected_frontiers(roadmap.points, tfg, sensor)
-    least = np.full(len(tfg.frontiers), 3)
+    least = np.full(len(tfg.frontiers), elsewhere)
     np.minimum.at(least, seen.index, np.repeat(hindrance, seen.count))
-    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=4).tolist())
+    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=5).tolist())
 
 
 def why_end(
@@ -91,8 +94,9 @@ def why_end(
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
-    candidates: there are any. narrow_gain: nats, of the best place behind a passage that is too narrow for the robot's
-    uncertainty. given_up_length: m of open frontier that was tried too often. left: what is left of the live frontier.
+    candidates: there are any, or areas not to be entered, for which there may be none. narrow_gain: nats, of the best
+    place behind a passage that is too narrow for the robot's uncertainty. given_up_length: m of open frontier that was
+    tried too often. left: what is left of the live frontier.
     """
     named = str(left)
     if not candidates and sum(dataclasses.astuple(left)) > MOST_LEFT:

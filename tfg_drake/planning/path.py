@@ -186,13 +186,13 @@ def plan_path(
     """
     robot, planner = parameters.robot, parameters.planner
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
-    X_MS = _where_it_stops(X_MB, speed, tfg, np.vstack([tfg.segments, obstacles]), robot)
+    X_MS = _where_it_stops(X_MB, speed, tfg, np.vstack([tfg.obstacles, obstacles]), robot)
     if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
         X_MS = X_MB
     before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
     paths: list[FloatArray] = []
     for _ in range(WAYS_TRIED):
-        segments = np.vstack([tfg.segments, obstacles])
+        segments = np.vstack([tfg.obstacles, obstacles])
         ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
         way = node_path(state, ways, X_MS, node)
         if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
@@ -217,7 +217,7 @@ def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters:
     robot = parameters.robot
     sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
     need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - LACKING
-    return np.asarray(clearance(lines_between(path, path), tfg.segments, float(need.max())) < need)
+    return np.asarray(clearance(lines_between(path, path), tfg.obstacles, float(need.max())) < need)
 
 
 def without_choice(

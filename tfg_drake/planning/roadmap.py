@@ -339,7 +339,7 @@ def _proposals(
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
     whether they lie in free space for sure (p,)."""
     room = radius + NODE_MARGIN
-    gaps, half = passages(tfg.segments, 2 * room, PASSAGE_WIDTH)
+    gaps, half = passages(tfg.obstacles, 2 * room, PASSAGE_WIDTH)
     apart = np.full(len(gaps), PASSAGE_SPACING / density)
     if density > 1:
         # No node beside the line through a gap stands for one on it.
@@ -469,6 +469,10 @@ def extend(
     was_driven = np.arange(len(proposed)) < len(chain)
     edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
     edges = _checked(edges, points, sigma, tfg, parameters, EFFORTS[effort][1])
+    if len(tfg.keep_out):
+        # The map may have moved a way that was driven into an area to keep out of.
+        outside = clearance(points[edges.nodes].reshape(-1, 4), tfg.keep_out, COMFORT) > 0.0
+        edges = replace(edges, travelled=edges.travelled & outside)
     if in_vain:
         near = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
         edges = replace(edges, travelled=edges.travelled & ~(near & (edges.clearance == 0.0)))
@@ -508,7 +512,7 @@ def _with_new_nodes(
     if estimate.stage > state.stage:
         # Further efforts at a stage add nothing to the way: the first has.
         driven = np.zeros((0, 2)) if driven is None else driven
-        travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.segments, body, way_end)
+        travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.obstacles, body, way_end)
         nodes = np.vstack([nodes, travelled])
     if sampled:
         return nodes, chain, way_end
@@ -518,7 +522,7 @@ def _with_new_nodes(
         inside = within(proposals, estimate.X_MA[-1], radius - EDGE_LENGTH)
         proposals, spacing, is_free = proposals[inside], spacing[inside], is_free[inside]
     stars, room = (tfg.star_offsets, tfg.star_vertices), body + NODE_MARGIN
-    points = np.vstack([nodes, proposals[fitting(proposals, spacing, is_free, nodes, *stars, tfg.segments, room)]])
+    points = np.vstack([nodes, proposals[fitting(proposals, spacing, is_free, nodes, *stars, tfg.obstacles, room)]])
     return points, chain, way_end
 
 
@@ -548,7 +552,7 @@ def _checked(
     deviations sigma (n,), m, and the probability of a collision: the accepted one, or the planner's if that is more.
     """
     node_need = room_needed(parameters.robot, parameters.planner, sigma, accepted)
-    has, need = _measure(edges.nodes, points, node_need, tfg.segments)
+    has, need = _measure(edges.nodes, points, node_need, tfg.obstacles)
     free = edges.free | edges.travelled
     ask = np.flatnonzero(~free & (has >= parameters.robot.radius))
     free[ask] = in_free_space(points[edges.nodes[ask]].reshape(-1, 4), tfg)

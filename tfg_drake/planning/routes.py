@@ -193,7 +193,7 @@ def _connect(
     distance = np.hypot(*(state.points - here).T)
     near = np.flatnonzero(distance <= EDGE_LENGTH)
     near = near[np.argsort(distance[near], kind="stable")[: 3 * NEIGHBOURS]]
-    segments = tfg.segments if obstacles is None else np.vstack([tfg.segments, obstacles])
+    segments = tfg.obstacles if obstacles is None else np.vstack([tfg.obstacles, obstacles])
     # No surface can pass through where the robot stands.
     apart = clearance(segments, np.concatenate([here, here])[None], np.inf)
     segments = segments[apart > 0.02]

@@ -55,12 +55,18 @@ def no_watch(scan: LaserScan) -> ScanWatch:
 
 
 def watched(
-    watch: ScanWatch, scan: LaserScan, X_OB: FloatArray, at_rest: bool, radius: float, least_range: float
+    watch: ScanWatch,
+    scan: LaserScan,
+    X_OB: FloatArray,
+    at_rest: bool,
+    radius: float,
+    least_range: float,
+    barred: LaserScan | None = None,
 ) -> ScanWatch:
     """The watch after a scan that is newer than the one before.
 
     X_OB: (3,) odometry where it was taken. at_rest: no wheel turns. radius: of the robot, m. least_range: m, nearer the
-    scanner sees nothing.
+    scanner sees nothing. barred: what is remembered of it where the base may not go all the way that it saw.
     """
     same = len(scan.ranges) > 0 and scan.ranges.tobytes() == watch.content.ranges.tobytes()  # nan is nan
     content, X_OC = (watch.content, watch.X_OC) if same else (scan, X_OB)
@@ -73,7 +79,8 @@ def watched(
         doubt = EMPTY
     if doubt:
         return ScanWatch(scan.stamp, believed, watch.X_OS, content, X_OC, doubt, watch.space)
-    return ScanWatch(scan.stamp, scan, X_OB, content, X_OC, "", remembered(watch.space, scan, X_OB, radius))
+    space = remembered(watch.space, barred or scan, X_OB, radius)
+    return ScanWatch(scan.stamp, scan, X_OB, content, X_OC, "", space)
 
 
 def _shows(before: LaserScan, scan: LaserScan, X_SB: FloatArray, least: float, reach: float) -> bool:

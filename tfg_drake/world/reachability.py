@@ -74,13 +74,15 @@ def free_cells(grid: Grid, walls: FloatArray, clearance: float) -> BoolArray:
     return free
 
 
-def reachable_cells(grid: Grid, world: World, robot_radius: float) -> BoolArray:
-    """Cells (rows, columns) connected to the start for a disc of robot_radius + MARGIN.
+def reachable_cells(grid: Grid, world: World, robot_radius: float, keep_out: FloatArray | None = None) -> BoolArray:
+    """Cells (rows, columns) connected to the start for a disc of robot_radius + MARGIN, that keeps clear of keep_out
+    (k, 4), m in W, as of walls.
 
     A robot that starts nearer to a wall than that counts from the nearest cell it can get to within its own radius;
     without one no cell is reachable.
     """
-    free = free_cells(grid, world.walls, robot_radius + MARGIN)
+    obstacles = world.walls if keep_out is None else np.vstack([world.walls, keep_out])
+    free = free_cells(grid, obstacles, robot_radius + MARGIN)
     start_row, start_column = grid.cell(world.start[None, :2])
     half = int(np.ceil(robot_radius / CELL)) + 1
     around = np.zeros(grid.shape, dtype=np.bool_)

@@ -90,7 +90,7 @@ const draw = {
 
   tfg(record) {
     const { segments, kind } = arrays(record);
-    ["edge", "wall_end", "bare_surface"].forEach((name, value) => {
+    ["edge", "wall_end", "bare_surface", "keep_out"].forEach((name, value) => {
       const some = rows(kind.length, (i) => kind[i] === value),
         look = flat ? material(name) : material(value ? name : "edge_in_space", { lit: true });
       put(groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));

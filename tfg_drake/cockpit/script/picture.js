@@ -90,6 +90,7 @@ const DRAWS_INTO = {
     ["map", "edge"],
     ["map", "wall_end"],
     ["map", "bare_surface"],
+    ["map", "keep_out"],
   ],
   map: [
     ["map", "landmark"],

@@ -1,0 +1,133 @@
+"""What a robot says while it stands, looked at before its wheels may be enabled: a line a check, and how to mend it.
+
+What shows only while it turns (a mirrored scan, a wrong clock of the scanner's) `tfg_drake.hardware.base` looks at in
+the first turn; that the gyro turns with the wheels, `tfg_drake.hardware.watchdog` does always.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.remarks import battery, where
+from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
+
+# How long is listened, s, and how often it is looked whether anything has come.
+LISTENS, LOOKS_EVERY = 2.0, 0.02
+# Even the fastest message of a kind may be no older than this when it is there, s.
+OLDEST = {Odometry: 0.5, LaserScan: 0.4, TagDetections: 1.0}
+# A ray so near to a sighting's bearing, rad, shows what stands there.
+BESIDE = 0.02
+# So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
+# or the calibration: one alone may hang over what the scan meets.
+TAGS, AGREE, GREAT = 2, 0.25, 1.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    """name: of what was looked at. found: what there is. mend: how to mend it, "" where nothing is wrong."""
+
+    name: str
+    found: str
+    mend: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name:<14}{self.found}" + (f"  FAILS: {self.mend}" if self.mend else "")
+
+
+@dataclasses.dataclass(frozen=True)
+class Heard:
+    """The messages of a kind that came in LISTENS, and the least age of any of them when it was there, s."""
+
+    messages: Sequence[Any] = ()
+    age: float = math.inf
+
+
+def check(devices: RobotDevices) -> list[Check]:
+    """Listens to open devices, and says what of them is as it should be."""
+    sources = {Odometry: devices.base, Hazards: devices.base, LaserScan: devices.scan, TagDetections: devices.tags}
+    for kind, source in sources.items():
+        source.take(kind, time.monotonic())  # What has been waiting.
+    heard, end = dict.fromkeys(sources, Heard()), time.monotonic() + LISTENS
+    while (now := time.monotonic()) < end:
+        for kind, source in sources.items():
+            new, before = source.take(kind, now), heard[kind]
+            heard[kind] = Heard([*before.messages, *new], min([before.age, *(now - one.stamp for one in new)]))
+        time.sleep(LOOKS_EVERY)
+    found = judged(heard, devices.base.newest(BaseState), on_ros=devices.frames is not None)
+    return found + [Check("told", line) for line in devices.take_remarks()]
+
+
+def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool) -> list[Check]:
+    """All checks, in the order in which they are told. state: what the base says of itself. on_ros: its bumper and
+    cliff sensors may have no topic."""
+    scans, frames = heard[LaserScan].messages, heard[TagDetections].messages
+    answers, covered = bool(scans) and (scans[-1].ranges >= 0.0).any(), "see whether something covers the scanner"
+    return [
+        _battery(state),
+        _hazards(heard[Hazards].messages, on_ros),
+        _arrives("odometry", heard[Odometry], OLDEST[Odometry], "see the base's driver"),
+        _arrives("scan", heard[LaserScan], OLDEST[LaserScan], "see the scanner's driver"),
+        _arrives("tags", heard[TagDetections], OLDEST[TagDetections], "see the camera and the tags' detector"),
+        Check("rays", "some answer" if answers else "none answers", covered if scans and not answers else ""),
+        _sizes(tag_factors(scans[-1], frames) if answers else np.zeros(0)),
+    ]
+
+
+def refuse(checks: Sequence[Check]) -> None:
+    """Raises DeviceError where a check has failed."""
+    if failed := [one.name for one in checks if one.mend]:
+        raise DeviceError(f"checks that failed: {'; '.join(failed)}; mend that, or leave all out by --skip-checks")
+
+
+def _battery(state: BaseState | None) -> Check:
+    if state is None:
+        return Check("battery", "the base says nothing of it")
+    level = f"{100.0 * state.charge:.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
+    charger = f"take the robot off its {state.charger}" if state.charger else ""
+    return Check("battery", level, "charge it" if battery(state) else charger)
+
+
+def _hazards(said: Sequence[Hazards], on_ros: bool) -> Check:
+    if not said:
+        return Check("bumper, cliff", "the base says nothing of them", "" if on_ros else "see the base's driver")
+    sides = {name: getattr(said[-1], name) for name in ("bumper", "cliff", "wheel_drop")}
+    found = ", ".join(f"{name.replace('_', ' ')} {where(bits)}" for name, bits in sides.items() if bits)
+    return Check("bumper, cliff", found or "answer, none is pressed", "see what presses it" if found else "")
+
+
+def _arrives(name: str, heard: Heard, oldest: float, mend: str) -> Check:
+    """How often messages of a kind come and how old they are, which may be as much as oldest, s."""
+    if not heard.messages:
+        return Check(name, f"none in {LISTENS:g} s", f"{mend}, and whether its clock is this computer's")
+    late = "" if heard.age <= oldest else f"its clock is behind this computer's, or it is slow: {mend}"
+    return Check(name, f"{len(heard.messages) / LISTENS:.0f} a second, {heard.age:.2f} s old", late)
+
+
+def _sizes(factors: FloatArray) -> Check:
+    """The tags' size and the calibration, by the factors of their ranges (t,), see tag_factors."""
+    if not len(factors):
+        return Check("tag size", "no tag in view where the scan meets something: not compared")
+    factor = float(np.median(factors))
+    agree = len(factors) >= TAGS and (np.abs(factors / factor - 1.0) < AGREE).all()
+    size = f"are the tags {1.0 / factor:.2g} times as large as was said, or is the calibration another camera's?"
+    found = f"ranges of {len(factors)} tags are {factor:.2f} times the scan's"
+    return Check("tag size", found, size if agree and abs(math.log(factor)) > math.log(GREAT) else "")
+
+
+def tag_factors(scan: LaserScan, frames: Sequence[TagDetections]) -> FloatArray:
+    """By how much the ranges of each tag (t,) are longer than those of the scan at its bearing, by the median of all
+    frames."""
+    columns = ([np.zeros(0), *(getattr(one, name) for one in frames)] for name in ("ids", "range", "bearing"))
+    ids, ranges, bearings = map(np.concatenate, columns)
+    ray = np.searchsorted(scan.angles, bearings - 0.5 * BESIDE).clip(max=len(scan.angles) - 1)
+    met = scan.ranges[ray]
+    seen = (np.abs(scan.angles[ray] - bearings) < BESIDE) & (met > 0.0) & (met < np.inf)
+    return np.array([np.median((ranges[seen] / met[seen])[ids[seen] == tag]) for tag in np.unique(ids[seen])])
