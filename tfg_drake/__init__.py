@@ -6,7 +6,7 @@
 What is public, and stays as it is but for what CHANGELOG.md tells:
 
 - here: `explore` builds a mission and drives it, `load_run` reads what it left, `fork` goes on from one of its stages,
-  `map_graph` gives its map as GTSAM's factors and values.
+  `map_graph` gives its map as GTSAM's factors and values, `merge` makes one map of two.
 - in `tfg_drake.diagrams`: `scenario` (Scenario, LoadScenario, ApplySettings, ApplyWorldFile, MakeWorld), `station`
   (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `mission_diagram` (ConnectStation), and the names, types and
   meanings of their ports.
@@ -26,6 +26,7 @@ from tfg_drake.kernels import use_locator
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.exploration import explore, fork
+    from tfg_drake.mapfile.merge import merge
     from tfg_drake.slam.gtsam_solver import map_graph
     from tfg_drake.storage.run import load_run
 else:
@@ -35,6 +36,7 @@ else:
         "fork": "tfg_drake.diagrams.exploration",
         "load_run": "tfg_drake.storage.run",
         "map_graph": "tfg_drake.slam.gtsam_solver",
+        "merge": "tfg_drake.mapfile.merge",
     }
 
     def __getattr__(name):
@@ -47,7 +49,7 @@ else:
 use_locator()
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "explore", "fork", "load_run", "map_graph"]
+__all__ = ["__version__", "explore", "fork", "load_run", "map_graph", "merge"]
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""`tfg-drake map`: what is in a saved map, a look at it, and other formats. Needs no Drake."""
+"""`tfg-drake map`: what is in a saved map, a look at it, other formats, two as one, another frame. Needs no Drake."""
 
 from __future__ import annotations
 
@@ -48,13 +48,14 @@ def _map_file(path: Path) -> Path:
 
 
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map or the folder of a run.", callback=_map_file)]
+NewMap = Annotated[Path, typer.Argument(metavar="OUT", help="The map to write, a .npz file.")]
 
 map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @map_app.callback()
 def _commands() -> None:
-    """Look at a saved map, or write it in another format."""
+    """Look at a saved map, write it in another format, merge two, or move one to another frame."""
 
 
 @map_app.command()
@@ -176,6 +177,53 @@ def _write_page(saved: SavedMap, map_file: Path, out: Path) -> None:
 
     with _timeline(saved, map_file) as timeline:
         export_page(timeline, out, map_file.name, viewer_script())
+
+
+@map_app.command()
+def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
+    """Make one map of two of the same place, in the frame of the first."""
+    from tfg_drake.mapfile.merge import merge as merged
+
+    a, b = _load(first), _load(second)
+    both = merged(a, b)
+    _save(both, out)
+    tags = len(a.ids) + len(b.ids) - len(both.ids)
+    walls = (len(a.graph.ids) + len(b.graph.ids) - len(both.graph.ids) - tags) // 2
+    print(f"{out}: {len(both.ids)} landmarks; {tags} of them and {walls} walls are in both maps")
+    if disputed := sorted({*both.doubtful.tolist()} - {*a.doubtful.tolist(), *b.doubtful.tolist()}):
+        print(f"doubtful, for they stand elsewhere in {second}: tags {', '.join(map(str, disputed))}")
+
+
+@map_app.command()
+def align(
+    map_file: MapArgument,
+    out: NewMap,
+    tags: Annotated[Path | None, typer.Option(help="Surveyed tags, a .csv: id,x_m,y_m.", metavar="FILE")] = None,
+    plan: Annotated[Path | None, typer.Option(help="A plan of the walls, a map_server .yaml.", metavar="FILE")] = None,
+) -> None:
+    """Put a map in the frame of surveyed tags or of a plan."""
+    from tfg_drake.mapfile.survey import in_plan, in_survey, read_survey
+    from tfg_drake.world.map_server import load_map_server
+
+    if tags is not None and plan is None:
+        saved, ids, off, is_wrong, scale = in_survey(_load(map_file), read_survey(tags))
+        for tag, distance, wrong in zip(ids.tolist(), off.tolist(), is_wrong.tolist(), strict=True):
+            print(f"tag {tag}: {distance:.3f} m off{', looks wrong and does not count' if wrong else ''}")
+        print(f"scale: lengths of the map are off by {round(100.0 * scale, 2) + 0.0:+.2f} %, and stay so")
+    elif plan is not None and tags is None:
+        saved = in_plan(_load(map_file), load_map_server(plan))
+    else:
+        bad_input("name either --tags or --plan; see tfg-drake map align --help")
+    _save(saved, out)
+    x, y, theta = saved.X_WM
+    print(f"{out}: origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad")
+
+
+def _save(saved: SavedMap, out: Path) -> None:
+    from tfg_drake.mapfile.saved_map import save_map
+
+    with writing(out):
+        save_map(out, saved)
 
 
 def _load(path: Path) -> SavedMap:

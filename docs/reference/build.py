@@ -26,6 +26,7 @@ API = {
     "load_run": "tfg_drake.storage.run",
     "fork": "tfg_drake.diagrams.exploration",
     "map_graph": "tfg_drake.slam.gtsam_solver",
+    "merge": "tfg_drake.mapfile.merge",
 }
 START = """tfg_drake
 =========

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.geometry import se2
-from tfg_drake.slam.wall_search import SAME, find_place
+from tfg_drake.slam.wall_search import SAME, find_place, refined
 
 # Faces seen from their left: a room of 6 by 4 m with a niche, and beside it one of 5 by 3 m.
 ROOM = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 2, 4], [2, 4, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]]
@@ -94,3 +94,9 @@ def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted
 def test_nobody_has_carried_it_through_the_whole_building():
     far = np.array([30.0, 0.0, 0.0])
     assert find_place(seen(walls(ROOM), HERE), walls(ROOM), reach(walls(ROOM)), far)[0] is None
+
+
+def test_a_rough_pose_is_refined_by_all_walls():
+    known = both()
+    found = refined(HERE + 0.02, seen(known, HERE), known, reach(known))
+    np.testing.assert_allclose(found, HERE, atol=1e-9)

@@ -30,6 +30,8 @@ MARGIN = 1.5
 # A place as near as this, m, is asked first: that the robot has drifted is likelier than that somebody has carried it.
 # And nobody carries it farther than this: the other end of a building, not mapped yet, may be alike.
 DRIFTED, CARRIED = 1.5, 10.0
+# Steps of a refinement: which walls are on which changes with the pose.
+STEPS = 5
 
 
 def find_place(
@@ -56,6 +58,15 @@ def find_place(
         if share[best] >= max(LEAST_SHARE, others) and tells_place(seen[matched]):
             return _fitted(poses[best], seen[matched], walls[on[best, matched]]), here
     return None, here
+
+
+def refined(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> FloatArray:
+    """A pose (3,) that is known roughly, by least squares of all walls seen (s, 2, 2) that lie on those of the map from
+    it; walls and reach as of `find_place`."""
+    for _ in range(STEPS):
+        on = _judged(X_MA[None], seen, walls, reach)[1][0]
+        X_MA = _fitted(X_MA, seen[on >= 0], walls[on[on >= 0]])
+    return X_MA
 
 
 def tells_place(seen: FloatArray) -> bool:

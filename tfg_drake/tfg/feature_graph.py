@@ -151,15 +151,38 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
         _chained(graph.star_offsets, changed.star_offsets),
         np.concatenate([graph.star_vertices, changed.star_vertices]),
     )
-    old, new = graph.surfaces, changed.surfaces
-    both: dict[str, Any] = {name: np.concatenate([column, getattr(new, name)]) for name, column in vars(old).items()}
-    surfaces = Surfaces(**both | {"offsets": _chained(old.offsets, new.offsets)})
-    kept = np.append(np.flatnonzero(~part.surfaces), len(old.view) + np.arange(len(new.view)))
+    surfaces = _both(graph.surfaces, changed.surfaces)
+    kept = np.append(np.flatnonzero(~part.surfaces), np.arange(len(graph.surfaces.view), len(surfaces.view)))
     # In the order in which they were found: where two overlap, the first is believed.
     kept = kept[np.lexsort([surfaces.view[kept], ~surfaces.on_wall[kept]])]
     return replace(
         changed, surfaces=_some(surfaces, kept), star_offsets=star_offsets, star_vertices=star_vertices, **rows
     )
+
+
+def behind(first: TfgGraph, second: TfgGraph) -> TfgGraph:
+    """Two graphs of one map as one, the second's views behind the first's. A tag of both faces as it was seen from
+    nearest by."""
+    rows: dict[str, Any] = {"stage": first.stage + second.stage}
+    for name, new in vars(second).items():
+        old = getattr(first, name)
+        if isinstance(new, FrontierPoints):
+            rows[name] = join(old, replace(new, view=new.view + first.stage))
+        elif isinstance(new, np.ndarray):
+            rows[name] = np.concatenate([old, new + first.stage if name == "tag_view" else new])
+    tags = np.lexsort((rows["tag_range"], rows["tag_ids"]))
+    tags = tags[np.unique(rows["tag_ids"][tags], return_index=True)[1]]
+    rows |= {name: rows[name][tags] for name in _TAGS}
+    rows["surfaces"] = _both(first.surfaces, replace(second.surfaces, view=second.surfaces.view + first.stage))
+    return TfgGraph(**rows | {"star_offsets": _chained(first.star_offsets, second.star_offsets)})
+
+
+def _both(first: Surfaces, second: Surfaces) -> Surfaces:
+    """Surfaces, one behind the other."""
+    both: dict[str, Any] = {
+        name: np.concatenate([column, getattr(second, name)]) for name, column in vars(first).items()
+    }
+    return Surfaces(**both | {"offsets": _chained(first.offsets, second.offsets)})
 
 
 def _some(surfaces: Surfaces, rows: IntArray) -> Surfaces:

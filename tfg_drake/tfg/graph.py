@@ -34,7 +34,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.tfg.drift import MOST_DRIFT, known_jointly
-from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
+from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, with_part
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
@@ -67,7 +67,7 @@ from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import Components, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
-from tfg_drake.tfg.surfaces import END, add_observation, place
+from tfg_drake.tfg.surfaces import END, add_observation, place, without_doubles
 
 # Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
@@ -344,6 +344,34 @@ def _without_dynamic(
         offsets, vertices = without_bodies(graph.star_offsets, graph.star_vertices, earlier, bodies)
         graph = replace(graph, star_offsets=offsets, star_vertices=vertices)
     return graph, static.panorama
+
+
+def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig) -> TfgGraph:
+    """Two graphs of one map as one, the second's views behind the first's: what either has seen is open no longer.
+
+    estimate: of tags, walls and all views. tags: how near and how slantwise a surface is seen well.
+    """
+    graph, X_MA = behind(first, second), estimate.X_MA
+    surfaces = without_doubles(graph.surfaces, len(first.surfaces.view), estimate)
+    placed, stars = place(surfaces, estimate), placed_stars(graph.star_offsets, graph.star_vertices, X_MA)
+    segments, weak = segments_of(surfaces.offsets, placed)[0], np.zeros(len(X_MA), dtype=np.bool_)
+    by_all = _Newest(estimate, tags, segments, stars, stars, weak, math.inf)
+    backs, ends = by_all.unseen_faces(surfaces.offsets, placed, stars)
+    free = place_points(graph.free_space_frontiers, X_MA)
+    is_open, k = ~inside_any(free.p, *stars.polygons), len(first.free_space_frontiers.p)
+    is_open[k:] &= far_from(free.p[k:], free.p[:k][is_open[:k]], SAME_FRONTIER)
+    poorly = place_points(graph.uninspected, X_MA)
+    missing = ~np.isin(graph.sighted.id, estimate.ids)
+    return replace(
+        graph,
+        surfaces=surfaces,
+        free_space_frontiers=select(graph.free_space_frontiers, is_open),
+        uninspected=select(graph.uninspected, by_all._not_inspected(stars, poorly)),
+        unseen_backs=backs,
+        open_ends=ends,
+        sighted=select(graph.sighted, missing),
+        viewpoints=select(graph.viewpoints, missing),
+    )
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:

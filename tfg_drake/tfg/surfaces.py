@@ -234,6 +234,23 @@ def add_observation(
     return _packed(merged, landmarks), tags.ids[observed], tags.normal[observed]
 
 
+def without_doubles(surfaces: Surfaces, first: int, landmarks: MapEstimate) -> Surfaces:
+    """The surfaces (s,) of two maps that have become one, the first ones' before the others': pieces of one wall that
+    touch are one, and what the first ones show is cut off the others."""
+    X_AM = inverse(landmarks.X_MA[-1])
+    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, landmarks))), [])
+    rows = np.arange(len(surfaces.view))
+    pieces = [draft[row] for row in np.flatnonzero(surfaces.on_wall).tolist()]
+    known = set(surfaces.ids[:first, 0].tolist())
+    on_walls = [draft.add(piece) for piece in _joined(pieces, _walls_in(landmarks, X_AM))]
+    kept = [row for row in on_walls if draft[row].first in known]
+    kept += _trim(draft, [row for row in on_walls if row not in kept], _segments(draft, kept), SURFACE_COVERS)
+    for others in (rows[:first], rows[first:]):
+        loose = others[~surfaces.on_wall[others]].tolist()
+        kept += _trim(draft, loose, _segments(draft, kept), SURFACE_COVERS)
+    return _packed(draft.surfaces(kept), landmarks)
+
+
 def _find_tags(
     estimate: MapEstimate,
     X_AM: FloatArray,

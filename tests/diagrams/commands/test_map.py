@@ -1,4 +1,5 @@
 import dataclasses
+import math
 import os
 import pty
 import re
@@ -170,6 +171,36 @@ def test_a_missing_package_is_named(call, path, tmp_path, monkeypatch, suffix, m
     assert said == (2, "", f"tfg-drake: {missing} is not installed; get it with pip install 'tfg-drake[export]'\n")
 
 
+def test_merge(call, path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call("map", "merge", path, tmp_path, "both.npz")
+    assert (code, out, err) == (0, "both.npz: 4 landmarks; 4 of them and 0 walls are in both maps\n", "")
+    code, out, err = call("map", "info", "both.npz")
+    assert (code, err) == (0, "")
+    assert "4 turns and glances" in out
+
+
+def test_align(call, path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("map", "export", path, "own.csv")[0] == 0
+    lines = (tmp_path / "own.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    moved = [f"{row[0]},{float(row[1]) + 1.0},{row[2]}" for row in rows]
+    moved[2] = f"{rows[2][0]},0,0"
+    (tmp_path / "surveyed.csv").write_text("\n".join(["id,x_m,y_m", *moved]))
+    code, out, err = call("map", "align", path, "--tags", "surveyed.csv", "there.npz")
+    assert (code, err) == (0, "")
+    off = math.hypot(float(rows[2][1]) + 1.0, float(rows[2][2]))
+    assert out.splitlines() == [
+        "tag 10: 0.000 m off",
+        "tag 11: 0.000 m off",
+        f"tag 12: {off:.3f} m off, looks wrong and does not count",
+        "tag 13: 0.000 m off",
+        "scale: lengths of the map are off by +0.00 %, and stay so",
+        "there.npz: origin of the map at x 6.000 m, y 3.000 m, heading 1.5708 rad",
+    ]
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -194,6 +225,11 @@ def test_a_missing_package_is_named(call, path, tmp_path, monkeypatch, suffix, m
         ("export map.npz none/a.csv", "none/a.csv: cannot be written: no such file or directory"),
         ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
         ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),
+        ("merge map.npz none.npz both.npz", "no such map: none.npz"),
+        ("merge map.npz map.npz none/both.npz", "none/both.npz: cannot be written: no such file or directory"),
+        ("align map.npz out.npz", "name either --tags or --plan; see tfg-drake map align --help"),
+        ("align map.npz out.npz --tags a --plan b", "name either --tags or --plan; see tfg-drake map align --help"),
+        ("align map.npz out.npz --tags none.csv", "none.csv: cannot be read: no such file or directory"),
         ("fly", "no such command 'fly'; see tfg-drake map --help"),
         ("", "missing command; see tfg-drake map --help"),
     ],

@@ -1,0 +1,128 @@
+"""Two maps of one place become one.
+
+B's graph becomes one keyframe of A's: the joint Gaussian of all its landmarks and its last pose, its own shared
+parameters integrated out. So nothing has to be believed of them: two robots have two calibrations, and a gyro another
+bias in every session. How the robot came from A's last pose to B's first is unknown, as of a kidnapped one. Tags of
+the same id are one landmark, and so are walls that agree; then all of it is solved anew.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tfg_drake.bad_input import BadInput
+from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.geometry import se2
+from tfg_drake.mapfile.placement import Placement, by_tags, by_walls, standing_in
+from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
+from tfg_drake.messages import WALLS_BELOW, MapEstimate, is_tag, replace
+from tfg_drake.slam.estimator import MOST_TAKEN_BACK
+from tfg_drake.slam.estimator_state import unknown_way
+from tfg_drake.slam.evidence import Evidence, contradicted, disputed
+from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
+from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.walls import FREE, Names, Walls, directions, identified, known_walls, named
+from tfg_drake.tfg.feature_graph import TfgGraph
+from tfg_drake.tfg.graph import joined, resolve
+from tfg_drake.tfg.surfaces import place
+
+# Landmarks of B at most: files with the joint Gaussian of more are not read.
+MOST_LANDMARKS = 1900
+
+
+def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
+    """One map from two of the same place, in A's frame M.
+
+    They are put together by the tags of both or, where these do not tell how, by their walls. Where they disagree about
+    a tag A's place counts, and the tag is doubtful. The shared parameters are those of A's robot.
+
+    Args:
+        a, b: maps, or the files or the folders of the runs that they are in.
+
+    Raises:
+        MapFileError: a file is not a whole map.
+        BadInput: how they lie to each other is not known, or B is too large; one line.
+    """
+    first, second = (one if isinstance(one, SavedMap) else load_map(Path(one)) for one in (a, b))
+    if len(second.graph.ids) > MOST_LANDMARKS:
+        raise BadInput(f"the second map has {len(second.graph.ids)} landmarks; at most {MOST_LANDMARKS} are taken in")
+    found = by_tags(first, second) or by_walls(standing_in(first), standing_in(second))
+    if found is None:
+        raise BadInput(
+            f"{len(np.intersect1d(first.ids, second.ids))} tags are in both, too few or too near to each other, and "
+            "the walls fit nowhere or in several places: map more of what both have, or hang up three tags there"
+        )
+    told = solve(second.graph, second.stamp, no_observation(), joint=len(second.graph.ids))[1]
+    one, names, walls = _with_walls_of(first, second, without_tags(_keyframe(told), found.wrong), found)
+    views, X_BV = first.tfg_graph.stage, told.X_MA[: second.tfg_graph.stage]
+    unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X_AB))[0].keyframe
+    graph = extended(first.graph, unknown, found.X_AB, is_view=False)
+    graph = extended(graph, one, se2.compose(found.X_AB, told.X_MD), is_view=False)
+    view_keyframe = np.append(graph.view_keyframe[:views], np.full(len(X_BV), len(graph.keyframes) - 1))
+    graph = replace(graph, view_keyframe=view_keyframe, X_AV=np.vstack([graph.X_AV[:views], X_BV]))
+    graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
+    wrong = found.wrong
+    for _ in range(MOST_TAKEN_BACK):
+        if (sighting := contradicted(graph)) is None:
+            break
+        graph, wrong = taken_back(graph, *sighting), np.append(wrong, sighting[0])
+        graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
+    tfg_graph = joined(first.tfg_graph, _with_names(second, told, one, names), estimate, TagSensorConfig())
+    tfg = resolve(tfg_graph, estimate, RobotConfig(), ExplorerConfig())
+    others = second.evidence.kept(~np.isin(second.evidence.ids, first.evidence.ids))
+    columns = zip(vars(first.evidence).values(), vars(others).values(), strict=True)
+    evidence = disputed(Evidence(*map(np.concatenate, columns)), wrong)
+    doubtful = np.unique(np.concatenate([first.doubtful, second.doubtful, wrong]))
+    both = replace(first, stage=estimate.stage, stamp=estimate.stamp, graph=graph, walls=walls, evidence=evidence)
+    return replace(both, doubtful=doubtful, tfg_graph=tfg_graph, tfg=tfg)
+
+
+def _keyframe(told: MapEstimate) -> Keyframe:
+    """A map as one keyframe that begins at its origin and tells nothing along its walls."""
+    along = np.repeat(directions(told.p_ML[~is_tag(told.ids)].reshape(-1, 2, 2))[0], 2, axis=0)
+    # There the points are only held, by poses that are uncertain themselves: named() would take these to be known.
+    covariance, entries = told.covariance.copy(), np.arange(2 * len(along)).reshape(-1, 2)
+    covariance[entries[:, :, None], entries[:, None]] += FREE**2 * along[:, :, None] * along[:, None]
+    return as_one_keyframe(replace(told, covariance=covariance), exactly_known()).keyframes[0]
+
+
+def _with_walls_of(first: SavedMap, second: SavedMap, one: Keyframe, at: Placement) -> tuple[Keyframe, Names, Walls]:
+    """B's keyframe with the names of A's walls where they agree and new ones where that is not clear, the names, in the
+    order of B's walls, and the walls of both."""
+    shared, (ids, pairs, _) = first.graph.shared.mean, known_walls(second.graph)
+    order = np.argsort(second.walls.first)
+    reach = second.walls.reach[order[np.searchsorted(second.walls.first, ids, sorter=order)]]
+    ends = pairs[:, :1] + reach[:, :, None] * directions(pairs)[0][:, None]
+    one = named(one, Names(ids, ids, ends, np.ones(len(ids), dtype=np.bool_)), shared)
+    estimate = solve(first.graph, first.stamp, no_observation(), joint=known_jointly(first.graph))[1]
+    covariance = estimate.covariance.copy()
+    covariance[-3:], covariance[:, -3:] = 0.0, 0.0
+    covariance[-3:, -3:] = at.covariance
+    at_B = replace(estimate, X_MD=at.X_AB, covariance=covariance)
+    # No look counts: none of them is new to `identified`, which leaves what is not clear.
+    again, walls = identified(one, np.zeros(len(one.ids), dtype=np.int64), first.walls, at_B, 0.0)
+    rows, points = np.searchsorted(ids, again.provisional), pairs.copy()
+    new = int(walls.first.min(initial=WALLS_BELOW)) - 2 * np.arange(1, len(ids) + 1)
+    new[rows], points[rows] = again.first, again.p_AL
+    is_new = ~np.isin(new, walls.first)
+    names, known = Names(ids, new, points, is_new), np.append(walls.first, new[is_new])
+    walls = replace(first.walls, first=known, reach=np.vstack([walls.reach, reach[is_new]]))
+    return named(one, names, shared), names, walls
+
+
+def _with_names(saved: SavedMap, told: MapEstimate, one: Keyframe, names: Names) -> TfgGraph:
+    """The TFG of a map, which tells this, with its walls by the names and the points that they have in its keyframe."""
+    surfaces = saved.tfg_graph.surfaces
+    wall, is_on = rows_of(surfaces.ids[:, 0], names.provisional)
+    ids, vertices = surfaces.ids.copy(), surfaces.vertices.copy()
+    ids[is_on] = names.first[wall[is_on], None] + [0, 1]
+    points = one.y_AL[rows_of(ids[is_on], one.ids)[0]]
+    on, count = (np.repeat(column, np.diff(surfaces.offsets)) for column in (is_on, np.cumsum(is_on) - 1))
+    first, second = points[count[on]].transpose(1, 0, 2)
+    along = second - first
+    vertices[on, 0] = np.sum((place(surfaces, told)[on] - first) * along, axis=1) / np.sum(along**2, axis=1)
+    return replace(saved.tfg_graph, surfaces=replace(surfaces, ids=ids, vertices=vertices))
