@@ -67,10 +67,11 @@ def row(scenario: str, seed: int, at: float, folder: Path) -> dict[str, object]:
     at = at or float(np.random.default_rng(seed).uniform(0.0, summary["sim_time_s"]))
     shutil.rmtree(killed, ignore_errors=True)
     died, _ = explore(scenario, "--seed", str(seed), "--out", str(killed), stop=lambda shown: shown >= at)
-    lost = time.time() - (killed / "checkpoint.bin").stat().st_mtime
-    told = read_told(killed)
     opens = not (killed / "map.npz").exists() or load_map(killed / "map.npz").stage > 0
-    _, cpu = explore("--resume", str(killed))
+    lost, cpu, told = 0.0, 0.0, {"sim_time_s": summary["sim_time_s"]}
+    if not (killed / "summary.json").exists():  # Else it came too late.
+        lost, told = time.time() - (killed / "checkpoint.bin").stat().st_mtime, read_told(killed)
+        _, cpu = explore("--resume", str(killed))
     after = json.loads((killed / "summary.json").read_text())
     kept = [key for key in summary if key not in COSTS and not key.endswith("cpu_s")]
     return {

@@ -99,14 +99,8 @@ def run_figure(
         if len(missed):
             label = "landmark missed"
             axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
-    axes.plot(
-        *(X_WB_estimated[0] if len(X_WB_estimated) else X_WM)[:2],
-        "^",
-        color="0.1",
-        markersize=7,
-        label="start",
-        zorder=6,
-    )
+    start = X_WB_estimated[0] if len(X_WB_estimated) else X_WM
+    axes.plot(*start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
     if len(way):
         axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
