@@ -54,7 +54,6 @@ class Method:
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs, ScenarioError where the robot must not be
         where it starts."""
-        MakeKeepOut(scenario)
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
         limits = [key for key in ("budget_time", "budget_distance", "return_home") if getattr(scenario.explorer, key)]
@@ -63,6 +62,7 @@ class Method:
             raise MethodError(f"{self.name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
         if scenario.explorer.known_map and not self.knows_map:
             raise MethodError(f"{self.name}: cannot begin with a map; leave --map out, or take another method: tfg")
+        MakeKeepOut(scenario)
 
 
 def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:

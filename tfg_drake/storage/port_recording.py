@@ -67,7 +67,7 @@ _TYPES: Mapping[Any, Any] = {
 # How protobuf's wire format says what follows a field's number.
 _BYTE, _EIGHT_BYTES, _BLOCK = 0, 1, 2
 # What a writer knows of the file that it goes on with.
-_STANDING = ("_bytes", "_stage", "_told", "_last_data", "_count")
+_STANDING = ("_bytes", "_stage", "_told", "_last_data", "_waiting", "_flushed", "_count")
 _log = logging.getLogger("tfg_drake.storage.port_recording")
 
 
@@ -148,8 +148,7 @@ class PortWriter:
             beside.replace(path)
 
     def standing(self) -> dict[str, Any]:
-        """Puts all on the disk, and says what stands there."""
-        self._write_waiting()
+        """What stands in the file, and what waits to be written."""
         return {name: getattr(self, name) for name in _STANDING}
 
     def _copy(self, path: Path, count: int) -> None:
