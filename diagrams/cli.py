@@ -28,6 +28,7 @@ from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.command_line import (
+    check_positive,
     compiling_beside,
     complaining,
     grouped_help,
@@ -205,7 +206,7 @@ def explore(
     as_json: AsJson = False,
 ) -> None:
     """Explore a building and map it, until nothing is left to gain."""
-    _check_positive("--max-time", max_time, "s")
+    check_positive("--max-time", max_time, "s")
     _check_rate_and_seed(realtime_rate, seed)
     _check_spacing(tag_spacing)
     replayed = explore_command.replayed_run(robot)
@@ -346,7 +347,7 @@ def compare(
     ] = None,
 ) -> None:
     """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
-    _check_positive("--max-time", max_time, "s")
+    check_positive("--max-time", max_time, "s")
     _check_spacing(tag_spacing)
     if seeds < 1:
         _bad_input(f"--seeds {seeds}: must be 1 or more")
@@ -517,8 +518,8 @@ def slam(
             _bad_input(f"{name} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
     if seed is not None and seed < 0:
         _bad_input(f"--seed {seed}: must be 0 or more")
-    _check_positive("--tag-size", tag_size, "m")
-    _check_positive("--odometry-noise", odometry_noise, "")
+    check_positive("--tag-size", tag_size, "m")
+    check_positive("--odometry-noise", odometry_noise, "")
     _make_ready(out)
     with Screen() as show:
         show("loading")
@@ -669,11 +670,6 @@ def _one_line(message: str) -> str:
     return " ".join(message.split())
 
 
-def _check_positive(option: str, value: float | None, unit: str) -> None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        _bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
-
-
 def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
     if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
         _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
@@ -683,7 +679,7 @@ def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
 
 def _check_spacing(tag_spacing: float | None) -> None:
     if tag_spacing != math.inf:
-        _check_positive("--tag-spacing", tag_spacing, "m")
+        check_positive("--tag-spacing", tag_spacing, "m")
     if tag_spacing is not None and tag_spacing < LEAST_SPACING:
         _bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
 from tfg_drake.diagrams.parts import Factory, MakePart
@@ -106,14 +108,7 @@ def MakeTfgExplorer(
     def add(name: str, role: str, factory: Factory | None, usual: Factory) -> System:
         return wiring.Add(name, MakePart(role, factory, usual, scenario))
 
-    slam = add(
-        "slam_estimator",
-        "estimator",
-        estimator,
-        lambda _: SlamEstimator(scenario.odometry, tags, scenario.scan, explorer),
-    )
-    building = TfgBuilder(tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
-    tfg_builder = wiring.Add("tfg_builder", building)
+    slam, tfg_builder = wiring.AddMapping(scenario, estimator)
     selector = add(
         "goal_selector",
         "goal_selector",
@@ -144,6 +139,14 @@ class Wiring:
         """Adds a system; the order in which they are added is that of their events."""
         return self._builder.AddNamedSystem(name, system)
 
+    def AddMapping(self, scenario: Scenario, estimator: Factory | None = None) -> tuple[System, System]:
+        """Adds an estimator, by default a SlamEstimator, and a TfgBuilder for a scenario."""
+        tags, scan, explorer = scenario.tags, scenario.scan, scenario.explorer
+        usual = lambda _: SlamEstimator(scenario.odometry, tags, scan, explorer)  # noqa: E731
+        slam = self.Add("slam_estimator", MakePart("estimator", estimator, usual, scenario))
+        building = TfgBuilder(tags, scan, scenario.robot, explorer, MakeKeepOut(scenario))
+        return slam, self.Add("tfg_builder", building)
+
     def _Export(self, port: InputPort, name: str) -> None:
         """Makes an input one of the explorer's, or of those that have this name already."""
         if name in self._inputs:
@@ -164,12 +167,12 @@ class Wiring:
                 self._builder.Connect(output, system.GetInputPort(name))
         self._builder.ExportOutput(output, name)
 
-    def FeedAll(self, *systems: System) -> None:
-        """Feeds each output of these systems to the inputs of its name among them, but for the command."""
+    def FeedAll(self, *systems: System, others: Sequence[System] = ()) -> None:
+        """Feeds each output of these systems to the inputs of its name among them and others, but for the command."""
         for source in systems:
             for name in (source.get_output_port(i).get_name() for i in range(source.num_output_ports())):
                 if name != "velocity_commanded":
-                    self.Feed(source, name, *systems)
+                    self.Feed(source, name, *systems, *others)
 
     def Join(self, output: OutputPort, port: InputPort) -> None:
         """Connects two ports of different names, between systems alone."""

@@ -7,6 +7,7 @@ import copy
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario, WorldConfig
+from tfg_drake.diagrams.station_ports import MakePorts
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.sensor import HardwareSensor
@@ -30,24 +31,13 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     ranges = HardwareSensor("ranges", devices.scan, no_scan(scenario.scan), clock)
     scanner = builder.AddNamedSystem("laser_scanner", ranges)
 
-    builder.Connect(safety_filter.GetOutputPort("velocity"), wheels.GetInputPort("velocity"))
-    builder.Connect(wheels.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
-    builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
-    builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
     # A scan that is not believed is none: the base stands as where the scanner is silent.
     builder.Connect(safety_filter.GetOutputPort("scan_believed"), wheels.GetInputPort("scan"))
     builder.Connect(tag_sensor.GetOutputPort("detections"), wheels.GetInputPort("detections"))
 
-    builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
-    builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
-    builder.ExportInput(safety_filter.GetInputPort("pose"), "base.pose")
+    sources = wheels, wheels, wheels, tag_sensor, scanner
+    MakePorts(builder, safety_filter, wheels.GetInputPort("velocity"), sources)
     builder.ConnectInput("base.enable", wheels.GetInputPort("enable"))
-    builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
-    builder.ExportOutput(wheels.GetOutputPort("hazards"), "base.hazards")
-    builder.ExportOutput(wheels.GetOutputPort("enabled"), "base.enabled")
-    builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
-    builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
-
     station = builder.Build()
     station.set_name("station")
     return station

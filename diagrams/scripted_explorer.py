@@ -6,13 +6,11 @@ import numpy as np
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import Wiring
-from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario
+from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.scripted_driver import ScriptedDriver
-from tfg_drake.systems.slam_estimator import SlamEstimator
-from tfg_drake.systems.tfg_builder import TfgBuilder
 
 
 def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
@@ -23,12 +21,7 @@ def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
         inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float).reshape(-1, 2)
     )
     wiring = Wiring()
-    estimator = wiring.Add(
-        "slam_estimator",
-        SlamEstimator(scenario.odometry, scenario.tags, scenario.scan, explorer),
-    )
-    building = TfgBuilder(scenario.tags, scenario.scan, robot, explorer, MakeKeepOut(scenario))
-    tfg_builder = wiring.Add("tfg_builder", building)
+    estimator, tfg_builder = wiring.AddMapping(scenario)
     driver = wiring.Add("scripted_driver", ScriptedDriver(p_MG))
     follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot))

@@ -11,6 +11,7 @@ from pydrake.systems.primitives import RandomSource
 
 from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import MakeKeepOut, MakeWorld, Scenario
+from tfg_drake.diagrams.station_ports import MakePorts
 from tfg_drake.systems import odometry, people
 from tfg_drake.systems.changing_world import ChangingWorld
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
@@ -100,10 +101,6 @@ def MakeTurtlebotStation(
     tag_sensor, scanner = _AddEyes(builder, scenario, world)
     eyes = [tag_sensor] if scanner is tag_sensor else [tag_sensor, scanner]
 
-    builder.Connect(safety_filter.GetOutputPort("velocity"), base.GetInputPort("velocity_commanded"))
-    builder.Connect(base.GetOutputPort("hazards"), safety_filter.GetInputPort("hazards"))
-    builder.Connect(scanner.GetOutputPort("ranges"), safety_filter.GetInputPort("scan"))
-    builder.Connect(wheels.GetOutputPort("odometry"), safety_filter.GetInputPort("odometry"))
     for sensor in (wheels, *eyes):
         builder.Connect(base.GetOutputPort("pose"), sensor.GetInputPort("pose"))
 
@@ -117,17 +114,11 @@ def MakeTurtlebotStation(
     if meshcat is not None:
         _AddPicture(builder, meshcat, scenario, world, base, walking)
 
-    builder.ExportInput(safety_filter.GetInputPort("velocity_commanded"), "base.velocity_commanded")
-    builder.ExportInput(safety_filter.GetInputPort("enable"), "base.enable")
-    builder.ExportInput(safety_filter.GetInputPort("pose"), "base.pose")
+    sources = wheels, base, safety_filter, tag_sensor, scanner
+    MakePorts(builder, safety_filter, base.GetInputPort("velocity_commanded"), sources)
     if base.HasInputPort("pushes"):
         pushes = builder.ExportInput(base.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
-    builder.ExportOutput(wheels.GetOutputPort("odometry"), "base.odometry")
-    builder.ExportOutput(base.GetOutputPort("hazards"), "base.hazards")
-    builder.ExportOutput(safety_filter.GetOutputPort("enabled"), "base.enabled")
-    builder.ExportOutput(tag_sensor.GetOutputPort("detections"), "tags.detections")
-    builder.ExportOutput(scanner.GetOutputPort("ranges"), "scan.ranges")
 
     _ExportTruth(builder, base, walking, changing)
     station = builder.Build()

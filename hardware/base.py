@@ -14,7 +14,7 @@ from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 # Of commands, and of odometry: the simulated station's.
 PERIOD = 1.0 / 32.0
@@ -82,8 +82,7 @@ class HardwareBase(LeafSystem):
         self._device, self._clock = devices.base, devices.clock
         self._velocity = self.DeclareVectorInputPort("velocity", 2)
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        self._detections = declare_message_input(self, "detections")
-        self._scan = declare_message_input(self, "scan")
+        self._inputs = MessageInputs(self, detections=TagDetections, scan=LaserScan)
         begin = replace(self._device.first(Odometry), stamp=0.0, V_B=np.zeros(2), at_rest=True)
         self._odometry = MessageState(self, begin)
         self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)))
@@ -152,11 +151,7 @@ class HardwareBase(LeafSystem):
         """Holds the sensors against the odometry when the first turn is over, and locks the device by what is wrong."""
         if before.turned or not before.enabled or not self.devices.checked:
             return before
-        said: list[Message] = [
-            self._odometry(context),
-            eval_message(self._scan, context, LaserScan),
-            eval_message(self._detections, context, TagDetections),
-        ]
+        said: list[Message] = [self._odometry(context), *self._inputs.each(context, "scan", "detections")]
         known = {(type(one), one.stamp) for one in before.heard}
         heard = (*before.heard, *(one for one in said if (type(one), one.stamp) not in known))[-HEARD:]
         heading = np.unwrap([one.X_OB[2] for one in heard if isinstance(one, Odometry)])
@@ -176,8 +171,8 @@ class HardwareBase(LeafSystem):
         now = context.get_time()
         stamps = {
             "odometry": self._odometry(context).stamp,
-            "scan": eval_message(self._scan, context, LaserScan).stamp,
-            "tags": eval_message(self._detections, context, TagDetections).stamp,
+            "scan": self._inputs(context, "scan").stamp,
+            "tags": self._inputs(context, "detections").stamp,
         }
         stale = [name for name, stamp in stamps.items() if not now - max(0.0, stamp) <= STALE[name]]
         if not stale:

@@ -11,7 +11,7 @@ from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
 from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 
@@ -52,18 +52,15 @@ class FrontierGoalSelector(LeafSystem):
         """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`. eager: see GridConfig."""
         super().__init__()
         self._choose, self._robot, self._eager = choose, robot, eager
-        self._grid = declare_message_input(self, "grid")
-        self._pose = declare_message_input(self, "pose")
-        self._mission = declare_message_input(self, "mission")
-        self._path = declare_message_input(self, "path")
-        self._path_status = declare_message_input(self, "path_status")
+        self._inputs = MessageInputs(
+            self, grid=GridMap, pose=PoseEstimate, mission=MissionStatus, path=Path, path_status=PathStatus
+        )
         self._state = MessageState(self, _SelectorState(empty_choice(), no_tries()))
         self._state.declare_output(self, "goal", lambda now: now.goal)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
-        grid = eval_message(self._grid, context, GridMap)
+        now, (grid, mission) = self._state(context), self._inputs.each(context, "grid", "mission")
         if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
             after = self._Choose(context, now, grid)
         elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
@@ -75,12 +72,12 @@ class FrontierGoalSelector(LeafSystem):
 
     @metered("goal")
     def _Choose(self, context: Context, now: _SelectorState, grid: GridMap) -> _SelectorState:
-        return _SelectorState(*self._choose(grid, eval_message(self._pose, context, PoseEstimate), now.tried))
+        return _SelectorState(*self._choose(grid, self._inputs(context, "pose"), now.tried))
 
     @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
         """Whether it is no use to drive on: no path leads there, or a newer map has no frontier there any more."""
         if mission.phase == "plan":
-            status = eval_message(self._path_status, context, PathStatus)
-            return status.unreachable and eval_message(self._path, context, Path).stage == mission.stage
+            path, status = self._inputs.each(context, "path", "path_status")
+            return status.unreachable and path.stage == mission.stage
         return mission.phase == "follow" and self._eager and is_spent(grid, now.tried, self._robot)

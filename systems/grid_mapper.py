@@ -16,7 +16,7 @@ from tfg_drake.grid.gmapping import (
 from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 # Period of the update, s: the odometry's.
 PERIOD = 1.0 / 16.0
@@ -52,9 +52,7 @@ class GridMapper(LeafSystem):
         """odometry: what the filter believes of it; seed: of the particles."""
         super().__init__()
         keep_to_one_thread()
-        self._odometry = declare_message_input(self, "odometry")
-        self._scan = declare_message_input(self, "scan")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(self, odometry=Odometry, scan=LaserScan, mission=MissionStatus)
         first = initial_state(config, odometry, seed)
         self._state = MessageState(self, _MapperState(first, grid_map(first, 0)))
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
@@ -68,12 +66,11 @@ class GridMapper(LeafSystem):
 
     @metered("grid_mapper")
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = self._state(context)
-        mission = eval_message(self._mission, context, MissionStatus)
+        now, (odometry, scan, mission) = self._state(context), self._inputs.each(context)
         due = mission.phase == "map" and now.grid.stage == mission.stage
         stage = now.grid.stage + due
-        moved = process_odometry(now.filter, eval_message(self._odometry, context, Odometry))
-        updated = process_scan(moved, eval_message(self._scan, context, LaserScan), force=due)
+        moved = process_odometry(now.filter, odometry)
+        updated = process_scan(moved, scan, force=due)
         grid = grid_map(updated, stage) if updated is not moved or due else now.grid
         self._state.set(state, _MapperState(updated, grid))
         return EventStatus.Succeeded()

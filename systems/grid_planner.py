@@ -31,7 +31,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.planning.planner import initial_state
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 
@@ -74,11 +74,9 @@ class GridPlanner(LeafSystem):
         """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
         super().__init__()
         self._robot, self._keep_out = robot, np.zeros((0, 4)) if keep_out is None else keep_out
-        self._grid = declare_message_input(self, "grid")
-        self._pose = declare_message_input(self, "pose")
-        self._goal = declare_message_input(self, "goal")
-        self._scan = declare_message_input(self, "scan")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(
+            self, grid=GridMap, pose=PoseEstimate, goal=GoalChoice, scan=LaserScan, mission=MissionStatus
+        )
         none = initial_state()
         self._state = MessageState(self, _PlannerState(none.path, none.status, 0, -math.inf, -math.inf))
         self._state.declare_output(self, "path", lambda now: now.path)
@@ -86,11 +84,8 @@ class GridPlanner(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
-        goal = eval_message(self._goal, context, GoalChoice)
-        pose = eval_message(self._pose, context, PoseEstimate)
-        grid, scan = eval_message(self._grid, context, GridMap), eval_message(self._scan, context, LaserScan)
-        after = now
+        now = after = self._state(context)
+        grid, pose, goal, scan, mission = self._inputs.each(context)
         asked = (now.path.stage, now.replans) != (mission.stage, mission.replans)
         if mission.phase == "plan" and goal.stage == mission.stage and goal.node >= 0 and asked:
             after = self._Plan(now, grid, scan, pose, goal.p_MG, mission)

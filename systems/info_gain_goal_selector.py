@@ -17,7 +17,7 @@ from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 
@@ -75,14 +75,17 @@ class InfoGainGoalSelector(LeafSystem):
         keep_to_one_thread()
         self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed, scan_range)
         self._frontiers = frontiers or (lambda now: now)
-        self._map = declare_message_input(self, "map")
-        self._landmarks = declare_message_input(self, "landmarks")
-        self._tfg = declare_message_input(self, "tfg")
-        self._roadmap = declare_message_input(self, "roadmap")
-        self._local_roadmap = declare_message_input(self, "local_roadmap")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(
+            self,
+            map=MapEstimate,
+            landmarks=MapEstimate,
+            tfg=TfgMap,
+            roadmap=Roadmap,
+            local_roadmap=Roadmap,
+            mission=MissionStatus,
+            requested_goal=RequestedGoal,
+        )
         self._recall = self.DeclareVectorInputPort("recall", 1)
-        self._requested = declare_message_input(self, "requested_goal")
         self._state = MessageState(self, _SelectorState(empty_choice()))
         self._state.declare_output(self, "goal", lambda now: now.goal)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
@@ -94,15 +97,12 @@ class InfoGainGoalSelector(LeafSystem):
         context.SetAbstractState(int(self._state.index), _SelectorState(goal, sent))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        mission = eval_message(self._mission, context, MissionStatus)
-        now = self._state(context)
+        mission, now = self._inputs(context, "mission"), self._state(context)
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
             return EventStatus.DidNothing()
-        estimate = eval_message(self._map, context, MapEstimate)
+        estimate, tfg, near = self._inputs.each(context, "map", "tfg", "local_roadmap")
         if self._parameters.explorer.gain == "exact":
-            estimate = eval_optional(self._landmarks, context, MapEstimate) or estimate
-        tfg = eval_message(self._tfg, context, TfgMap)
-        near = eval_message(self._local_roadmap, context, Roadmap)
+            estimate = self._inputs.optional(context, "landmarks") or estimate
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
         chosen = _SelectorState(self._Choose(context, now.goal, estimate.given_shared(), tfg, near), now.sent)
@@ -114,7 +114,7 @@ class InfoGainGoalSelector(LeafSystem):
         self, context: Context, previous: GoalChoice, landmarks: MapEstimate, tfg: TfgMap, near: Roadmap
     ) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
-        tags, parameters = eval_message(self._map, context, MapEstimate), self._parameters
+        tags, parameters = self._inputs(context, "map"), self._parameters
         is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
         explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))
         parameters = dataclasses.replace(parameters, explorer=explorer)
@@ -124,17 +124,16 @@ class InfoGainGoalSelector(LeafSystem):
             goal = choose_near(now, previous, radius, recalled=recalled)
             if goal is not None:
                 return goal
-        roadmap = eval_message(self._roadmap, context, Roadmap)
+        roadmap = self._inputs(context, "roadmap")
         now = self._frontiers(Situation(landmarks, tfg, roadmap, parameters, is_large))
         return choose(now, previous, recalled=recalled)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""
-        requested = eval_optional(self._requested, context, RequestedGoal) or RequestedGoal()
+        requested = self._inputs.optional(context, "requested_goal") or RequestedGoal()
         if now.sent.node < 0 and requested.count == now.sent.count:
             return now
-        roadmap = eval_message(self._roadmap, context, Roadmap)
-        p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
-        sent = where_sent(now.sent, requested, roadmap, mission, p_MA)
+        roadmap, estimate = self._inputs.each(context, "roadmap", "map")
+        sent = where_sent(now.sent, requested, roadmap, mission, estimate.X_MA[-1, :2])
         goal = goal_there(now.goal, sent.node, roadmap) if sent.node >= 0 else now.goal
         return _SelectorState(goal, sent)

@@ -25,13 +25,7 @@ from tfg_drake.mission.manual_drive import END, LOOK, Pressed, place_sent, send,
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.planning.scripted_drive import end_of_drive
-from tfg_drake.systems.ports import (
-    MessageState,
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-    eval_optional,
-)
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 PERIOD = 1 / 16
 # The path that the mission is told of goes so far ahead of the robot, m: nobody knows where the driver will go.
@@ -104,16 +98,19 @@ class ManualDriver(LeafSystem):
         times; glances: the mission glances ahead, and so comes to a choice without a look round."""
         super().__init__()
         self._robot, self._keys, self._drive, self._glances = robot, keys, tuple(drive), glances
-        self._map = declare_message_input(self, "map")
-        self._tfg = declare_message_input(self, "tfg")
-        self._roadmap = declare_message_input(self, "roadmap")
-        self._pose = declare_message_input(self, "pose")
-        self._mission = declare_message_input(self, "mission")
-        self._requested = declare_message_input(self, "requested_goal")
-        self._planned = declare_message_input(self, "planned_path")
-        self._planned_status = declare_message_input(self, "planned_status")
+        self._inputs = MessageInputs(
+            self,
+            map=MapEstimate,
+            tfg=TfgMap,
+            roadmap=Roadmap,
+            pose=PoseEstimate,
+            mission=MissionStatus,
+            requested_goal=RequestedGoal,
+            planned_path=Path,
+            planned_status=PathStatus,
+            following_status=FollowerStatus,
+        )
         self._following = self.DeclareVectorInputPort("following_commanded", 2)
-        self._following_status = declare_message_input(self, "following_status")
         self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2)))))
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity)
         self._state.declare_output(self, "goal", lambda now: now.goal)
@@ -125,7 +122,7 @@ class ManualDriver(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
-        mission = eval_message(self._mission, context, MissionStatus)
+        mission = self._inputs(context, "mission")
         if mission.phase == "observe" or self._state(context).sent.node >= 0:
             output.SetFromVector(self._following.Eval(context))
         elif mission.phase in ("done", "paused"):
@@ -134,8 +131,8 @@ class ManualDriver(LeafSystem):
             output.SetFromVector(list(self._state(context).velocity))
 
     def _Status(self, context: Context) -> FollowerStatus:
-        mission, now = eval_message(self._mission, context, MissionStatus), self._state(context)
-        following = eval_message(self._following_status, context, FollowerStatus)
+        mission, now = self._inputs(context, "mission"), self._state(context)
+        following = self._inputs(context, "following_status")
         if mission.phase == "observe" or now.sent.node >= 0:
             return following
         # Of a robot that stands nothing is told: the mission waits. A driver who sends it somewhere waits for a stage.
@@ -144,16 +141,13 @@ class ManualDriver(LeafSystem):
         arrived = now.looks or (waits and not self._glances)
         return replace(following, path_id=told, arrived=arrived, turn_done=False, stalled=False, left=LEFT)
 
-    def _Requested(self, context: Context) -> RequestedGoal:
-        return eval_optional(self._requested, context, RequestedGoal) or RequestedGoal()
-
     def _PathStatus(self, context: Context) -> PathStatus:
-        now, planned = self._state(context), eval_message(self._planned_status, context, PathStatus)
+        now, planned = self._state(context), self._inputs(context, "planned_status")
         is_free = now.sent.node < 0 or planned.path_id != now.planned or planned.free
         return PathStatus(now.path.id, free=is_free)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        mission, before = eval_message(self._mission, context, MissionStatus), self._state(context)
+        mission, before = self._inputs(context, "mission"), self._state(context)
         now = self._Press(before, context)
         if mission.phase == "paused" and any(now.velocity):
             now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
@@ -162,11 +156,11 @@ class ManualDriver(LeafSystem):
         if mission.phase == "choose" and mission.stage > now.goal.stage:
             now = self._Choose(context, mission, now)
         if mission.phase == "plan" and now.sent.node >= 0:
-            planned = eval_message(self._planned, context, Path)
+            planned = self._inputs(context, "planned_path")
             if planned.stage == mission.stage and planned.id > now.planned:
                 now = replace(now, path=replace(planned, id=now.path.id + 1), planned=planned.id)
         elif mission.phase == "plan" and now.path.id <= mission.path_id:
-            x, y, theta = eval_message(self._pose, context, PoseEstimate).X_MB.tolist()
+            x, y, theta = self._inputs(context, "pose").X_MB.tolist()
             points = np.array([[x, y], [x + AHEAD * np.cos(theta), y + AHEAD * np.sin(theta)]])
             now = replace(now, path=Path(now.path.id + 1, mission.stage, points))
         if now is before:
@@ -177,7 +171,7 @@ class ManualDriver(LeafSystem):
     def _Press(self, now: _Driving, context: Context) -> _Driving:
         """After the keys that are due; a place that the robot is sent to is one, too."""
         time, keys = context.get_time(), list(self._keys())
-        requested = self._Requested(context)
+        requested = self._inputs.optional(context, "requested_goal") or RequestedGoal()
         if requested.count > now.heard:
             keys.append(send(*requested.p_MG))
             now = replace(now, heard=requested.count)
@@ -201,15 +195,15 @@ class ManualDriver(LeafSystem):
 
     def _Choose(self, context: Context, mission: MissionStatus, now: _Driving) -> _Driving:
         if now.ends:
-            return replace(now, goal=end_of_drive(mission.stage, eval_message(self._tfg, context, TfgMap)))
-        p_MB = eval_message(self._pose, context, PoseEstimate).X_MB[:2]
+            return replace(now, goal=end_of_drive(mission.stage, self._inputs(context, "tfg")))
+        p_MB = self._inputs(context, "pose").X_MB[:2]
         goal = replace(empty_choice(), stage=mission.stage, node=0, p_MG=p_MB, reason="Somebody drives.")
         if now.sent.node < 0 and now.requested.count == now.sent.count:
             return replace(now, goal=goal)
-        roadmap = eval_message(self._roadmap, context, Roadmap)
+        roadmap = self._inputs(context, "roadmap")
         if roadmap.stage != mission.stage:
             return now  # The planner extends it in a moment.
-        p_MA = eval_message(self._map, context, MapEstimate).X_MA[-1, :2]
+        p_MA = self._inputs(context, "map").X_MA[-1, :2]
         sent = where_sent(now.sent, now.requested, roadmap, mission, p_MA)
         if sent.node < 0:
             return replace(now, goal=goal, sent=sent)

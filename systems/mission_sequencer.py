@@ -17,7 +17,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.mission.sequence import MissionInputs, initial_status, step
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 # The outputs of the TFG explorer that map, by port.
@@ -57,12 +57,16 @@ class MissionSequencer(LeafSystem):
         super().__init__()
         self._max_speed, self._glance_period = robot.max_speed, glance_period
 
-        self._maps = [(declare_message_input(self, name), kind) for name, kind in maps.items()]
-        self._goal = declare_message_input(self, "goal")
-        self._path = declare_message_input(self, "path")
-        self._path_status = declare_message_input(self, "path_status")
-        self._follower = declare_message_input(self, "follower_status")
-        self._hazards = declare_message_input(self, "hazards")
+        self._maps = tuple(maps)
+        self._inputs = MessageInputs(
+            self,
+            goal=GoalChoice,
+            path=Path,
+            path_status=PathStatus,
+            follower_status=FollowerStatus,
+            hazards=Hazards,
+            **maps,
+        )
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)
@@ -76,14 +80,14 @@ class MissionSequencer(LeafSystem):
             return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
         inputs = MissionInputs(
             time=context.get_time(),
-            follower=lambda: eval_message(self._follower, context, FollowerStatus),
-            goal=lambda: eval_message(self._goal, context, GoalChoice),
-            path=lambda: eval_message(self._path, context, Path),
-            path_status=lambda: eval_message(self._path_status, context, PathStatus),
-            mapped_stage=lambda: min(eval_message(port, context, kind).stage for port, kind in self._maps),
+            follower=lambda: self._inputs(context, "follower_status"),
+            goal=lambda: self._inputs(context, "goal"),
+            path=lambda: self._inputs(context, "path"),
+            path_status=lambda: self._inputs(context, "path_status"),
+            mapped_stage=lambda: min(one.stage for one in self._inputs.each(context, *self._maps)),
             max_speed=self._max_speed,
             glance_period=self._glance_period,
-            bumper=eval_message(self._hazards, context, Hazards).bumper != 0,
+            bumper=self._inputs(context, "hazards").bumper != 0,
             pause=_flag(self._pause, context, False),
             enable=_flag(self._enable, context, True),
             stop=_flag(self._stop, context, False),

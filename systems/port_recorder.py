@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+import functools
 
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
 
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, PortWriter
-from tfg_drake.systems.ports import declare_message_input, eval_message, eval_optional
+from tfg_drake.systems.ports import MessageInputs
 
 # The explorer's: it sees no message that is not recorded.
 PERIOD = 1.0 / 16.0
@@ -50,11 +50,9 @@ class PortRecorder(LeafSystem):
         """writer: where to; whoever opened it closes it."""
         super().__init__()
         self._writer = writer
-        self._messages = {name: (declare_message_input(self, name), kind) for name, kind in MESSAGES.items()}
+        self._inputs = MessageInputs(self, **MESSAGES, **{GOAL: RequestedGoal}, **SHOWN)
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
-        self._goal = declare_message_input(self, GOAL)
-        self._shown = {name: (declare_message_input(self, name), kind) for name, kind in SHOWN.items()}
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
     @staticmethod
@@ -80,26 +78,22 @@ class PortRecorder(LeafSystem):
 
     def _Write(self, context: Context) -> EventStatus:
         now = context.get_time()
-        for name, (port, kind) in self._messages.items():
-            self._writer.write(name, now, eval_message(port, context, kind))
+        for name in MESSAGES:
+            self._writer.write(name, now, self._inputs(context, name))
         self._writer.write_command(now, self._command.Eval(context))
         self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
-        requested = eval_optional(self._goal, context, RequestedGoal)
+        requested = self._inputs.optional(context, GOAL)
         if requested is not None and requested.count:
             self._writer.write(GOAL, now, requested)
-        pose, path = self._Look("pose", context), self._Look("path", context)
+        look = functools.partial(self._inputs.optional, context)
+        pose, path = look("pose"), look("path")
         if pose is not None:
             self._writer.write_pose(now, pose)
         if path is not None:
             self._writer.write_path(now, path)
         if pose is not None and self._writer.wants_map(pose.stage):
-            estimate, tfg = self._Look("map", context), self._Look("tfg", context)
+            estimate, tfg = look("map"), look("tfg")
             # Surfaces come into the TFG a moment after the landmarks.
             if tfg is not None and tfg.stage == estimate.stage:
                 self._writer.write_map(now, estimate, tfg)
         return EventStatus.Succeeded()
-
-    def _Look(self, name: str, context: Context) -> Any:
-        """What the explorer says, None where it has no such port."""
-        port, kind = self._shown[name]
-        return eval_optional(port, context, kind)

@@ -54,6 +54,27 @@ def eval_optional(port: InputPort, context: Context, kind: type[T]) -> T | None:
     return eval_message(port, context, kind) if port.HasValue(context) else None
 
 
+class MessageInputs:
+    """Input ports for messages, by name; called with a context and one of the names it is the message there."""
+
+    def __init__(self, system: LeafSystem, **kinds: type) -> None:
+        """Declares them. kinds: what each holds, by the port's name."""
+        self._kinds = kinds
+        self.ports = {name: declare_message_input(system, name) for name in kinds}
+
+    def __call__(self, context: Context, name: str) -> Any:
+        """The message. Raises TypeError as `eval_message` does."""
+        return eval_message(self.ports[name], context, self._kinds[name])
+
+    def optional(self, context: Context, name: str) -> Any:
+        """The same, None where the port is not connected."""
+        return eval_optional(self.ports[name], context, self._kinds[name])
+
+    def each(self, context: Context, *names: str) -> list[Any]:
+        """The messages at some of the ports, at all of them by default."""
+        return [self(context, name) for name in names or self.ports]
+
+
 class MessageState(Generic[T]):
     """An abstract state variable that holds messages of one kind; called with a context it is the message there."""
 

@@ -20,7 +20,7 @@ from tfg_drake.planning.planner import (
 from tfg_drake.planning.roadmap import EdgeCost, RoadmapParameters, cost_of_edge
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 PERIOD = 1 / 16
 
@@ -67,14 +67,13 @@ class PrmPlanner(LeafSystem):
         super().__init__()
         keep_to_one_thread()
         self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range, cost)
-        self._map = declare_message_input(self, "map")
-        self._tfg = declare_message_input(self, "tfg")
-        self._pose = declare_message_input(self, "pose")
-        self._goal = declare_message_input(self, "goal")
-        self._scan = declare_message_input(self, "scan")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(
+            self, map=MapEstimate, tfg=TfgMap, pose=PoseEstimate, goal=GoalChoice, scan=LaserScan, mission=MissionStatus
+        )
         self._state = MessageState(self, initial_state())
-        whole = {self.input_port_ticket(port.get_index()) for port in (self._map, self._tfg)}
+        whole = {
+            self.input_port_ticket(port.get_index()) for port in (self._inputs.ports["map"], self._inputs.ports["tfg"])
+        }
         declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
         self._state.declare_output(self, "local_roadmap", lambda now: now.roadmap)
         self._state.declare_output(self, "path", lambda now: now.path)
@@ -85,21 +84,13 @@ class PrmPlanner(LeafSystem):
         state = self._state(context)
         if len(state.roadmap.points) == len(state.nodes.points):
             return state.roadmap
-        estimate, tfg = eval_message(self._map, context, MapEstimate), eval_message(self._tfg, context, TfgMap)
+        estimate, tfg = self._inputs.each(context, "map", "tfg")
         met = obstacles_in_map(state, estimate)
         return make_roadmap(state.nodes, tfg, estimate, self._parameters, met, state.driven_before)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         before = self._state(context)
-        now = Now(
-            eval_message(self._map, context, MapEstimate),
-            eval_message(self._tfg, context, TfgMap),
-            eval_message(self._pose, context, PoseEstimate),
-            eval_message(self._goal, context, GoalChoice),
-            eval_message(self._scan, context, LaserScan),
-            eval_message(self._mission, context, MissionStatus),
-            self._parameters,
-        )
+        now = Now(*(*self._inputs.each(context), self._parameters))
         seen = after = looked(before, now)
         # What is not due is not metered: that would cost more than to find it out.
         if now.tfg.stage > seen.nodes.stage:

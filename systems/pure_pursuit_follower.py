@@ -10,7 +10,7 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
+from tfg_drake.systems.ports import MessageInputs, declare_message_output
 
 PERIOD = 1 / 16
 # An observation lasts this long at least, s: a tag is seen in several frames.
@@ -56,10 +56,7 @@ class PurePursuitFollower(LeafSystem):
         super().__init__()
         self._field_of_view = field_of_view
         self._robot, self._explorer = robot, explorer
-        self._pose = declare_message_input(self, "pose")
-        self._path = declare_message_input(self, "path")
-        self._goal = declare_message_input(self, "goal")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(self, pose=PoseEstimate, path=Path, goal=GoalChoice, mission=MissionStatus)
         initial = np.zeros(13)
         initial[[TURN_SINCE, PATH]] = -1.0
         self._state, self._command = self.DeclareDiscreteState(initial), self.DeclareDiscreteState(2)
@@ -81,15 +78,14 @@ class PurePursuitFollower(LeafSystem):
     @metered("follower")
     def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
         x = context.get_discrete_state(self._state).value().tolist()
-        mission = eval_message(self._mission, context, MissionStatus)
-        pose = eval_message(self._pose, context, PoseEstimate)
+        pose, mission = self._inputs.each(context, "pose", "mission")
         moving = pose.speed.tolist()
         x[STAMP] = context.get_time()
         speed = turn_rate = 0.0
         if mission.phase == "observe":
-            turn_rate = self._Turn(x, mission, eval_message(self._goal, context, GoalChoice), pose)
+            turn_rate = self._Turn(x, mission, self._inputs(context, "goal"), pose)
         elif mission.drives:
-            speed, turn_rate = self._Follow(x, eval_message(self._path, context, Path), pose.X_MB, moving[0])
+            speed, turn_rate = self._Follow(x, self._inputs(context, "path"), pose.X_MB, moving[0])
         # Who is told to drive does not by turning a little: a gyro's noise alone looks like that.
         if (speed == 0.0 and turn_rate == 0.0) or not at_rest(moving[0], moving[1] if speed == 0.0 else 0.0):
             x[OBEYED] = x[STAMP]

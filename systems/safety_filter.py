@@ -27,7 +27,7 @@ from tfg_drake.safety.velocity_filter import (
 )
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
@@ -83,11 +83,8 @@ class SafetyFilter(LeafSystem):
         self._locks, self._keep_out = locks, keep_out
         self._robot, self._safety, self._scanner = robot, safety, scan
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
-        self._hazards = declare_message_input(self, "hazards")
-        self._scan = declare_message_input(self, "scan")
-        self._odometry = declare_message_input(self, "odometry")
+        self._inputs = MessageInputs(self, hazards=Hazards, scan=LaserScan, odometry=Odometry, pose=PoseEstimate)
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        self._pose = declare_message_input(self, "pose")
         # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
@@ -116,7 +113,7 @@ class SafetyFilter(LeafSystem):
         before = float(context.get_discrete_state(self._spent).value()[0])
         if not self._locks or wanted in (0.0, math.inf):
             return before
-        reason = stopped_by(eval_message(self._hazards, context, Hazards))
+        reason = stopped_by(self._inputs(context, "hazards"))
         if reason is None:
             return before
         if wanted != before:
@@ -125,14 +122,14 @@ class SafetyFilter(LeafSystem):
 
     def _Filtered(self, context: Context) -> FloatArray:
         command = self._command.Eval(context) if self._command.HasValue(context) else np.zeros(2)
-        hazards = eval_message(self._hazards, context, Hazards)
+        hazards = self._inputs(context, "hazards")
         scan, watch = self._Barred(context), self._watch(context)
-        state, now, odometry = self._State(context), context.get_time(), eval_message(self._odometry, context, Odometry)
+        state, now, odometry = self._State(context), context.get_time(), self._inputs(context, "odometry")
         return filter_command(state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, PERIOD)
 
     def _Barred(self, context: Context) -> LaserScan:
         """The newest scan, as if walls stood round the areas that the base must not enter."""
-        scan, pose = eval_message(self._scan, context, LaserScan), eval_optional(self._pose, context, PoseEstimate)
+        scan, pose = self._inputs(context, "scan"), self._inputs.optional(context, "pose")
         if pose is None or self._keep_out is None or not len(self._keep_out) or not len(scan.ranges):
             return scan
         return walled(scan, pose_at(pose, scan.stamp), self._keep_out)
@@ -143,10 +140,10 @@ class SafetyFilter(LeafSystem):
 
     @metered("safety_filter")
     def _Watch(self, context: Context, state: State) -> EventStatus:
-        scan, before = eval_message(self._scan, context, LaserScan), self._watch(context)
+        scan, before = self._inputs(context, "scan"), self._watch(context)
         if not scan.stamp > before.newest:
             return EventStatus.DidNothing()
-        odometry = eval_message(self._odometry, context, Odometry)
+        odometry = self._inputs(context, "odometry")
         X_OB = _pose_at(odometry, scan.stamp)
         size, barred = (self._robot.radius, self._scanner.least_range), self._Barred(context)
         after = watched(before, scan, X_OB, odometry.at_rest, *size, barred)
@@ -176,7 +173,7 @@ class SafetyFilter(LeafSystem):
 
     def _Wanted(self, context: Context) -> float:
         """The speed, m/s, at which the base is told to drive while it stands and no hazard keeps it, else 0."""
-        hazards, enabled = eval_message(self._hazards, context, Hazards), context.get_discrete_state(self._enabled)
+        hazards, enabled = self._inputs(context, "hazards"), context.get_discrete_state(self._enabled)
         kept = hazards.bumper or stopped_by(hazards) is not None or enabled.value()[0] == 0.0
         stands = self._State(context)[SPEED] == 0.0 and not kept
         return float(self._command.Eval(context)[0]) if stands and self._command.HasValue(context) else 0.0

@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Path, PathStatus, PoseEstimate, TfgMap, message
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.scripted_drive import next_place, straight_path
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 
@@ -44,9 +44,7 @@ class ScriptedDriver(LeafSystem):
         """p_MG: (n, 2) places to look round at, m."""
         super().__init__()
         self._drive = p_MG
-        self._tfg = declare_message_input(self, "tfg")
-        self._pose = declare_message_input(self, "pose")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(self, tfg=TfgMap, pose=PoseEstimate, mission=MissionStatus)
         self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, p_MG[:0]), 0))
         self._state.declare_output(self, "goal", lambda now: now.goal)
         self._state.declare_output(self, "path", lambda now: now.path)
@@ -54,12 +52,12 @@ class ScriptedDriver(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._state(context), eval_message(self._mission, context, MissionStatus)
+        now, mission = self._state(context), self._inputs(context, "mission")
         goal, path = now.goal, now.path
         if mission.phase == "choose" and mission.stage > goal.stage:
-            goal = next_place(self._drive, mission.stage, eval_message(self._tfg, context, TfgMap))
+            goal = next_place(self._drive, mission.stage, self._inputs(context, "tfg"))
         elif mission.phase == "plan" and (path.stage, now.replans) != (mission.stage, mission.replans):
-            X_MB = eval_message(self._pose, context, PoseEstimate).X_MB
+            X_MB = self._inputs(context, "pose").X_MB
             path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
         else:
             return EventStatus.DidNothing()

@@ -31,7 +31,7 @@ from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 # Period of the update, s: the odometry's.
 PERIOD = 1.0 / 16.0
@@ -76,11 +76,9 @@ class SlamEstimator(LeafSystem):
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
-        self._odometry = declare_message_input(self, "odometry")
-        self._detections = declare_message_input(self, "detections")
-        self._scan = declare_message_input(self, "scan")
-        self._mission = declare_message_input(self, "mission")
-        self._goal = declare_message_input(self, "goal")
+        self._inputs = MessageInputs(
+            self, odometry=Odometry, detections=TagDetections, scan=LaserScan, mission=MissionStatus, goal=GoalChoice
+        )
         prior = by_data_sheet(odometry_config, sensor, scanner)
         state = initial_state(
             odometry_config, explorer.path_keyframe_period, prior, explorer.solver, explorer.landmarks
@@ -104,11 +102,9 @@ class SlamEstimator(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         estimator = self._state(context)
         detections_stamp = self._detections_stamp(context)
-        odometry = eval_message(self._odometry, context, Odometry)
-        detections = eval_message(self._detections, context, TagDetections)
-        mission = eval_message(self._mission, context, MissionStatus)
+        odometry, detections, mission, scan = self._inputs.each(context, "odometry", "detections", "mission", "scan")
 
-        estimator = process_scan(estimator, eval_message(self._scan, context, LaserScan))
+        estimator = process_scan(estimator, scan)
         estimator = process_odometry(estimator, odometry)
         if detections.stamp > detections_stamp:
             estimator = process_detections(estimator, detections)
@@ -118,7 +114,8 @@ class SlamEstimator(LeafSystem):
         if mission.phase in ("observe", "glance") and waits and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
-            explored = self._goal.HasValue(context) and eval_message(self._goal, context, GoalChoice).is_explored
+            goal = self._inputs.optional(context, "goal")
+            explored = goal is not None and goal.is_explored
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
         self._state.set(state, estimator)
         return EventStatus.Succeeded()

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageState, declare_message_input, eval_message, eval_optional
+from tfg_drake.systems.ports import MessageInputs, MessageState
 from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
 from tfg_drake.tfg.graph import UnmappedSightings, empty_map, no_sightings, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
@@ -66,11 +66,9 @@ class TfgBuilder(LeafSystem):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
-        self._scan = declare_message_input(self, "scan")
-        self._map = declare_message_input(self, "map")
-        self._landmarks = declare_message_input(self, "landmarks")
-        self._pose = declare_message_input(self, "pose")
-        self._mission = declare_message_input(self, "mission")
+        self._inputs = MessageInputs(
+            self, scan=LaserScan, map=MapEstimate, landmarks=MapEstimate, pose=PoseEstimate, mission=MissionStatus
+        )
         # One value: Drake copies every abstract state at every event of any system.
         initial = _BuilderState(empty_graph(), empty_map(), (), no_sightings())
         self._state = MessageState(self, initial)
@@ -81,11 +79,9 @@ class TfgBuilder(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
-        now = self._state(context)
-        estimate = eval_message(self._map, context, MapEstimate)
-        mission = eval_message(self._mission, context, MissionStatus)
+        now, (estimate, mission) = self._state(context), self._inputs.each(context, "map", "mission")
         if estimate.stage > now.graph.stage:
-            landmarks = eval_optional(self._landmarks, context, MapEstimate)
+            landmarks = self._inputs.optional(context, "landmarks")
             after = self._AddView(now, landmarks or estimate, mission.moving)
         else:
             after = self._Collect(context, now, mission.phase)
@@ -95,11 +91,11 @@ class TfgBuilder(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
-        pose = eval_message(self._pose, context, PoseEstimate)
+        pose = self._inputs(context, "pose")
         sightings = note_sightings(now.sightings, pose) if len(pose.new_ids) else now.sightings
         scans = now.scans
         if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
-            scan = eval_message(self._scan, context, LaserScan)
+            scan = self._inputs(context, "scan")
             if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
                 scans = (*scans, scan)
         if scans is now.scans and sightings is now.sightings:

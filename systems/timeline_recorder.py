@@ -31,7 +31,7 @@ from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.storage.timeline import TimelineWriter
-from tfg_drake.systems.ports import declare_message_input, eval_optional
+from tfg_drake.systems.ports import MessageInputs
 from tfg_drake.tfg.near import radius_of, within
 
 # Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
@@ -122,7 +122,7 @@ class TimelineRecorder(LeafSystem):
         super().__init__()
         self._writer = writer
         self._Forget()
-        self._inputs = {name: declare_message_input(self, name) for name in _MESSAGES}
+        self._Get = MessageInputs(self, **_MESSAGES).optional
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
         self._truth = self.DeclareVectorInputPort("truth", 5)
         self.DeclarePeriodicPublishEvent(1.0 / RATE, 0.0, self._Write)
@@ -169,9 +169,6 @@ class TimelineRecorder(LeafSystem):
         self._Record(context, everything=False)
         self._writer.flush(all_of_it=False)
         return EventStatus.Succeeded()
-
-    def _Get(self, context: Context, name: str) -> Any:
-        return eval_optional(self._inputs[name], context, _MESSAGES[name])
 
     def _Record(self, context: Context, everything: bool) -> None:
         now = context.get_time()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, parse_place, writing
 
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
@@ -73,8 +73,7 @@ def check(
     from tfg_drake.vision.sighting import TagSizes, sighted
     from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
 
-    if not (math.isfinite(tag_size) and tag_size > 0.0):
-        bad_input(f"--tag-size {tag_size:g}: must be greater than 0 m")
+    check_positive("--tag-size", tag_size, "m")
     where, known = _mount(mount), _calibration(calibration)
     try:
         detector = TagDetector(DetectorConfig(tuple(family or ("tag36h11",)), threads, decimation))
@@ -124,8 +123,7 @@ def calibrate(
     from tfg_drake.vision.chessboard import calibrated
 
     columns, rows = _board(board)
-    if not (math.isfinite(square) and square > 0.0):
-        bad_input(f"--square {square:g}: must be greater than 0 m")
+    check_positive("--square", square, "m")
     views, size = _views(source, columns, rows)
     try:
         result = calibrated(views, columns, rows, square, size)

@@ -46,6 +46,12 @@ def parse_place(option: str, text: str, form: str = "X,Y,YAW") -> list[float]:
     return numbers
 
 
+def check_positive(option: str, value: float | None, unit: str) -> None:
+    """Raises BadInput unless an option is greater than 0, or is not given."""
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
+
+
 def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
     """A command whose help tells its options in groups, by their names here."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import math
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake.config import CameraConfig
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, wait_for_enter, writing
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.io.files import of_run, write_atomic
 
@@ -109,9 +108,8 @@ def export(
         bad_input(f"--format {name}: unknown; must be one of {', '.join(FORMATS)}")
     elif out.suffix.lower() != FORMATS[name][0]:
         bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name][0]}")
-    for option, value in (("--tag-height", tag_height), ("--tag-size", tag_size)):
-        if value is not None and not 0.0 < value < math.inf:
-            bad_input(f"{option} {value:g}: must be greater than 0 m")
+    check_positive("--tag-height", tag_height, "m")
+    check_positive("--tag-size", tag_size, "m")
     saved = _load(map_file)
     with writing(out):
         if name == "html":

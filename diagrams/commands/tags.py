@@ -115,28 +115,16 @@ def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
     import numpy as np
 
     from tfg_drake.diagrams.scenario import LoadScenario, MakeWorldConfig
-    from tfg_drake.geometry.se2 import inverse, transform
     from tfg_drake.geometry.star import inside_any
+    from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
     from tfg_drake.mapfile.saved_map import load_map
     from tfg_drake.world.world import World
 
     scenario, saved = LoadScenario(folder / "scenario.yaml"), load_map(folder / "map.npz")
-    X_WM, tfg = saved.X_WM, saved.tfg
-    ends = transform(X_WM, tfg.segments.reshape(-1, 2)).reshape(-1, 4)
-    facing = np.arctan2(saved.facing[:, 1], saved.facing[:, 0]) + X_WM[2]
-    mapped = World(
-        walls=ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) > 0.0],
-        tag_ids=saved.ids,
-        p_WT=transform(X_WM, saved.p_ML),
-        tag_facing=facing,
-        start=X_WM,
-    )
-    scenario.world = MakeWorldConfig(mapped)
-
-    def floor(points: FloatArray) -> BoolArray:
-        return inside_any(transform(inverse(X_WM), points), tfg.star_offsets, tfg.star_vertices)
-
-    return scenario, floor
+    tfg, p_WT = tfg_in_world(saved), landmarks_in_world(saved)[0]
+    facing = np.arctan2(tfg.facing[:, 1], tfg.facing[:, 0])
+    scenario.world = MakeWorldConfig(World(tfg.segments, saved.ids, p_WT, facing, saved.X_WM))
+    return scenario, lambda points: inside_any(points, tfg.star_offsets, tfg.star_vertices)
 
 
 def _advice(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator, SimulatorStatus
-from pydrake.systems.framework import Context, Diagram, EventStatus, System
+from pydrake.systems.framework import Context, EventStatus, System
 from pydrake.systems.primitives import VectorLog, VectorLogSink
 
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
@@ -115,7 +115,8 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. X_WM: (3,) pose of the map frame in the world, see `MapFrame`. failure: what ended it, of the outcome fault.
+    `say`. simulator: of the diagram, and explorer: what explores, once it is built. X_WM: (3,) pose of the map frame in
+    the world, see `MapFrame`. failure: what ended it, of the outcome fault.
     resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
     taken when it was gone on with, s.
     """
@@ -177,7 +178,7 @@ class Mission:
         self._build(monitor)
         if self._before is not None:
             self._go_on(self._before)
-        self._simulator.Initialize()
+        self.simulator.Initialize()
         self.observe()
 
     def state(self) -> dict[str, Any]:
@@ -187,7 +188,7 @@ class Mission:
         logs = [(log.sample_times(), log.data()) for log in self._find_logs(self._context)]
         return {
             "time": self.time,
-            "systems": state_of(self._simulator.get_system(), self._context),
+            "systems": state_of(self.simulator.get_system(), self._context),
             "logs": [(times[times < self.time], data[:, times < self.time]) for times, data in logs],
             "spent": self.meter.spent,
             "cpu_time": self.cpu_time,
@@ -201,7 +202,7 @@ class Mission:
         systems, under = state["systems"], "/explorer" if self.robot.real else ""
         if self.robot.real:
             systems = _looking_round(systems, state["time"])
-        restore_state(self._simulator.get_system(), self._context, systems, state["time"], under)
+        restore_state(self.simulator.get_system(), self._context, systems, state["time"], under)
         for log, (times, data) in zip(self._find_logs(self._context), state["logs"], strict=True):
             for stamp, column in zip(times, data.T, strict=True):
                 log.AddData(stamp, column)
@@ -218,13 +219,13 @@ class Mission:
     def advance(self, until: float) -> bool:
         """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
         # What was done since the last time is not to be made up for.
-        self._simulator.ResetStatistics()
+        self.simulator.ResetStatistics()
         self._since = self.time
         while self.time < until and self.status.phase != "done":
             boundary = STEP * (math.floor(self.time / STEP) + 1.0)
-            status = self._simulator.AdvanceTo(min(boundary, until))
+            status = self.simulator.AdvanceTo(min(boundary, until))
             ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
-            if ended and status.system() is self._simulator.get_system():
+            if ended and status.system() is self.simulator.get_system():
                 return False
             self.observe()
             if ended and self.status.phase != "done":
@@ -262,18 +263,8 @@ class Mission:
 
     def stage_now(self) -> int:
         """The stage that the mission is in at this instant, which may be later than when it was last looked at."""
-        status: MissionStatus = self._eval(self._explorer, "mission", MissionStatus)
+        status: MissionStatus = self._eval(self.explorer, "mission", MissionStatus)
         return status.stage
-
-    @property
-    def simulator(self) -> Simulator:
-        """Of the diagram, once it is built."""
-        return self._simulator
-
-    @property
-    def explorer(self) -> Diagram:
-        """What explores, once the diagram is built."""
-        return self._explorer
 
     @property
     def time(self) -> float:
@@ -313,9 +304,9 @@ class Mission:
 
     def _estimator_state(self) -> EstimatorState | None:
         """What the estimator knows, in the end with the final map; None of a method without one."""
-        if self._final is not None or self._context is None or not self._explorer.HasOutputPort("map"):
+        if self._final is not None or self._context is None or not self.explorer.HasOutputPort("map"):
             return self._final
-        return StateOfExplorer(self._explorer, self._explorer.GetMyContextFromRoot(self._context))
+        return StateOfExplorer(self.explorer, self.explorer.GetMyContextFromRoot(self._context))
 
     @property
     def landmarks(self) -> MapEstimate | None:
@@ -368,30 +359,30 @@ class Mission:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
         if self._context is None or not self._maps:
             return None
-        context = self._explorer.GetMyContextFromRoot(self._context)
-        state = StateOfExplorer(self._explorer, context)
+        context = self.explorer.GetMyContextFromRoot(self._context)
+        state = StateOfExplorer(self.explorer, context)
         # Of an estimator that says no more than its map, that is the final one.
-        self._final = finished_map(state) if self._explorer.HasOutputPort("estimator_state") else state
-        return MapOfExplorer(self._explorer, context, self.X_WM, self._final, self.scenario)
+        self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
+        return MapOfExplorer(self.explorer, context, self.X_WM, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
-        if self._context is None or not self._explorer.HasOutputPort("pressed"):
+        if self._context is None or not self.explorer.HasOutputPort("pressed"):
             return None
-        pressed: tuple[Pressed, ...] = self._eval(self._explorer, "pressed", tuple)
+        pressed: tuple[Pressed, ...] = self._eval(self.explorer, "pressed", tuple)
         return pressed
 
     @property
     def _maps(self) -> bool:
         """Whether there is a map of landmarks and surfaces; there may be one without surfaces."""
-        return self._explorer.HasOutputPort("map") and self._explorer.HasOutputPort("tfg")
+        return self.explorer.HasOutputPort("map") and self.explorer.HasOutputPort("tfg")
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""
         if self._context is None or not self._maps:
             return None
-        context = self._explorer.GetMyContextFromRoot(self._context)
-        found = MapOfExplorer(self._explorer, context, self.X_WM)
+        context = self.explorer.GetMyContextFromRoot(self._context)
+        found = MapOfExplorer(self.explorer, context, self.X_WM)
         return found[0] if found is not None else None
 
     def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
@@ -406,21 +397,21 @@ class Mission:
             (self._cockpit.requests,) if self._cockpit is not None else (),
         )
         truth_log, self._pose_log, self._covariance_log = self._logs
-        self._simulator = Simulator(diagram)
+        self.simulator = Simulator(diagram)
         if monitor is not None:
-            self._simulator.set_monitor(monitor)
+            self.simulator.set_monitor(monitor)
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
-        self._explorer = diagram.GetSubsystemByName("explorer")
+        self.explorer = diagram.GetSubsystemByName("explorer")
         if self._meshcat is not None:
             self._visualizer = diagram.GetSubsystemByName("visualizer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
         if self._cockpit is not None:
             recorded = diagram.GetSubsystemByName("station").HasOutputPort(GOAL)
-            self._cockpit.sends = self._explorer.HasInputPort("requested_goal") and not recorded
-        self.meter.attach(self._explorer)
-        self._context = self._simulator.get_mutable_context()
+            self._cockpit.sends = self.explorer.HasInputPort("requested_goal") and not recorded
+        self.meter.attach(self.explorer)
+        self._context = self.simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))
 
     def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
@@ -447,10 +438,10 @@ class Mission:
         """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
         if self._cockpit is None or self.robot.real:  # Else somebody may hold the clock, and sees how fast it goes.
             self._notice_delay()
-        self.status = self._eval(self._explorer, "mission", MissionStatus)
+        self.status = self._eval(self.explorer, "mission", MissionStatus)
         if self._cockpit is not None:
             self._cockpit.at_stage(self.status.stage)
-        self.pose = self._eval(self._explorer, "pose", PoseEstimate)
+        self.pose = self._eval(self.explorer, "pose", PoseEstimate)
         self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
         self.grid = self._look("grid", GridMap)
         record = None
@@ -482,7 +473,7 @@ class Mission:
 
     def _notice_delay(self) -> None:
         """Says once that the mission is behind the clock on the wall."""
-        rate, now = self._simulator.get_target_realtime_rate(), self._simulator.get_actual_realtime_rate()
+        rate, now = self.simulator.get_target_realtime_rate(), self.simulator.get_actual_realtime_rate()
         late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
         # While kernels are compiled the mission is slowed down by them, and says so.
         if late > LATE and not self._late and not self.word:
@@ -528,7 +519,7 @@ class Mission:
 
     def _look(self, port: str, kind: type) -> Any:
         """The explorer's message, None where its method has no such port."""
-        return self._eval(self._explorer, port, kind) if self._explorer.HasOutputPort(port) else None
+        return self._eval(self.explorer, port, kind) if self.explorer.HasOutputPort(port) else None
 
     def _eval(self, system: System, port: str, kind: type) -> Any:
         value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))

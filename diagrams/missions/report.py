@@ -117,6 +117,9 @@ def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, Map
 
 def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArray, map_bytes: int) -> dict[str, Any]:
     """Every field of the summary in its order, those that take the world or the truth null. X_WB: (n, 3) estimated."""
+    # Landmarks that are not doubtful, and tags that are not known to be at any one place; a grid has none.
+    none: Any = np.zeros(0, dtype=np.int64)
+    sure, doubtful = (none, none) if estimate is None else (~estimate.is_doubtful, estimate.doubtful)
     return {
         "schema": SCHEMA,
         "version": __version__,
@@ -135,8 +138,8 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "stages": len(mission.stages),
         "landmarks_present": None,
         "landmarks_reachable": None,
-        "landmarks_mapped": _landmarks_mapped(mission, estimate),
-        "landmarks_doubtful": _landmarks_doubtful(mission, estimate),
+        "landmarks_mapped": None if mission.grid is not None else int(np.count_nonzero(sure)),
+        "landmarks_doubtful": None if mission.grid is not None else doubtful.tolist(),
         "landmarks_extra": None,
         "landmark_rmse_m": None,
         "landmark_error_max_m": None,
@@ -190,20 +193,6 @@ def _draw(path: Path, *arguments: Any) -> None:
 
 def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
-
-
-def _landmarks_mapped(mission: Mission, estimate: MapEstimate | None) -> int | None:
-    """Landmarks in the map that are not doubtful, None of a method that maps none."""
-    if mission.grid is not None:
-        return None
-    return int(np.count_nonzero(~estimate.is_doubtful)) if estimate is not None else 0
-
-
-def _landmarks_doubtful(mission: Mission, estimate: MapEstimate | None) -> list[int] | None:
-    """Ids of the tags that were seen but are not known to be at any one place, None of a method that maps none."""
-    if mission.grid is not None:
-        return None
-    return list(map(int, estimate.doubtful)) if estimate is not None else []
 
 
 def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
@@ -11,9 +11,7 @@ from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap, replace
-from tfg_drake.systems.ports import declare_message_input, eval_optional
-
-T = TypeVar("T")
+from tfg_drake.systems.ports import MessageInputs
 
 # Between two poses, s.
 PERIOD = 1.0 / 16.0
@@ -62,7 +60,7 @@ class MapPublisher(LeafSystem):
         super().__init__()
         self.set_name("map_publisher")
         self._device, self._frames, self._clock = device, frames, clock
-        self._inputs = {name: declare_message_input(self, name) for name in ("pose", "odometry", *_KINDS)}
+        self._Get = MessageInputs(self, pose=PoseEstimate, odometry=Odometry, **_KINDS).optional
         self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Remember)
@@ -84,23 +82,20 @@ class MapPublisher(LeafSystem):
         builder.Connect(station.GetOutputPort("base.odometry"), publisher.GetInputPort("odometry"))
         return publisher
 
-    def _Get(self, context: Context, name: str, kind: type[T]) -> T | None:
-        return eval_optional(self._inputs[name], context, kind)
-
     def _Publish(self, context: Context) -> EventStatus:
-        pose = self._Get(context, "pose", PoseEstimate)
+        pose = self._Get(context, "pose")
         if pose is None:
             return EventStatus.DidNothing()
         pose = replace(pose, stamp=self._clock.host(pose.stamp))
         self._device.publish("pose", map_messages.pose(pose, self._frames))
-        if (odometry := self._Get(context, "odometry", Odometry)) is not None:
+        if (odometry := self._Get(context, "odometry")) is not None:
             odometry = replace(odometry, stamp=self._clock.host(odometry.stamp))
             self._device.publish("tf", map_messages.map_to_odom(pose, odometry, self._frames))
         self._PublishMap(context, pose.stamp)
         return EventStatus.Succeeded()
 
     def _PublishMap(self, context: Context, stamp: float) -> None:
-        now: dict[str, Any] = {name: self._Get(context, name, kind) for name, kind in _KINDS.items()}
+        now = {name: self._Get(context, name) for name in _KINDS}
         before = context.get_abstract_state(int(self._published)).get_value()
         before = before if isinstance(before, dict) else dict.fromkeys(_KINDS)
         changed = {name for name, message in now.items() if message is not before[name]}
@@ -120,5 +115,5 @@ class MapPublisher(LeafSystem):
 
     def _Remember(self, context: Context, state: State) -> None:
         # Copying the context costs nothing, since a message's deep copy is itself.
-        published = {name: self._Get(context, name, kind) for name, kind in _KINDS.items()}
+        published = {name: self._Get(context, name) for name in _KINDS}
         state.get_mutable_abstract_state(int(self._published)).set_value(published)
