@@ -9,7 +9,7 @@ from typing import Any
 
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
-from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
+from tfg_drake.storage.checkpoint import read_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME as PORTS
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
@@ -38,8 +38,6 @@ def cut_short(run: Path, out: Path | None = None) -> CutShort:
         CheckpointError: the folder holds none, or it cannot be gone on with.
         OSError: it cannot be copied.
     """
-    if (run / "summary.json").is_file() and not (run / CHECKPOINT).is_file():
-        raise CheckpointError(f"{run}: that mission has ended; begin another one with its map: --map {run}")
     told, state = read_checkpoint(run)
     if out is not None and out.resolve() != run.resolve():
         out.mkdir(parents=True, exist_ok=True)

@@ -47,12 +47,16 @@ def test_a_mission_goes_on_and_the_next_one_begins_with_its_map(call, room, tmp_
     half, whole = tmp_path / "half", tmp_path / "whole"
     arguments = ["--headless", "--json"]
     quick = ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
-    assert call("explore", room, *quick, "--tag-spacing", 1, "--max-time", 20, "--out", half, *arguments)[0] == 0
-    code, out, _ = call("explore", "--resume", half, "--max-time", 25, "--out", whole, *arguments)
+    assert call("explore", room, *quick, "--tag-spacing", 1, "--max-time", 6, "--out", half, *arguments)[0] == 0
+    code, out, err = call("explore", "--resume", half, "--out", whole, *arguments)
+    assert err == ""
     summary = json.loads(out.splitlines()[-1])
-    assert (code, summary["resumed_at_s"], summary["sim_time_s"]) == (0, [20.0], 25.0)
+    assert (code, summary["resumed_at_s"], summary["outcome"]) == (0, [6.0], "complete")
     shutil.rmtree(half)
-    known = ["--map", whole, "--max-time", 15, "--out", tmp_path / "next"]
+    code, _, complaint = call("explore", "--resume", whole)
+    mend = f"that mission has ended; begin another one with its map: --map {whole}"
+    assert (code, complaint) == (2, f"tfg-drake: {whole}: {mend}\n")
+    known = ["--map", whole, "--max-time", 15, "--out", tmp_path / "next", *quick]
     code, out, _ = call("explore", room, "--tag-spacing", 1, *known, *arguments)
     assert code == 0
     assert json.loads(out.splitlines()[-1])["changes"]["tags_moved"] == []

@@ -55,8 +55,10 @@ def read_told(path: Path) -> dict[str, Any]:
 def _opened(path: Path) -> io.BytesIO:
     path = of_run(path, FILE_NAME)
     if not path.is_file():
-        mend = "name the folder of one that was cut short"
-        raise CheckpointError(f"{path.parent}: holds no mission to go on with; {mend}")
+        run = path.parent
+        if (run / "summary.json").is_file():
+            raise CheckpointError(f"{run}: that mission has ended; begin another one with its map: --map {run}")
+        raise CheckpointError(f"{run}: holds no mission to go on with; name the folder of one that was cut short")
     data = path.read_bytes()
     if not data.startswith(MAGIC):
         raise CheckpointError(f"{path}: is no checkpoint of this version; begin a mission with the run's map: --map")
