@@ -292,8 +292,9 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         from tfg_drake.mapfile.changes import told
 
         found = changes["found_at_s"]
-        place = "the robot did not find itself in it" if found is None else f"the robot found itself at {found:.0f} s"
-        rows["known map"] = f"{place}; changed since: {told(changes)}"
+        rows["known map"] = "the robot did not find itself in it; explore without --map, then merge the two (map merge)"
+        if found is not None:
+            rows["known map"] = f"the robot found itself at {found:.0f} s; changed since: {told(changes)}"
     if position.get("mean") is not None:
         rows["pose error"] = (
             f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"

@@ -63,9 +63,10 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
-        found = mission.placed_since
         known_map = load_map(Path(mission.scenario.explorer.known_map))
-        summary["changes"] = {"found_at_s": found, **map_changes(known_map, saved)}
+        summary["changes"] = {"found_at_s": mission.placed_since}
+        if math.isfinite(mission.placed_since):
+            summary["changes"] |= map_changes(known_map, saved)
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
     if world is not None:
