@@ -35,13 +35,15 @@ _log = logging.getLogger("tfg_drake.hardware")
 @message
 class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
-    waiting: what it waits for, "" for nothing. since: when it began to wait, s. watch: of what the operator is told.
-    heard: what was said in the first turn so far, turned: whether that is over."""
+    waiting: what it waits for, "" for nothing. begun: when it was first looked at, s, since: when it began to
+    wait. watch: of what the operator is told. heard: what was said in the first turn so far, turned: whether
+    that is over."""
 
     hazards: Hazards
     tried: float = 0.0
     enabled: bool = False
     waiting: str = ""
+    begun: float = math.inf
     since: float = 0.0
     watch: Watch = dataclasses.field(default_factory=Watch)
     heard: tuple[Message, ...] = ()
@@ -169,12 +171,14 @@ class HardwareBase(LeafSystem):
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
         """Which message is too old; raises DeviceError where it is so for too long."""
         now = context.get_time()
+        if before.begun > now:
+            before = replace(before, begun=now, since=now)
         stamps = {
             "odometry": self._odometry(context).stamp,
             "scan": self._inputs(context, "scan").stamp,
             "tags": self._inputs(context, "detections").stamp,
         }
-        stale = [name for name, stamp in stamps.items() if not now - max(0.0, stamp) <= STALE[name]]
+        stale = [name for name, stamp in stamps.items() if not now - max(before.begun, stamp) <= STALE[name]]
         if not stale:
             if before.waiting:
                 _log.info("%.2f s: %s again", now, before.waiting)

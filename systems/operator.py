@@ -20,11 +20,12 @@ _log = logging.getLogger("tfg_drake.operator")
 
 @message
 class _Asked:
-    """What has been asked for so far."""
+    """What has been asked for so far. begun: somebody has looked whether anything was."""
 
     operation: Operation
     goal: RequestedGoal = RequestedGoal()
     pushes: Pushes = Pushes()
+    begun: bool = False
 
 
 class Operator(LeafSystem):
@@ -74,12 +75,12 @@ class Operator(LeafSystem):
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         requests = [request for source in self._sources for request in source()]
-        begins = context.get_time() < 0.5 * PERIOD
+        before = self._state(context)
+        after, begins = replace(before, begun=True), not before.begun
         if begins and not self._enabled:
             _log.info("nothing moves before it is enabled")
-        if not requests:
+        if not (begins or requests):
             return EventStatus.DidNothing()
-        before = after = self._state(context)
         # It holds from the next instant on, which all who listen still have before them.
         then = context.get_time() + PERIOD
         places = [request for request in requests if isinstance(request, tuple)]
@@ -99,7 +100,5 @@ class Operator(LeafSystem):
         for command in commands:
             _log.info("%.2f s: %s", context.get_time(), command)
             after = replace(after, operation=requested(after.operation, command))
-        if after is before:
-            return EventStatus.DidNothing()
         self._state.set(state, after)
         return EventStatus.Succeeded()
