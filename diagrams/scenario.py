@@ -379,8 +379,8 @@ def MakeWorld(config: WorldConfig) -> World:
 
 
 def HatchedKeepOut(scenario: Scenario) -> FloatArray:
-    """What surrounds and fills the areas that the robot must not enter, so that it fits nowhere in them: segments
-    (k, 4), m in W."""
+    """Outlines of the keep-out areas and hatching so dense that the robot fits nowhere in them: segments (k, 4), m in
+    W."""
     polygons = [np.array(corners, dtype=float) for corners in scenario.explorer.keep_out]
     return hatched(polygons, scenario.robot.radius)
 

@@ -1,4 +1,4 @@
-"""What a robot says while it stands, looked at before its wheels may be enabled: a line a check, and how to mend it.
+"""Checks of a standing robot before its wheels may be enabled: a line a check, and how to mend what fails.
 
 What shows only while it turns (a mirrored scan, a wrong clock of the scanner's) `tfg_drake.hardware.base` looks at in
 the first turn; that the gyro turns with the wheels, `tfg_drake.hardware.watchdog` does always.

@@ -20,7 +20,7 @@ _log = logging.getLogger("tfg_drake.operator")
 
 @message
 class _Asked:
-    """What has been asked for so far. begun: somebody has looked whether anything was."""
+    """Requests of the operator so far. begun: the sources have been asked once."""
 
     operation: Operation
     goal: RequestedGoal = RequestedGoal()

@@ -145,7 +145,7 @@ def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> No
 
 
 def _tag_size(map_file: Path) -> float:
-    """Of the tags of a run, m, by its scenario beside the map. Raises BadInput."""
+    """Size of the tags of a run, m, by its scenario beside the map. Raises BadInput."""
     from tfg_drake.io.yaml_text import parse_yaml
 
     try:

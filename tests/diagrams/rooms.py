@@ -14,6 +14,15 @@ DIVIDED = ROOM.replace("[0, 4, 0, 0]]", "[0, 4, 0, 0], [3, 2.2, 3, 4]]")
 SHORT_LOOK = "explorer: {first_look: 8}\n"
 QUICK_LOOK = "explorer: {first_look: 2, first_turns: 1}\n"
 
+# Three rooms in a row.
+ROOMS = """
+seed: 3
+world:
+  start: [2, 1.5, 0.3]
+  walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4], [6, 0, 6, 2.6]]
+explorer: {first_look: 4, first_turns: 1}
+"""
+
 MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
 MACHINE |= {"peak_rss_bytes", "stage_ms"}
 

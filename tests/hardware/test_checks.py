@@ -1,4 +1,4 @@
-"""What is looked at before the wheels may be enabled: each fault by its name and with its mend."""
+"""Checks before the wheels may be enabled: each fault by its name and with its mend."""
 
 import dataclasses
 

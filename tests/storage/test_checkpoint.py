@@ -1,4 +1,4 @@
-"""What a mission knows, as a file to go on from."""
+"""Checkpoints of missions under way."""
 
 import dataclasses
 import os

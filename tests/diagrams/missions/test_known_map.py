@@ -7,19 +7,12 @@ import numpy as np
 import pytest
 
 import tfg_drake
+from tests.diagrams.rooms import ROOMS
 from tfg_drake.diagrams.methods import METHODS, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import MapFileError
-
-ROOMS = """
-seed: 3
-world:
-  start: [2, 1.5, 0.3]
-  walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4], [6, 0, 6, 2.6]]
-explorer: {first_look: 4, first_turns: 1}
-"""
 
 
 def rooms():
