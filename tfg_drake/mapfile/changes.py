@@ -1,4 +1,4 @@
-"""What has changed in a building since an older map of it was made."""
+"""Changes in a building since an older map of it was made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mission under way knows, as a file to go on from: written anew every few seconds, whole or not at all.
+"""Checkpoint of a mission under way, a file to go on from: written anew every few seconds, whole or not at all.
 
 The file is MAGIC and two pickles: what is told of the mission, and its state. They are read without running anything
 but the making of numpy's arrays and of the program's own dataclasses and tuples, and by the version that wrote them.
