@@ -1,0 +1,40 @@
+"""Notes: what of a robot's or a recording's messages was not believed, or does not hold of the map, and since when.
+
+A note is a log record; whoever keeps a run collects them with `NoteKeeper` for its summary.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from tfg_drake.messages import message
+
+_log = logging.getLogger("tfg_drake.notes")
+
+
+@message
+class Note:
+    """kind: one word or two joined by "_", such as "jump", for who counts them. time_s: when, s. text: one line."""
+
+    kind: str
+    time_s: float
+    text: str
+
+
+def take_note(kind: str, time_s: float, text: str) -> None:
+    """Tells the operator, and whoever collects notes."""
+    _log.warning("%.2f s: %s", time_s, text, extra={"note": Note(kind, time_s, text)})
+
+
+class NoteKeeper(logging.Handler):
+    """notes: those taken while it was attached to the logger "tfg_drake", in order, each once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.notes: list[Note] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keeps the record's note, if it has one."""
+        one = getattr(record, "note", None)
+        if isinstance(one, Note) and all(vars(one) != vars(note) for note in self.notes):
+            self.notes.append(one)
