@@ -198,6 +198,12 @@ class RobotScannerConfig:
     pitch: float = 0.0
     # Whether it is mounted upside down: what it has on its left is on the robot's right.
     flip: bool = False
+    # Whether it counts its rays clockwise as seen from above it.
+    clockwise: bool = False
+    # What its rays span, rad, where its messages do not say; 0: as they say.
+    field_of_view: float = 0.0
+    # How far its clock is ahead of the odometry's, s.
+    clock_offset: float = 0.0
     # A depth camera's scan is of what stands in this band of heights above the floor, m.
     low: float = 0.05
     high: float = 0.5
