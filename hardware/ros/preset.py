@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tfg_drake.bad_input import not_radians
-from tfg_drake.hardware.plausible import FASTEST, FASTEST_TURN
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
+from tfg_drake.slam.odometry_rules import MOST_SPEED, MOST_TURN_RATE
 
 PRESETS = Path(__file__).parent / "presets"
 
@@ -144,7 +144,7 @@ DISCOVERY = ("subnet", "localhost")
 _POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
 # No number in a preset is greater; no robot's limit of speed or turn rate, m/s and rad/s.
 _GREATEST = 1e6
-_MOST = {"limits.speed": FASTEST, "limits.turn_rate": FASTEST_TURN}
+_MOST = {"limits.speed": MOST_SPEED, "limits.turn_rate": MOST_TURN_RATE}
 
 
 def load_preset(name_or_path: str | Path) -> Preset:

@@ -1,0 +1,248 @@
+"""The intake of recordings: what of one is believed, as of a robot's messages while it drives.
+
+Time first: messages in the order of one clock that goes on. Then the rules of motion, scans that are frozen, and
+odometry held against scans: what is wrong all along is corrected, or the recording refused; where odometry is silent,
+jumps or slips, the way is that of the scans if these tell it, else it is unknown.
+"""
+
+from __future__ import annotations
+
+import bisect
+import collections
+import itertools
+import math
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from tfg_drake.datasets.recorded_clock import steady, together
+from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
+from tfg_drake.notes import Note, take_note
+from tfg_drake.slam.odometry_rules import SILENCE, WatchedOdometry, velocity, watch
+from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
+from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
+
+# Odometry that comes seldom is silent after so many of its periods.
+PERIODS = 5.0
+# Odometry of which more than this share is not believed is wrong all along.
+OFTEN = 0.02
+# Scans that stay equal for longer than this, s, while the odometry moves so far (m, rad) are frozen.
+FROZEN, MOVED = 1.0, 0.1
+# Notes of one kind that are taken one by one.
+MOST_NOTES = 20
+# The way by the scans and odometry that they seemed to contradict agree to this, m and rad.
+AGREES = 0.1
+
+T = TypeVar("T", Odometry, LaserScan)
+
+
+@message
+class Doubt:
+    """Messages of odometry, begin before end, between which the way is not known, and why."""
+
+    begin: int
+    end: int
+    note: Note
+
+
+def believed(recording: Recording) -> Recording:
+    """A recording as far as it is believed, the same objects where all of it is; of what is not notes are taken.
+
+    Raises:
+        DatasetError: it cannot be used.
+    """
+    if not recording.odometry:
+        return recording
+    notes: list[Note] = []
+    told, scans = recording.odometry, recording.scans
+    if not recording.detections:
+        told, scans = _in_time(recording, notes)
+    steps = np.diff([one.stamp for one in told])
+    silence = max(SILENCE, PERIODS * float(np.median(steps))) if len(scans) and len(steps) else math.inf
+    odometry, doubts = watched(told, silence)
+    if scans:
+        scans = _moving(scans, odometry, notes)
+        often = sum(doubt.note.kind == "jump" for doubt in doubts) > OFTEN * len(odometry)
+        found = compare(told if often else odometry, scans, recording.mount_known)
+        verdict = judged(found)
+        if verdict.refusal:
+            raise DatasetError(f"{recording.name}: {verdict.refusal}")
+        notes += verdict.notes
+        odometry, scans = corrected(told if often else odometry, scans, verdict)
+        if often:
+            odometry, doubts = watched(odometry, silence)
+        doubts = sorted(doubts + _contradicted(odometry, contradictions(found) - found.lag), key=lambda one: one.begin)
+    jumps = [doubt.note for doubt in doubts if doubt.note.kind == "jump"]
+    if len(jumps) > OFTEN * len(odometry):
+        times = f"odometry jumps {len(jumps)} times, first at {jumps[0].time_s:.2f} s"
+        raise DatasetError(f"{recording.name}: {times}; see its units, m and rad, and its clock")
+    odometry, scans = _bridged(recording, odometry, scans, doubts, notes)
+    if recording.scans and len(scans) < 2:
+        raise DatasetError(f"{recording.name}: fewer than two scans while there is odometry; record both at once")
+    _tell(notes)
+    if _same(odometry, recording.odometry) and _same(scans, recording.scans):
+        return recording
+    nothing = np.empty(0)
+    return replace(recording, odometry=odometry, scans=scans, odometry_arrivals=nothing, scan_arrivals=nothing)
+
+
+def watched(told: Sequence[Odometry], silence: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:
+    """Odometry in order by the rules of motion (see `odometry_rules`), and where it is not believed."""
+    state, passed, doubts = WatchedOdometry(), [], []
+    for one in told:
+        state, believed, note = watch(state, one, silence)
+        passed += [] if believed is None else [believed]
+        if note is not None:
+            doubts.append(Doubt(max(0, len(passed) - 2), max(0, len(passed) - 1), note))
+    return tuple(passed), doubts
+
+
+def _in_time(recording: Recording, notes: list[Note]) -> tuple[tuple[Odometry, ...], tuple[LaserScan, ...]]:
+    """Odometry and scans sorted by one clock that goes on, each once, and scans while there is odometry."""
+    odometry, at_odometry = _once(recording.odometry, recording.odometry_arrivals)
+    scans, at_scans = _once(recording.scans, recording.scan_arrivals)
+    times, said = steady(np.array([one.stamp for one in odometry]), at_odometry, "odometry")
+    notes += said
+    order = np.argsort(times, kind="stable")
+    told = tuple(_at(odometry[k], times[k]) for k in order)
+    if not scans:
+        return told, scans
+    seen, said = steady(np.array([one.stamp for one in scans]), at_scans, "scans")
+    notes += said
+    seen, said = together((times, seen), (at_odometry, at_scans))
+    notes += said
+    kept: list[LaserScan] = []
+    for k in np.argsort(seen, kind="stable"):
+        if told[0].stamp <= seen[k] <= told[-1].stamp and (not kept or seen[k] > kept[-1].stamp):
+            kept.append(_at(scans[k], seen[k]))
+    return told, tuple(kept)
+
+
+def _once(messages: tuple[T, ...], arrivals: FloatArray) -> tuple[tuple[T, ...], FloatArray]:
+    """The messages and their arrivals without those that were recorded twice."""
+    known: dict[int, int] = {}
+    for number, one in enumerate(messages):
+        values = one.X_OB if isinstance(one, Odometry) else one.ranges
+        known.setdefault(hash((one.stamp, values.tobytes())), number)
+    if len(known) == len(messages):
+        return messages, arrivals
+    kept = list(known.values())
+    return tuple(messages[k] for k in kept), arrivals[kept] if len(arrivals) else arrivals
+
+
+def _at(one: T, stamp: float) -> T:
+    return one if one.stamp == stamp else replace(one, stamp=float(stamp))
+
+
+def _moving(scans: Sequence[LaserScan], odometry: Sequence[Odometry], notes: list[Note]) -> tuple[LaserScan, ...]:
+    """The scans without those that stay equal while the robot moves."""
+    stamps = [one.stamp for one in odometry]
+    kept: list[LaserScan] = []
+    for _, equal in itertools.groupby(scans, _Content):
+        run = list(equal)
+        begin, end = (odometry[max(0, bisect.bisect_right(stamps, one.stamp) - 1)] for one in (run[0], run[-1]))
+        step = np.abs(se2.between(begin.X_OB, end.X_OB))
+        seconds = run[-1].stamp - run[0].stamp
+        if seconds > FROZEN and step.max() > MOVED and np.isfinite(run[0].ranges).any():
+            notes.append(Note("frozen", run[0].stamp, f"scans stay equal for {seconds:.1f} s; they are left out"))
+            run = run[:1]
+        kept += run
+    return tuple(kept)
+
+
+class _Content:
+    """Scans of the same ranges are the same."""
+
+    def __init__(self, scan: LaserScan) -> None:
+        self._ranges = scan.ranges
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Content) and np.array_equal(self._ranges, other._ranges)
+
+
+def _contradicted(odometry: Sequence[Odometry], stretches: FloatArray) -> list[Doubt]:
+    """Doubts of the odometry in stretches (n, 2) of time, s."""
+    stamps = [one.stamp for one in odometry]
+    doubts = []
+    for begin, end in stretches.tolist():
+        first = max(0, bisect.bisect_right(stamps, begin) - 1)
+        last = min(bisect.bisect_left(stamps, end), len(stamps) - 1)
+        doubts.append(Doubt(first, last, Note("slip", begin, "odometry contradicts the scans")))
+    return doubts
+
+
+def _bridged(
+    recording: Recording,
+    odometry: Sequence[Odometry],
+    scans: Sequence[LaserScan],
+    doubts: Sequence[Doubt],
+    notes: list[Note],
+) -> tuple[tuple[Odometry, ...], tuple[LaserScan, ...]]:
+    """Odometry with the way by the scans where it is in doubt and these tell it, else unknown, and the scans without
+    those amid an unknown way."""
+    stamps = [one.stamp for one in scans]
+    X_BS = recording.prior.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
+    way: list[Odometry] = []
+    lost: list[tuple[int, int]] = []
+    # The frame in which the odometry goes on, in the one that it had.
+    X, done = np.zeros(3), 0
+    for doubt in doubts:
+        if doubt.note.kind not in ("jump", "silence", "slip"):
+            notes.append(doubt.note)
+            continue
+        first, last = max(doubt.begin, done - 1), doubt.end
+        if last < done or last == first:
+            continue
+        before, after = odometry[first], odometry[last]
+        guess = se2.between(before.X_OB, after.X_OB)
+        near = slice(max(0, bisect.bisect_right(stamps, before.stamp) - 1), bisect.bisect_left(stamps, after.stamp) + 1)
+        bridge = bridged(scans[near], before.stamp, after.stamp, se2.compose(se2.between(X_BS, guess), X_BS))
+        way += [_moved(one, X) for one in odometry[done : first + 1]]
+        done = last + 1
+        if bridge is None:
+            way += [_moved(one, X) for one in odometry[first + 1 : last]]
+            way.append(replace(_moved(after, X), way_unknown=True, at_rest=False))
+            lost.append((before.stamp, after.stamp))
+            notes.append(replace(doubt.note, text=f"{doubt.note.text}; the way is unknown there"))
+            continue
+        at, X_SS, _ = bridge
+        by_scans = se2.compose(se2.compose(X_BS, X_SS), se2.inverse(X_BS))
+        if doubt.note.kind == "slip" and np.abs(se2.between(guess, by_scans[-1])).max() < AGREES:
+            way += [_moved(one, X) for one in odometry[first + 1 : last + 1]]
+            continue
+        poses = se2.compose(way[-1].X_OB, by_scans)
+        for k in range(1, len(at)):
+            V_B = velocity(se2.between(poses[k - 1], poses[k]), float(at[k] - at[k - 1]))
+            way.append(Odometry(float(at[k]), poses[k], V_B))
+        X = se2.compose(poses[-1], se2.inverse(after.X_OB))
+        notes.append(replace(doubt.note, text=f"{doubt.note.text}; the scans tell the way there"))
+    way += [_moved(one, X) for one in odometry[done:]]
+    begins = [begin for begin, _ in lost]
+    known = []
+    for scan in scans:
+        at = bisect.bisect_left(begins, scan.stamp) - 1
+        known += [] if at >= 0 and scan.stamp < lost[at][1] else [scan]
+    return tuple(way), tuple(known)
+
+
+def _moved(one: Odometry, X: FloatArray) -> Odometry:
+    return replace(one, X_OB=se2.compose(X, one.X_OB)) if X.any() else one
+
+
+def _same(some: Sequence[object], others: Sequence[object]) -> bool:
+    return len(some) == len(others) and all(one is other for one, other in zip(some, others, strict=True))
+
+
+def _tell(notes: Sequence[Note]) -> None:
+    """Takes the notes in their order, of a kind that there is often the first ones and how many there are."""
+    counts = collections.Counter(one.kind for one in notes)
+    told: collections.Counter[str] = collections.Counter()
+    for one in sorted(notes, key=lambda one: one.time_s):
+        told[one.kind] += 1
+        if told[one.kind] < MOST_NOTES:
+            take_note(one.kind, one.time_s, one.text)
+        elif told[one.kind] == MOST_NOTES:
+            take_note(one.kind, one.time_s, f"{one.text}; and {counts[one.kind] - MOST_NOTES} times more")
