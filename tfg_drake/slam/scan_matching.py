@@ -1,0 +1,438 @@
+"""Scans matched with each other, and odometry held against that: whether it turns and travels as the scans do.
+
+Two scans tell by themselves how the robot came from one to the other: the points of one lie on the surfaces that the
+other saw. Wheels tell so, too. Where the two differ by a factor, a lag of the clocks or the angle of the mount all
+along, that can be corrected; where one turns against the other, nobody can tell which is right.
+"""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, message, replace
+from tfg_drake.notes import Note
+from tfg_drake.slam.scan_matching_kernels import normals, searched
+
+# Rays that count, of a finer scan; so few are too few.
+RAYS, FEWEST = 360, 20
+# Share of the rays that fit, of those that are in view of both, and that so many deviations away as many fit.
+SHARE, RIVAL, DISTINCT = 0.5, 0.97, 6.0
+# A fit is believed to so many of its rays' variances, for neighbours have errors in common; to no less than this, m and
+# rad, and where nothing tells to no more than this, m.
+COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
+
+# Two scans that are compared are so far apart, s.
+APART, TOO_FAR = 0.35, 2.0
+# Clocks are compared up to so much before or after each other, s.
+MOST_LAG, LAG_STEP = 1.2, 0.04
+# Of so many pairs at most their lag is looked for.
+MOST_PAIRS = 1000
+# Errors of a turn (rad) and of a way (m) of odometry within APART, and as a share of it.
+TURN_ERROR, WAY_ERROR, SHARE_ERROR = 0.006, 0.008, 0.02
+# Errors of more than so many deviations count less and less. A lever of the scanner is about so long, m.
+ROBUST, LEVER = 2.5, 0.2
+# What moves, m and rad, in APART. By so many deviations something is sure.
+MOVES, SURELY = (0.05, 0.05), 5.0
+# A pair contradicts the odometry from this on, m and rad.
+CONTRADICTS = (0.1, 0.1)
+# So many pairs that move tell something; where fewer than this share are explained nothing explains them.
+PAIRS, EXPLAINED = 12, 0.5
+# Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
+LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
+
+
+@message
+class Matched:
+    """X: (3,) the pose of the body at the second scan in the body at the first. covariance: (3, 3) of it, wide in
+    directions that the scans do not tell. share: of the rays in view of both, those that fit."""
+
+    X: FloatArray
+    covariance: FloatArray
+    share: float
+
+
+def match(before: LaserScan, after: LaserScan, X_guess: FloatArray | None = None) -> Matched | None:
+    """How the body came from one scan to the other: the points of `after` on the surfaces of `before`, from the guess
+    (3,), which may be off by half a metre and a radian. None where too few rays fit, or as many do elsewhere."""
+    return _matched(surface(before), surface(after), np.zeros(3) if X_guess is None else X_guess)
+
+
+def surface(scan: LaserScan) -> FloatArray:
+    """The rays (n, 6) of a scan that met a surface, see `tfg_drake.slam.scan_matching_kernels`."""
+    met = (scan.ranges > 0.0) & (scan.ranges < np.inf)
+    r = scan.ranges[met]
+    bend = float(np.median(np.abs(np.diff(r, 2)))) / 1.65 if len(r) > FEWEST else 0.0
+    sigma = min(max(bend, scan.sigma, 0.003), 0.05)
+    return np.asarray(normals(scan.angles[met], r, sigma, max(1, math.ceil(len(r) / RAYS))))
+
+
+def _matched(before: FloatArray, after: FloatArray, X_guess: FloatArray) -> Matched | None:
+    if min(len(before), len(after)) < FEWEST:
+        return None
+    X, score, H, F, X_rival, rival, share = searched(before, after, np.array(X_guess, dtype=float))
+    values, vectors = np.linalg.eigh(H - 2.0 * F)
+    covariance = (vectors / np.maximum(values / COMMON, MOST**-2)) @ vectors.T + np.diag(np.square(LEAST))
+    apart = X_rival - X
+    apart[2] = se2.wrap_angle(apart[2])
+    is_distinct = apart @ np.linalg.solve(covariance, apart) > DISTINCT**2
+    if share < SHARE or (rival > RIVAL * score and is_distinct):
+        return None
+    return Matched(X, covariance, float(share))
+
+
+@message
+class Comparison:
+    """Odometry held against scans, over n pairs of scans one after the other.
+
+    begin, end: (n,) s, of the scans' clock. X: (n, 3) the way from one to the other by the scans and covariance:
+    (n, 3, 3), nan where they do not match. turn, travel: how many times as far the scans turn and travel as odometry
+    says. lag: s, how far the scans' clock is ahead of the odometry's. yaw: rad, how far to the left of where its
+    bearings say the scanner looks. deviations: (4,) of turn, travel, lag and yaw, inf where they are not told.
+    contradicts: (n,) the pairs that the odometry contradicts nevertheless. turning, travelling: (2,) each, how many
+    pairs turn or travel, by either, and how many of these are explained. stands: whether the odometry does, all along.
+    """
+
+    begin: FloatArray
+    end: FloatArray
+    X: FloatArray
+    covariance: FloatArray
+    contradicts: BoolArray
+    mount_known: bool
+    turn: float = 1.0
+    travel: float = 1.0
+    lag: float = 0.0
+    yaw: float = 0.0
+    deviations: FloatArray = dataclasses.field(default_factory=lambda: np.full(4, np.inf))
+    turning: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    travelling: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    stands: bool = False
+
+
+@message
+class Verdict:
+    """What to correct: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
+    bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or ""."""
+
+    turn: float = 1.0
+    travel: float = 1.0
+    lag: float = 0.0
+    yaw: float = 0.0
+    notes: tuple[Note, ...] = ()
+    refusal: str = ""
+
+
+class _Way:
+    """Odometry as a way to read at any time."""
+
+    def __init__(self, odometry: Sequence[Odometry]) -> None:
+        self.stamps = np.array([one.stamp for one in odometry])
+        X = np.array([one.X_OB for one in odometry])
+        self._p, self._heading = X[:, 0] + 1j * X[:, 1], np.unwrap(X[:, 2])
+        unknown = np.flatnonzero([one.way_unknown for one in odometry[1:]])
+        self._lost, self._found = self.stamps[unknown], self.stamps[unknown + 1]
+
+    def tells(self, begin: FloatArray, end: FloatArray) -> BoolArray:
+        """Whether it is known from begin to end, each (n,), s."""
+        lost = np.searchsorted(self._lost, end) > np.searchsorted(self._found, begin, "right")
+        return np.asarray((self.stamps[0] <= begin) & (end <= self.stamps[-1]) & ~lost)
+
+    def moved(self, begin: FloatArray, end: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
+        """How far it comes from begin to end, each (n,), s: chord (n,), m, ahead and i times to the left as seen from
+        half the turn, and turn (n,), rad."""
+        (p, q), (before, after) = (
+            [np.interp(at, self.stamps, value) for at in (begin, end)] for value in (self._p, self._heading)
+        )
+        return (q - p) * np.exp(-0.5j * (before + after)), np.asarray(after - before, dtype=float)
+
+
+@message
+class _Robust:
+    """Least squares with outliers: x (k,), information (k, k), off (n,) deviations, cost."""
+
+    x: FloatArray
+    information: FloatArray
+    off: FloatArray
+    cost: float
+
+
+def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
+    """Of A (n, d, k), y (n, d), in deviations, and the prior's information on each of x (k,), which is 0 by it."""
+    weight = np.ones(len(y))
+    for bound in (8.0, 4.0, ROBUST, ROBUST, ROBUST, ROBUST):
+        information = np.einsum("n,nda,ndb->ab", weight, A, A) + np.diag(prior)
+        x = np.linalg.solve(information, np.einsum("n,nda,nd->a", weight, A, y))
+        off = np.sqrt(((y - A @ x) ** 2).sum(axis=1))
+        weight = 1.0 / (1.0 + (off / bound) ** 2)
+    return _Robust(x, information, off, float(ROBUST**2 * np.log1p((off / ROBUST) ** 2).sum()))
+
+
+@message
+class _Pairs:
+    """Pairs of scans that match (n,), as of Comparison, ready to be held against a way of odometry."""
+
+    begin: FloatArray
+    end: FloatArray
+    X: FloatArray
+    covariance: FloatArray
+
+    def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust]:
+        """How turns, and how ways are explained if the scans' clock is ahead by the lag, s: x is the factor (1,) of the
+        turn; and (4,) real and imaginary part of the way's factor and of the lever by which the scanner sits off, m."""
+        chord, turned = way.moved(self.begin - lag, self.end - lag)
+        turn = self.X[:, 2]
+        scale = 1.0 / np.sqrt(self.covariance[:, 2, 2] + TURN_ERROR**2 + (SHARE_ERROR * turn) ** 2)
+        of_turn = _robust((turned * scale)[:, None, None], (turn * scale)[:, None], np.array([1e-6]))
+        ahead, lever = chord * np.exp(0.5j * turn), np.exp(1j * turn) - 1.0
+        A = np.array(
+            [[ahead.real, -ahead.imag, lever.real, -lever.imag], [ahead.imag, ahead.real, lever.imag, lever.real]]
+        )
+        square = WAY_ERROR**2 + (SHARE_ERROR**2) * (self.X[:, :2] ** 2).sum(axis=1)
+        spread = self.covariance[:, :2, :2] + square[:, None, None] * np.eye(2)
+        whitened = np.linalg.inv(np.linalg.cholesky(spread))
+        y = (whitened @ self.X[:, :2, None])[:, :, 0]
+        of_way = _robust(whitened @ A.transpose(2, 0, 1), y, np.array([1e-6, 1e-6, LEVER**-2, LEVER**-2]))
+        return of_turn, of_way
+
+    def cost(self, way: _Way, lag: float) -> float:
+        """Of all of them by a lag, s."""
+        return sum(fit.cost for fit in self.fits(way, lag))
+
+
+def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
+    """What scans say of the odometry; both in the order of their stamps. mount_known: whether the bearings of the scans
+    are those in the body frame; else they may be the scanner's own."""
+    begin, end, X, covariance = _ways(scans)
+    nothing = Comparison(begin, end, X, covariance, np.zeros(len(begin), dtype=np.bool_), mount_known)
+    matched = np.isfinite(X[:, 0])
+    if len(odometry) < 2 or matched.sum() < PAIRS:
+        return nothing
+    way = _Way(odometry)
+    used = matched & way.tells(begin - MOST_LAG, end + MOST_LAG)
+    if used.sum() < PAIRS:
+        return nothing
+    every = slice(None, None, math.ceil(used.sum() / MOST_PAIRS))
+    some = _Pairs(*(value[used][every] for value in (begin, end, X, covariance)))
+    lag, step = 0.0, LAG_STEP
+    for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
+        lags = lag + step * np.arange(-reach, reach + 1)
+        costs = [some.cost(way, one) for one in lags]
+        lag, step = float(lags[int(np.argmin(costs))]), 0.25 * step
+    lag = float(np.clip(lag, -MOST_LAG, MOST_LAG))
+    h = 1.5 * LAG_STEP
+    bend = (some.cost(way, lag - h) - 2.0 * some.cost(way, lag) + some.cost(way, lag + h)) / h**2
+    told = matched & way.tells(begin - lag, end - lag)
+    pairs = _Pairs(*(value[told] for value in (begin, end, X, covariance)))
+    of_turn, of_way = pairs.fits(way, lag)
+    chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
+    a, b = of_way.x[:2]
+    travel, turn = math.hypot(a, b), float(of_turn.x[0])
+    # Of the medians of one and of two normal numbers.
+    scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
+    spread = np.linalg.inv(of_way.information)[:2, :2]
+    along, across = np.array([a, b]) / travel, np.array([-b, a]) / travel
+    deviations = scatter * np.array(
+        [
+            float(of_turn.information[0, 0]) ** -0.5,
+            math.sqrt(along @ spread @ along),
+            math.sqrt(2.0 / bend) if bend > 0.0 else math.inf,
+            math.sqrt(across @ spread @ across) / travel,
+        ]
+    )
+    sigma = np.sqrt(pairs.covariance[:, [0, 1, 2], [0, 1, 2]])
+    scanned = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
+    told_way, told_turn = np.abs(chord), np.abs(turned)
+    travels = (np.maximum(scanned[0], told_way) > MOVES[0]) & (sigma[:, :2].max(axis=1) < 0.2 * MOVES[0])
+    turns = (np.maximum(scanned[1], told_turn) > MOVES[1]) & (sigma[:, 2] < 0.2 * MOVES[1])
+    contradicts = np.zeros(len(begin), dtype=np.bool_)
+    residual = np.abs(pairs.X[:, 2] - turn * turned)
+    way_residual = of_way.off * np.sqrt(sigma[:, :2].max(axis=1) ** 2 + WAY_ERROR**2)
+    contradicts[told] = ((of_turn.off > SURELY) & (residual > CONTRADICTS[1])) | (
+        (of_way.off > SURELY) & (way_residual > CONTRADICTS[0])
+    )
+    return replace(
+        nothing,
+        turn=turn,
+        travel=travel,
+        lag=lag,
+        yaw=-math.atan2(b, a),
+        deviations=deviations,
+        contradicts=contradicts,
+        turning=np.array([turns.sum(), (turns & (of_turn.off < SURELY)).sum()], dtype=float),
+        travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
+        stands=bool(told_way.sum() < 0.1 * scanned[0].sum() and told_turn.sum() < 0.1 * scanned[1].sum()),
+    )
+
+
+def _ways(scans: Sequence[LaserScan]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """begin, end, X and covariance of `Comparison`, matched without any odometry."""
+    chosen = list(scans[:1])
+    for scan in scans[1:]:
+        if scan.stamp - chosen[-1].stamp >= APART:
+            chosen.append(scan)
+    rows: list[tuple[float, float, FloatArray, FloatArray]] = []
+    unknown, speed = (np.full(3, np.nan), np.full((3, 3), np.nan)), np.zeros(3)
+    seen = surface(chosen[0]) if chosen else np.zeros((0, 6))
+    for before, after in itertools.pairwise(chosen):
+        was, seen, duration = seen, surface(after), after.stamp - before.stamp
+        one = _matched(was, seen, speed * duration) if duration < TOO_FAR else None
+        speed = np.zeros(3) if one is None else one.X / duration
+        rows.append((before.stamp, after.stamp, *(unknown if one is None else (one.X, one.covariance))))
+    begin, end, X, covariance = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return np.array(begin), np.array(end), np.array(X).reshape(-1, 3), np.array(covariance).reshape(-1, 3, 3)
+
+
+def judged(found: Comparison) -> Verdict:
+    """What of it is beyond doubt, and more than is learnt with the map anyway."""
+    turn, travel, lag, yaw = found.turn, found.travel, found.lag, found.yaw
+    refusal = _refusal(found)
+    if refusal:
+        return Verdict(refusal=refusal)
+    time = float(found.begin[0]) if len(found.begin) else 0.0
+    turns, travels = found.turning[1] >= PAIRS, found.travelling[1] >= PAIRS
+    sure = SURELY * found.deviations
+    verdict, notes = Verdict(), []
+    if turns and abs(turn - 1.0) > max(LEAST_SCALE, sure[0]):
+        verdict = replace(verdict, turn=turn)
+        notes.append(Note("turn_scale", time, f"scans turn {turn:.3g} times as far as the odometry; it is corrected"))
+    if travels and abs(travel - 1.0) > max(LEAST_SCALE, sure[1]):
+        verdict = replace(verdict, travel=travel)
+        notes.append(
+            Note("travel_scale", time, f"scans travel {travel:.3g} times as far as the odometry; it is corrected")
+        )
+    if (turns or travels) and abs(lag) > max(LEAST_LAG, sure[2]):
+        verdict = replace(verdict, lag=lag)
+        way = "ahead of" if lag > 0.0 else "behind"
+        notes.append(Note("lag", time, f"the scans' clock is {abs(lag):.2f} s {way} the odometry's; it is corrected"))
+    if travels and abs(yaw) > max(LEAST_YAW, sure[3]):
+        verdict = replace(verdict, yaw=yaw)
+        degrees = math.degrees(yaw)
+        notes.append(
+            Note(
+                "mount_yaw", time, f"the scanner looks {degrees:.1f} degrees to the left of where it was taken to look"
+            )
+        )
+    return replace(verdict, notes=tuple(notes))
+
+
+def _refusal(found: Comparison) -> str:
+    """Why nothing can be made of odometry and scans, "" where something can."""
+    (turning, turns), (travelling, travels) = found.turning, found.travelling
+    sure = SURELY * found.deviations
+    many = max(turning, travelling) >= PAIRS
+    if many and found.stands:
+        return "the odometry stands while the scans move: it tells nothing of the way; record odometry that moves"
+    if turning >= PAIRS and turns >= EXPLAINED * turning:
+        if found.turn + sure[0] < -0.1:
+            return (
+                f"scans turn against the odometry ({found.turn:.2f} times as far): the scanner is mounted upside "
+                "down or mirrored, or the wheels are; --set hardware.scanner.flip=true if it is the scanner"
+            )
+        if abs(found.turn) + sure[0] < 0.15:
+            return (
+                "the scans do not turn while the odometry does: see whether the scanner is frozen, or the wheels slip"
+            )
+        if found.turn - sure[0] > MOST_SCALE:
+            return f"scans turn {found.turn:.2g} times as far as the odometry: see its unit, rad"
+    if travelling >= PAIRS and travels >= EXPLAINED * travelling:
+        if found.travel + sure[1] < 0.15:
+            return f"scans travel {found.travel:.2g} times as far as the odometry: see its unit, m; or its wheels slip"
+        if found.travel - sure[1] > MOST_SCALE:
+            return f"scans travel {found.travel:.2g} times as far as the odometry: see its unit, m"
+        if found.mount_known and abs(found.yaw) - sure[3] > 2.5:
+            return (
+                "scans travel backwards where the odometry travels ahead: the scanner looks back, or the wheels are "
+                "mirrored; --set hardware.scanner.yaw=3.1416 if it is the scanner"
+            )
+    if many and turns + travels < EXPLAINED * (turning + travelling):
+        return (
+            f"scans and odometry contradict each other: {turns + travels:.0f} of {turning + travelling:.0f} moves agree "
+            "by any scale, clock and mount; see whether both are of one drive"
+        )
+    return ""
+
+
+def corrected(
+    odometry: Sequence[Odometry], scans: Sequence[LaserScan], verdict: Verdict
+) -> tuple[tuple[Odometry, ...], tuple[LaserScan, ...]]:
+    """Both with what a verdict corrects; the same objects where it corrects nothing of them."""
+    odometry, scans = tuple(odometry), tuple(scans)
+    if (verdict.turn, verdict.travel) != (1.0, 1.0) and odometry:
+        X = np.array([one.X_OB for one in odometry])
+        heading = np.unwrap(X[:, 2])
+        steps = np.diff(X[:, 0] + 1j * X[:, 1]) * np.exp(-0.5j * (heading[1:] + heading[:-1]))
+        heading = heading[0] + verdict.turn * (heading - heading[0])
+        p = np.cumsum(verdict.travel * steps * np.exp(0.5j * (heading[1:] + heading[:-1])))
+        X[1:, 0], X[1:, 1], X[:, 2] = X[0, 0] + p.real, X[0, 1] + p.imag, se2.wrap_angle(heading)
+        speeds = np.array([verdict.travel, verdict.turn])
+        odometry = tuple(replace(one, X_OB=x, V_B=speeds * one.V_B) for one, x in zip(odometry, X, strict=True))
+    if verdict.yaw or verdict.lag:
+        scans = tuple(_turned(replace(one, stamp=one.stamp - verdict.lag), verdict.yaw) for one in scans)
+    return odometry, scans
+
+
+def _turned(scan: LaserScan, yaw: float) -> LaserScan:
+    if not yaw:
+        return scan
+    angles = se2.wrap_angle(scan.angles + yaw)
+    order = np.argsort(angles, kind="stable")
+    return replace(scan, angles=angles[order], ranges=scan.ranges[order])
+
+
+def contradictions(found: Comparison) -> FloatArray:
+    """Stretches (k, 2) of time, s by the scans' clock, in which the odometry contradicts the scans."""
+    begin, end = found.begin[found.contradicts], found.end[found.contradicts]
+    apart = begin[1:] > end[:-1]
+    return (
+        np.column_stack([begin[np.append(True, apart)], end[np.append(apart, True)]])
+        if len(begin)
+        else np.zeros((0, 2))
+    )
+
+
+def bridged(
+    scans: Sequence[LaserScan], begin: float, end: float, X_guess: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """The way from begin to end, s, by scans one after the other: stamps (k,) from begin to end, poses (k, 3) in that
+    at begin, and the covariance (3, 3) of the last. X_guess: (3,) what the whole way is guessed to be. None where the
+    scans do not tell it."""
+    stamps = [one.stamp for one in scans]
+    first, last = bisect.bisect_right(stamps, begin) - 1, bisect.bisect_left(stamps, end)
+    if first < 0 or last >= len(scans) or end <= begin:
+        return None
+    near = scans[first : last + 1]
+    X, covariance, poses = np.zeros(3), np.zeros((3, 3)), [np.zeros(3)]
+    velocity = X_guess / (end - begin)
+    for before, after in itertools.pairwise(near):
+        duration = after.stamp - before.stamp
+        one = match(before, after, velocity * duration) if duration < TOO_FAR else None
+        if one is None:
+            return None
+        velocity = one.X / duration
+        covariance = _composed(X, covariance, one)
+        X = se2.compose(X, one.X)
+        poses.append(X)
+    if np.sqrt(np.diagonal(covariance)).max() > 0.15:
+        return None
+    known = np.array([one.stamp for one in near])
+    at = np.concatenate([[begin], known[(known > begin) & (known < end)], [end]])
+    heading = np.unwrap([pose[2] for pose in poses])
+    values = (np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), heading)
+    way = np.column_stack([np.interp(at, known, value) for value in values])
+    return at, se2.between(way[0], way), covariance
+
+
+def _composed(X: FloatArray, covariance: FloatArray, step: Matched) -> FloatArray:
+    """The covariance (3, 3) of X composed with a step."""
+    c, s = math.cos(X[2]), math.sin(X[2])
+    on_X = np.eye(3)
+    on_X[:2, 2] = -s * step.X[0] - c * step.X[1], c * step.X[0] - s * step.X[1]
+    on_step = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(on_X @ covariance @ on_X.T + on_step @ step.covariance @ on_step.T)
