@@ -27,8 +27,8 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 
 # Odometry that comes seldom is silent after so many of its periods.
 PERIODS = 5.0
-# Odometry of which more than this share is not believed is wrong all along.
-OFTEN = 0.02
+# Odometry that jumps more often than so many times, and than with this share of its messages, is wrong all along.
+FEW, OFTEN = 5, 0.02
 # Scans that stay equal for longer than this, s, while the odometry moves so far (m, rad) are frozen.
 FROZEN, MOVED = 1.0, 0.1
 # Notes of one kind that are taken one by one.
@@ -65,7 +65,7 @@ def believed(recording: Recording) -> Recording:
     odometry, doubts = watched(told, silence)
     if scans:
         scans = _moving(scans, odometry, notes)
-        often = sum(doubt.note.kind == "jump" for doubt in doubts) > OFTEN * len(odometry)
+        often = _often(doubts, odometry)
         found = compare(told if often else odometry, scans, recording.mount_known)
         verdict = judged(found)
         if verdict.refusal:
@@ -75,10 +75,9 @@ def believed(recording: Recording) -> Recording:
         if often:
             odometry, doubts = watched(odometry, silence)
         doubts = sorted(doubts + _contradicted(odometry, contradictions(found) - found.lag), key=lambda one: one.begin)
-    jumps = [doubt.note for doubt in doubts if doubt.note.kind == "jump"]
-    if len(jumps) > OFTEN * len(odometry):
-        times = f"odometry jumps {len(jumps)} times, first at {jumps[0].time_s:.2f} s"
-        raise DatasetError(f"{recording.name}: {times}; see its units, m and rad, and its clock")
+    if _often(doubts, odometry):
+        jumps = f"odometry jumps {len(doubts)} times, first at {doubts[0].note.time_s:.2f} s"
+        raise DatasetError(f"{recording.name}: {jumps}; see its units, m and rad, and its clock")
     odometry, scans = _bridged(recording, odometry, scans, doubts, notes)
     if recording.scans and len(scans) < 2:
         raise DatasetError(f"{recording.name}: fewer than two scans while there is odometry; record both at once")
@@ -87,6 +86,11 @@ def believed(recording: Recording) -> Recording:
         return recording
     nothing = np.empty(0)
     return replace(recording, odometry=odometry, scans=scans, odometry_arrivals=nothing, scan_arrivals=nothing)
+
+
+def _often(doubts: Sequence[Doubt], odometry: Sequence[Odometry]) -> bool:
+    """Whether odometry jumps all along."""
+    return sum(doubt.note.kind == "jump" for doubt in doubts) > max(FEW, OFTEN * len(odometry))
 
 
 def watched(told: Sequence[Odometry], silence: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:

@@ -54,13 +54,13 @@ def steady(stamps: FloatArray, arrivals: FloatArray, what: str) -> tuple[FloatAr
         begin = float(stamps[0])
         return arrivals - arrivals[0] + begin, (Note("clock", begin, f"{times}; the recorder's serves"),)
     times, notes = stamps.copy(), []
-    for begin, end in zip(begins, [*begins[1:], len(stamps)], strict=True):
+    for begin, end in zip(begins, [*begins, len(stamps)][1:], strict=True):
         before, after = slice(max(0, begin - NEAR), begin), slice(begin, min(end, begin + NEAR))
         if len(arrivals):
             times[begin:end] += np.min((arrivals - stamps)[after]) - np.min((arrivals - times)[before])
         else:
             times[begin:end] += np.max(times[before]) + period - stamps[begin]
-        jump = float(stamps[begin] - stamps[begin - 1])
+        jump = float((stamps - times)[begin] - (stamps - times)[begin - 1])
         notes.append(Note("clock", float(times[begin]), f"the clock of {what} jumps by {jump:.1f} s; time goes on"))
     return times, tuple(notes)
 
@@ -74,7 +74,7 @@ def together(
     Raises:
         DatasetError: the clocks differ and there are no arrivals.
     """
-    odometry, scans = times
+    scans = times[1]
     if all(len(one) for one in arrivals):
         behind = [float(np.median(at - time)) for at, time in zip(arrivals, times, strict=True)]
         apart = behind[1] - behind[0]
@@ -106,13 +106,15 @@ def _set(stamps: FloatArray, arrivals: FloatArray, period: float) -> list[int]:
     told = arrivals.tolist()
     for number, stamp in enumerate(stamps.tolist()):
         offset = told[number] - stamp if told else 0.0
-        if recent and stamp < recent[-1]:
+        if not recent:
+            jumps = False
+        elif stamp < recent[-1]:
             at = bisect.bisect_left(recent, stamp)
             jumps = recent[at] - recent[at - 1] < HOLE * period if at else recent[0] - stamp > JUMP
         elif told:
             jumps = offset < least - JUMP
         else:
-            jumps = bool(recent) and stamp - recent[-1] > PAUSE
+            jumps = stamp - recent[-1] > PAUSE
         if jumps:
             begins.append(number)
             recent.clear()
