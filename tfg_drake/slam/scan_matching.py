@@ -24,7 +24,7 @@ from tfg_drake.slam.scan_matching_kernels import normals, searched
 # Rays that count, of a finer scan; so few are too few.
 RAYS, FEWEST = 360, 20
 # Share of the rays that fit, of those that are in view of both, and that so many deviations away as many fit.
-SHARE, RIVAL, DISTINCT = 0.5, 0.97, 6.0
+SHARE, RIVAL, DISTINCT = 0.5, 0.93, 6.0
 # A fit is believed to so many of its rays' variances, for neighbours have errors in common; to no less than this, m and
 # rad, and where nothing tells to no more than this, m.
 COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
@@ -282,7 +282,9 @@ def _ways(scans: Sequence[LaserScan]) -> tuple[FloatArray, FloatArray, FloatArra
     seen = surface(chosen[0]) if chosen else np.zeros((0, 6))
     for before, after in itertools.pairwise(chosen):
         was, seen, duration = seen, surface(after), after.stamp - before.stamp
-        one = _matched(was, seen, speed * duration) if duration < TOO_FAR else None
+        # It may have begun or ceased to turn.
+        guess = speed * duration * [1.0, 1.0, 0.5]
+        one = _matched(was, seen, guess) if duration < TOO_FAR else None
         speed = np.zeros(3) if one is None else one.X / duration
         rows.append((before.stamp, after.stamp, *(unknown if one is None else (one.X, one.covariance))))
     begin, end, X, covariance = zip(*rows, strict=True) if rows else ((), (), (), ())
