@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, message, replace
 from tfg_drake.notes import Note
-from tfg_drake.slam.scan_matching_kernels import normals, searched
+from tfg_drake.slam.scan_matching_kernels import fitting, normals, searched
 
 # Rays that count, of a finer scan; so few are too few.
 RAYS, FEWEST = 360, 20
@@ -29,6 +29,9 @@ SHARE, RIVAL, DISTINCT = 0.5, 0.93, 6.0
 # rad, and where nothing tells to no more than this, m.
 COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
 
+# Where the turn is known no better, rad, what is known of the way is no Gaussian.
+MOST_DEVIATION = 0.1
+
 # Two scans that are compared are so far apart, s.
 APART, TOO_FAR = 0.35, 2.0
 # Clocks are compared up to so much before or after each other, s.
@@ -37,12 +40,16 @@ MOST_LAG, LAG_STEP = 1.2, 0.04
 MOST_PAIRS = 1000
 # Errors of a turn (rad) and of a way (m) of odometry within APART, and as a share of it.
 TURN_ERROR, WAY_ERROR, SHARE_ERROR = 0.006, 0.008, 0.02
-# Errors of more than so many deviations count less and less. A lever of the scanner is about so long, m.
-ROBUST, LEVER = 2.5, 0.2
+# Errors of more than so many deviations count less and less.
+ROBUST = 2.5
+# What is known of the way's factor and of the scanner's lever, some 0.2 m, beforehand: information.
+LEVER_PRIOR = np.array([1e-6, 1e-6, 0.2**-2, 0.2**-2])
 # What moves, m and rad, in APART. By so many deviations something is sure.
 MOVES, SURELY = (0.05, 0.05), 5.0
 # A pair contradicts the odometry from this on, m and rad.
 CONTRADICTS = (0.1, 0.1)
+# What contradicts it again so soon, s, does so all the time.
+ONE_STRETCH = 1.0
 # So many pairs that move tell something; where fewer than this share are explained nothing explains them.
 PAIRS, EXPLAINED = 12, 0.5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
@@ -183,112 +190,110 @@ class _Pairs:
     X: FloatArray
     covariance: FloatArray
 
-    def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust]:
+    def of(self, which: NDArray[np.integer]) -> _Pairs:
+        """Some of them."""
+        return _Pairs(self.begin[which], self.end[which], self.X[which], self.covariance[which])
+
+    def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust, FloatArray]:
         """How turns, and how ways are explained if the scans' clock is ahead by the lag, s: x is the factor (1,) of the
-        turn; and (4,) real and imaginary part of the way's factor and of the lever by which the scanner sits off, m."""
+        turn; and (4,) real and imaginary part of the way's factor and of the lever by which the scanner sits off, m.
+        And X (n, 3) as it should be by that."""
         chord, turned = way.moved(self.begin - lag, self.end - lag)
         turn = self.X[:, 2]
         scale = 1.0 / np.sqrt(self.covariance[:, 2, 2] + TURN_ERROR**2 + (SHARE_ERROR * turn) ** 2)
         of_turn = _robust((turned * scale)[:, None, None], (turn * scale)[:, None], np.array([1e-6]))
-        ahead, lever = chord * np.exp(0.5j * turn), np.exp(1j * turn) - 1.0
-        A = np.array(
-            [[ahead.real, -ahead.imag, lever.real, -lever.imag], [ahead.imag, ahead.real, lever.imag, lever.real]]
-        )
-        square = WAY_ERROR**2 + (SHARE_ERROR**2) * (self.X[:, :2] ** 2).sum(axis=1)
+        p, q = chord * np.exp(0.5j * turn), np.exp(1j * turn) - 1.0
+        A = np.array([[p.real, -p.imag, q.real, -q.imag], [p.imag, p.real, q.imag, q.real]]).transpose(2, 0, 1)
+        square = WAY_ERROR**2 + SHARE_ERROR**2 * (self.X[:, :2] ** 2).sum(axis=1)
         spread = self.covariance[:, :2, :2] + square[:, None, None] * np.eye(2)
         whitened = np.linalg.inv(np.linalg.cholesky(spread))
-        y = (whitened @ self.X[:, :2, None])[:, :, 0]
-        of_way = _robust(whitened @ A.transpose(2, 0, 1), y, np.array([1e-6, 1e-6, LEVER**-2, LEVER**-2]))
-        return of_turn, of_way
+        of_way = _robust(whitened @ A, (whitened @ self.X[:, :2, None])[:, :, 0], LEVER_PRIOR)
+        return of_turn, of_way, np.column_stack([A @ of_way.x, turned * of_turn.x[0]])
 
     def cost(self, way: _Way, lag: float) -> float:
         """Of all of them by a lag, s."""
-        return sum(fit.cost for fit in self.fits(way, lag))
+        return sum(fit.cost for fit in self.fits(way, lag)[:2])
+
+    def lag(self, way: _Way) -> tuple[float, float]:
+        """The lag that explains them best, and its deviation, s."""
+        lag, step = 0.0, LAG_STEP
+        for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
+            lags = lag + step * np.arange(-reach, reach + 1)
+            lag = float(lags[int(np.argmin([self.cost(way, one) for one in lags]))])
+            step *= 0.25
+        h = 1.5 * LAG_STEP
+        bend = (self.cost(way, lag - h) - 2.0 * self.cost(way, lag) + self.cost(way, lag + h)) / h**2
+        return lag, math.sqrt(2.0 / bend) if bend > 0.0 else math.inf
 
 
 def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
     """What scans say of the odometry; both in the order of their stamps. mount_known: whether the bearings of the scans
     are those in the body frame; else they may be the scanner's own."""
-    begin, end, X, covariance = _ways(scans)
-    nothing = Comparison(begin, end, X, covariance, np.zeros(len(begin), dtype=np.bool_), mount_known)
-    matched = np.isfinite(X[:, 0])
-    if len(odometry) < 2 or matched.sum() < PAIRS:
-        return nothing
-    way = _Way(odometry)
-    used = matched & way.tells(begin - MOST_LAG, end + MOST_LAG)
-    if used.sum() < PAIRS:
-        return nothing
-    every = slice(None, None, math.ceil(used.sum() / MOST_PAIRS))
-    some = _Pairs(*(value[used][every] for value in (begin, end, X, covariance)))
-    lag, step = 0.0, LAG_STEP
-    for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
-        lags = lag + step * np.arange(-reach, reach + 1)
-        costs = [some.cost(way, one) for one in lags]
-        lag, step = float(lags[int(np.argmin(costs))]), 0.25 * step
-    lag = float(np.clip(lag, -MOST_LAG, MOST_LAG))
-    h = 1.5 * LAG_STEP
-    bend = (some.cost(way, lag - h) - 2.0 * some.cost(way, lag) + some.cost(way, lag + h)) / h**2
-    told = matched & way.tells(begin - lag, end - lag)
-    pairs = _Pairs(*(value[told] for value in (begin, end, X, covariance)))
-    of_turn, of_way = pairs.fits(way, lag)
-    chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
-    a, b = of_way.x[:2]
-    travel, turn = math.hypot(a, b), float(of_turn.x[0])
-    # Of the medians of one and of two normal numbers.
-    scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
-    spread = np.linalg.inv(of_way.information)[:2, :2]
-    along, across = np.array([a, b]) / travel, np.array([-b, a]) / travel
-    deviations = scatter * np.array(
-        [
-            float(of_turn.information[0, 0]) ** -0.5,
-            math.sqrt(along @ spread @ along),
-            math.sqrt(2.0 / bend) if bend > 0.0 else math.inf,
-            math.sqrt(across @ spread @ across) / travel,
-        ]
-    )
-    sigma = np.sqrt(pairs.covariance[:, [0, 1, 2], [0, 1, 2]])
-    scanned = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
-    told_way, told_turn = np.abs(chord), np.abs(turned)
-    travels = (np.maximum(scanned[0], told_way) > MOVES[0]) & (sigma[:, :2].max(axis=1) < 0.2 * MOVES[0])
-    turns = (np.maximum(scanned[1], told_turn) > MOVES[1]) & (sigma[:, 2] < 0.2 * MOVES[1])
-    contradicts = np.zeros(len(begin), dtype=np.bool_)
-    residual = np.abs(pairs.X[:, 2] - turn * turned)
-    way_residual = of_way.off * np.sqrt(sigma[:, :2].max(axis=1) ** 2 + WAY_ERROR**2)
-    contradicts[told] = ((of_turn.off > SURELY) & (residual > CONTRADICTS[1])) | (
-        (of_way.off > SURELY) & (way_residual > CONTRADICTS[0])
-    )
-    return replace(
-        nothing,
-        turn=turn,
-        travel=travel,
-        lag=lag,
-        yaw=-math.atan2(b, a),
-        deviations=deviations,
-        contradicts=contradicts,
-        turning=np.array([turns.sum(), (turns & (of_turn.off < SURELY)).sum()], dtype=float),
-        travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
-        stands=bool(told_way.sum() < 0.1 * scanned[0].sum() and told_turn.sum() < 0.1 * scanned[1].sum()),
-    )
-
-
-def _ways(scans: Sequence[LaserScan]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """begin, end, X and covariance of `Comparison`, matched without any odometry."""
     chosen = list(scans[:1])
     for scan in scans[1:]:
         if scan.stamp - chosen[-1].stamp >= APART:
             chosen.append(scan)
-    rows: list[tuple[float, float, FloatArray, FloatArray]] = []
-    unknown, speed = (np.full(3, np.nan), np.full((3, 3), np.nan)), np.zeros(3)
-    seen = surface(chosen[0]) if chosen else np.zeros((0, 6))
-    for before, after in itertools.pairwise(chosen):
-        was, seen, duration = seen, surface(after), after.stamp - before.stamp
+    every = _ways(chosen)
+    contradicts = np.zeros(len(every.begin), dtype=np.bool_)
+    nothing = Comparison(every.begin, every.end, every.X, every.covariance, contradicts, mount_known)
+    matched = every.covariance[:, 2, 2] < MOST_DEVIATION**2
+    if len(odometry) < 2 or matched.sum() < PAIRS:
+        return nothing
+    way = _Way(odometry)
+    used = np.flatnonzero(matched & way.tells(every.begin - MOST_LAG, every.end + MOST_LAG))
+    if len(used) < PAIRS:
+        return nothing
+    lag, of_lag = every.of(used[:: math.ceil(len(used) / MOST_PAIRS)]).lag(way)
+    told = np.flatnonzero(matched & way.tells(every.begin - lag, every.end - lag))
+    pairs = every.of(told)
+    of_turn, of_way, predicted = pairs.fits(way, lag)
+    # Of the medians of one and of two normal numbers.
+    scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
+    a, b = of_way.x[:2]
+    travel = math.hypot(a, b)
+    radial = np.array([[a, b], [-b, a]]) / travel
+    of_travel, of_yaw = np.sqrt(np.diagonal(radial @ np.linalg.inv(of_way.information)[:2, :2] @ radial.T))
+    of_scale = float(of_turn.information[0, 0]) ** -0.5
+    off = np.abs(pairs.X - predicted)
+    off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
+    far = np.hypot(off[:, 0], off[:, 1]) > CONTRADICTS[0]
+    for k in np.flatnonzero((far & (of_way.off > SURELY)) | ((off[:, 2] > CONTRADICTS[1]) & (of_turn.off > SURELY))):
+        # Is it so, or does as much fit where the odometry has it?
+        before, after = (surface(scan) for scan in chosen[told[k] : told[k] + 2])
+        contradicts[told[k]] = fitting(before, after, predicted[k]) < RIVAL * fitting(before, after, pairs.X[k].copy())
+    chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
+    sigma = np.sqrt(np.diagonal(pairs.covariance, axis1=1, axis2=2)).reshape(-1, 3)
+    lengths, turns = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
+    travels = (np.maximum(lengths, np.abs(chord)) > MOVES[0]) & (np.maximum(sigma[:, 0], sigma[:, 1]) < 0.2 * MOVES[0])
+    turning = (np.maximum(turns, np.abs(turned)) > MOVES[1]) & (sigma[:, 2] < 0.2 * MOVES[1])
+    return replace(
+        nothing,
+        turn=float(of_turn.x[0]),
+        travel=travel,
+        lag=lag,
+        yaw=-math.atan2(b, a),
+        deviations=scatter * np.array([of_scale, of_travel, of_lag, of_yaw / travel]),
+        contradicts=contradicts,
+        turning=np.array([turning.sum(), (turning & (of_turn.off < SURELY)).sum()], dtype=float),
+        travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
+        stands=bool(np.abs(chord).sum() < 0.1 * lengths.sum() and np.abs(turned).sum() < 0.1 * turns.sum()),
+    )
+
+
+def _ways(scans: Sequence[LaserScan]) -> _Pairs:
+    """Each of the scans matched with the next, without any odometry; nan where they do not match."""
+    n = max(len(scans) - 1, 0)
+    stamps = np.array([one.stamp for one in scans])
+    X, covariance, speed = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(3)
+    seen = surface(scans[0]) if n else np.zeros((0, 6))
+    for k, scan in enumerate(scans[1:]):
+        was, seen, duration = seen, surface(scan), stamps[k + 1] - stamps[k]
         # It may have begun or ceased to turn.
-        guess = speed * duration * [1.0, 1.0, 0.5]
-        one = _matched(was, seen, guess) if duration < TOO_FAR else None
+        one = _matched(was, seen, speed * duration * [1.0, 1.0, 0.5]) if duration < TOO_FAR else None
         speed = np.zeros(3) if one is None else one.X / duration
-        rows.append((before.stamp, after.stamp, *(unknown if one is None else (one.X, one.covariance))))
-    begin, end, X, covariance = zip(*rows, strict=True) if rows else ((), (), (), ())
-    return np.array(begin), np.array(end), np.array(X).reshape(-1, 3), np.array(covariance).reshape(-1, 3, 3)
+        if one is not None:
+            X[k], covariance[k] = one.X, one.covariance
+    return _Pairs(stamps[:-1], stamps[1:], X, covariance)
 
 
 def judged(found: Comparison) -> Verdict:
@@ -355,8 +360,8 @@ def _refusal(found: Comparison) -> str:
             )
     if many and turns + travels < EXPLAINED * (turning + travelling):
         return (
-            f"scans and odometry contradict each other: {turns + travels:.0f} of {turning + travelling:.0f} moves agree "
-            "by any scale, clock and mount; see whether both are of one drive"
+            f"scans and odometry contradict each other: by any scale, clock and mount {turns + travels:.0f} of "
+            f"{turning + travelling:.0f} moves agree; see whether both are of one drive"
         )
     return ""
 
@@ -391,12 +396,10 @@ def _turned(scan: LaserScan, yaw: float) -> LaserScan:
 def contradictions(found: Comparison) -> FloatArray:
     """Stretches (k, 2) of time, s by the scans' clock, in which the odometry contradicts the scans."""
     begin, end = found.begin[found.contradicts], found.end[found.contradicts]
-    apart = begin[1:] > end[:-1]
-    return (
-        np.column_stack([begin[np.append(True, apart)], end[np.append(apart, True)]])
-        if len(begin)
-        else np.zeros((0, 2))
-    )
+    if not len(begin):
+        return np.zeros((0, 2))
+    apart = begin[1:] > end[:-1] + ONE_STRETCH
+    return np.column_stack([begin[np.append(True, apart)], end[np.append(apart, True)]])
 
 
 def bridged(

@@ -20,8 +20,8 @@ REACH, SLANT, STEP, NORMAL = 0.2, 0.13, 0.08, 0.15
 COARSE, FINE, FIT = (0.6, 0.4), (0.4, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1), 0.1
 # Turns about the guess from which it is looked for, rad.
 TURNS, TURN_STEP = 9, 0.13
-# So large a share of the rays should be in view of both, and so much less is a radian beside the guess believed: of what
-# a corner shows as much fits when it is turned by a right angle.
+# So large a share of the rays should be in view of both, and so much less is a radian beside the guess believed: of
+# what a corner shows as much fits when it is turned by a right angle.
 VIEW, UNLIKELY = 0.6, 0.1
 
 
@@ -140,6 +140,14 @@ def _pulled(
         step *= 0.5 / largest
     variance = max(squares / max(weights, 1.0), 0.003**2)
     return X - step, H / variance, F / variance, fit, float(max(could, 1))
+
+
+@njit(cache=True)
+def fitting(M: FloatArray, B: FloatArray, X: FloatArray) -> float:
+    """The share of the rays of B in view of M that fit it at the pose X (3,), or a step from it."""
+    X, _, _, _, _ = _pulled(M, B, X, FIT, 1)
+    _, _, _, fit, could = _pulled(M, B, X, FIT, 1)
+    return fit / could
 
 
 @njit(cache=True)
