@@ -54,6 +54,11 @@ ONE_STRETCH = 1.0
 PAIRS, EXPLAINED = 12, 0.5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
+AGAINST = "scans turn against the odometry"
+
+# While a robot drives its scans are held against the odometry so often, s; and what contradicts it so many times in a
+# row is told. So many messages of odometry are kept for it.
+EVERY, LONG, KEPT = 2.0, 4, 128
 
 
 @message
@@ -126,7 +131,8 @@ class Comparison:
 @message
 class Verdict:
     """What to correct: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
-    bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or ""."""
+    bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or "".
+    against: it is that the scans turn the other way."""
 
     turn: float = 1.0
     travel: float = 1.0
@@ -134,6 +140,12 @@ class Verdict:
     yaw: float = 0.0
     notes: tuple[Note, ...] = ()
     refusal: str = ""
+    against: bool = False
+
+    @property
+    def lines(self) -> list[str]:
+        """What somebody can mend, a line each."""
+        return [self.refusal] if self.refusal else [note.text for note in self.notes]
 
 
 class _Way:
@@ -250,17 +262,12 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
     # Of the medians of one and of two normal numbers.
     scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
     a, b = of_way.x[:2]
-    travel = math.hypot(a, b)
+    travel = max(math.hypot(a, b), 1e-6)
     radial = np.array([[a, b], [-b, a]]) / travel
     of_travel, of_yaw = np.sqrt(np.diagonal(radial @ np.linalg.inv(of_way.information)[:2, :2] @ radial.T))
     of_scale = float(of_turn.information[0, 0]) ** -0.5
-    off = np.abs(pairs.X - predicted)
-    off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
-    far = np.hypot(off[:, 0], off[:, 1]) > CONTRADICTS[0]
-    for k in np.flatnonzero((far & (of_way.off > SURELY)) | ((off[:, 2] > CONTRADICTS[1]) & (of_turn.off > SURELY))):
-        # Is it so, or does as much fit where the odometry has it?
-        before, after = (surface(scan) for scan in chosen[told[k] : told[k] + 2])
-        contradicts[told[k]] = fitting(before, after, predicted[k]) < RIVAL * fitting(before, after, pairs.X[k].copy())
+    for k, predict in zip(told, predicted, strict=True):
+        contradicts[k] = _contradicted(chosen[k], chosen[k + 1], every.X[k], every.covariance[k], predict)
     chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
     sigma = np.sqrt(np.diagonal(pairs.covariance, axis1=1, axis2=2)).reshape(-1, 3)
     lengths, turns = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
@@ -280,6 +287,23 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
     )
 
 
+def _contradicted(
+    before: LaserScan, after: LaserScan, X: FloatArray, covariance: FloatArray, predicted: FloatArray
+) -> bool:
+    """Whether the scans, which match at X (3,), cannot be so far apart as was predicted (3,)."""
+    off = X - predicted
+    off[2] = se2.wrap_angle(off[2])
+    way, turn = math.hypot(off[0], off[1]), abs(off[2])
+    if way < CONTRADICTS[0] and turn < CONTRADICTS[1]:
+        return False
+    errors = np.array([WAY_ERROR, WAY_ERROR, TURN_ERROR]) ** 2 + (SHARE_ERROR * X) ** 2
+    if off @ np.linalg.solve(covariance + np.diag(errors), off) < SURELY**2:
+        return False
+    # There as much may fit.
+    seen = surface(before), surface(after)
+    return bool(fitting(*seen, predicted.copy()) < RIVAL * fitting(*seen, X.copy()))
+
+
 def _ways(scans: Sequence[LaserScan]) -> _Pairs:
     """Each of the scans matched with the next, without any odometry; nan where they do not match."""
     n = max(len(scans) - 1, 0)
@@ -296,51 +320,46 @@ def _ways(scans: Sequence[LaserScan]) -> _Pairs:
     return _Pairs(stamps[:-1], stamps[1:], X, covariance)
 
 
-def judged(found: Comparison) -> Verdict:
-    """What of it is beyond doubt, and more than is learnt with the map anyway."""
+def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
+    """What of it is beyond doubt, and more than is learnt with the map anyway; a lag is from least_lag, s, on."""
     turn, travel, lag, yaw = found.turn, found.travel, found.lag, found.yaw
     refusal = _refusal(found)
     if refusal:
-        return Verdict(refusal=refusal)
+        return Verdict(refusal=refusal, against=refusal.startswith(AGAINST))
     time = float(found.begin[0]) if len(found.begin) else 0.0
     turns, travels = found.turning[1] >= PAIRS, found.travelling[1] >= PAIRS
     sure = SURELY * found.deviations
-    verdict, notes = Verdict(), []
+    verdict, told = Verdict(), {}
     if turns and abs(turn - 1.0) > max(LEAST_SCALE, sure[0]):
         verdict = replace(verdict, turn=turn)
-        notes.append(Note("turn_scale", time, f"scans turn {turn:.3g} times as far as the odometry; it is corrected"))
+        told["turn_scale"] = (
+            f"scans turn {turn:.3g} times as far as the odometry: see its gyro, or its wheels' distance"
+        )
     if travels and abs(travel - 1.0) > max(LEAST_SCALE, sure[1]):
         verdict = replace(verdict, travel=travel)
-        notes.append(
-            Note("travel_scale", time, f"scans travel {travel:.3g} times as far as the odometry; it is corrected")
-        )
-    if (turns or travels) and abs(lag) > max(LEAST_LAG, sure[2]):
+        told["travel_scale"] = f"scans travel {travel:.3g} times as far as the odometry: see its wheels' radius"
+    if (turns or travels) and abs(lag) > max(least_lag, sure[2]):
         verdict = replace(verdict, lag=lag)
         way = "ahead of" if lag > 0.0 else "behind"
-        notes.append(Note("lag", time, f"the scans' clock is {abs(lag):.2f} s {way} the odometry's; it is corrected"))
+        told["lag"] = f"the scans' clock is {abs(lag):.2f} s {way} the odometry's: see how both are stamped"
     if travels and abs(yaw) > max(LEAST_YAW, sure[3]):
         verdict = replace(verdict, yaw=yaw)
         degrees = math.degrees(yaw)
-        notes.append(
-            Note(
-                "mount_yaw", time, f"the scanner looks {degrees:.1f} degrees to the left of where it was taken to look"
-            )
-        )
-    return replace(verdict, notes=tuple(notes))
+        told["mount_yaw"] = f"the scanner looks {degrees:.1f} degrees farther to the left than was said: see its mount"
+    return replace(verdict, notes=tuple(Note(kind, time, text) for kind, text in told.items()))
 
 
 def _refusal(found: Comparison) -> str:
     """Why nothing can be made of odometry and scans, "" where something can."""
     (turning, turns), (travelling, travels) = found.turning, found.travelling
     sure = SURELY * found.deviations
-    many = max(turning, travelling) >= PAIRS
-    if many and found.stands:
+    if max(turning, travelling) >= PAIRS and found.stands:
         return "the odometry stands while the scans move: it tells nothing of the way; record odometry that moves"
     if turning >= PAIRS and turns >= EXPLAINED * turning:
         if found.turn + sure[0] < -0.1:
             return (
-                f"scans turn against the odometry ({found.turn:.2f} times as far): the scanner is mounted upside "
-                "down or mirrored, or the wheels are; --set hardware.scanner.flip=true if it is the scanner"
+                f"{AGAINST} ({found.turn:.2f} times as far): the scanner is mounted upside down or mirrored, or the "
+                "wheels are; --set hardware.scanner.flip=true if it is the scanner"
             )
         if abs(found.turn) + sure[0] < 0.15:
             return (
@@ -358,11 +377,12 @@ def _refusal(found: Comparison) -> str:
                 "scans travel backwards where the odometry travels ahead: the scanner looks back, or the wheels are "
                 "mirrored; --set hardware.scanner.yaw=3.1416 if it is the scanner"
             )
-    if many and turns + travels < EXPLAINED * (turning + travelling):
-        return (
-            f"scans and odometry contradict each other: by any scale, clock and mount {turns + travels:.0f} of "
-            f"{turning + travelling:.0f} moves agree; see whether both are of one drive"
-        )
+    for name, moves, explained in (("turns", turning, turns), ("moves", travelling, travels)):
+        if moves >= PAIRS and explained < EXPLAINED * moves:
+            return (
+                f"scans and odometry contradict each other: by any scale, clock and mount {explained:.0f} of "
+                f"{moves:.0f} {name} agree; see whether both are of one drive"
+            )
     return ""
 
 
@@ -441,3 +461,34 @@ def _composed(X: FloatArray, covariance: FloatArray, step: Matched) -> FloatArra
     on_X[:2, 2] = -s * step.X[0] - c * step.X[1], c * step.X[0] - s * step.X[1]
     on_step = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(on_X @ covariance @ on_X.T + on_step @ step.covariance @ on_step.T)
+
+
+@message
+class Watch:
+    """The scans of a robot that drives, held against its odometry now and then. way: the newest odometry. before: the
+    scan that the next match begins with, done: whether that was made. doubts: how many in a row contradict."""
+
+    way: tuple[Odometry, ...] = ()
+    before: LaserScan | None = None
+    done: bool = False
+    doubts: int = 0
+
+
+def watched(watch: Watch, odometry: Odometry, scan: LaserScan) -> tuple[Watch, bool]:
+    """The watch with the newest messages, and whether the two have contradicted each other for long: that is told once,
+    and anew when they have agreed."""
+    way, before, doubts = watch.way, watch.before, watch.doubts
+    if not way or odometry.stamp > way[-1].stamp:
+        way = (*way, odometry)[-KEPT:]
+    after = 0.0 if before is None else scan.stamp - before.stamp
+    if before is None or after > (EVERY if watch.done else TOO_FAR):
+        return replace(watch, way=way, before=scan, done=False), False
+    if watch.done or after < APART or len(way) < 2 or way[-1].stamp < scan.stamp or way[0].stamp > before.stamp:
+        return replace(watch, way=way), False
+    one = match(before, scan)
+    if one is not None and one.covariance[2, 2] < MOST_DEVIATION**2:
+        chord, turned = (value[0] for value in _Way(way).moved(np.array([before.stamp]), np.array([scan.stamp])))
+        chord *= np.exp(0.5j * turned)
+        predicted = np.array([chord.real, chord.imag, turned])
+        doubts = doubts + 1 if _contradicted(before, scan, one.X, one.covariance, predicted) else 0
+    return replace(watch, way=way, done=True, doubts=doubts), doubts == LONG and doubts > watch.doubts
