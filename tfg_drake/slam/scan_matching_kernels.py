@@ -20,6 +20,9 @@ REACH, SLANT, STEP, NORMAL = 0.2, 0.13, 0.08, 0.15
 COARSE, FINE, FIT = (0.6, 0.4), (0.4, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1), 0.1
 # Turns about the guess from which it is looked for, rad.
 TURNS, TURN_STEP = 9, 0.13
+# So large a share of the rays should be in view of both, and so much less is a radian beside the guess believed: of
+# what a corner shows as much fits when it is turned by a right angle.
+VIEW, UNLIKELY = 0.6, 0.1
 
 
 @njit(cache=True)
@@ -140,6 +143,14 @@ def _pulled(
 
 
 @njit(cache=True)
+def fitting(M: FloatArray, B: FloatArray, X: FloatArray) -> float:
+    """The share of the rays of B in view of M that fit it at the pose X (3,), or a step from it."""
+    X, _, _, _, _ = _pulled(M, B, X, FIT, 1)
+    _, _, _, fit, could = _pulled(M, B, X, FIT, 1)
+    return fit / could
+
+
+@njit(cache=True)
 def searched(
     M: FloatArray, B: FloatArray, X_guess: FloatArray
 ) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray, float, float]:
@@ -153,8 +164,7 @@ def searched(
             X, _, _, _, _ = _pulled(M, B, X, gate, stride)
         _, _, _, fit, could = _pulled(M, B, X, COARSE[-1], stride)
         starts[k] = X
-        # Most of them may be out of view.
-        scores[k] = fit / max(could, 0.3 * len(B) / stride) * (1.0 - 0.01 * abs(k - TURNS))
+        scores[k] = fit / max(could, VIEW * len(B) / stride) * (1.0 - UNLIKELY * abs(k - TURNS) * TURN_STEP)
     best, rival = np.zeros(3), np.zeros(3)
     H, F = np.zeros((3, 3)), np.zeros((3, 3))
     score = second = share = 0.0
@@ -167,10 +177,11 @@ def searched(
                 break
         X[2] = math.pi - (math.pi - X[2]) % (2.0 * math.pi)
         _, H_k, F_k, fit, could = _pulled(M, B, X, FIT, 1)
-        value = fit / max(could, 0.3 * len(B))
+        off = abs(math.pi - (math.pi - X[2] + X_guess[2]) % (2.0 * math.pi))
+        value = fit / max(could, VIEW * len(B)) * (1.0 - UNLIKELY * off)
         if value > score:
             rival, second = best, score
-            best, score, H, F, share = X, value, H_k, F_k, value
+            best, score, H, F, share = X, value, H_k, F_k, fit / could
         elif value > second:
             rival, second = X, value
     return best, score, H, F, rival, second, share
