@@ -476,7 +476,8 @@ def slam(
         Path,
         typer.Argument(
             help="An MR.CLAM or TagSLAM folder, a .g2o file, a laser log of CARMEN (.log) or BreezySLAM (.dat), a "
-            "ROS bag (its folder, .mcap, .db3, .bag) with scans and odometry or, with --calibration, a video or folder of images."
+            "ROS bag (its folder, .mcap, .db3, .bag) with scans and odometry or, with --calibration, a video or folder "
+            "of images."
         ),
     ],
     robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
