@@ -476,7 +476,8 @@ def slam(
         Path,
         typer.Argument(
             help="An MR.CLAM or TagSLAM folder, a .g2o file, a laser log of CARMEN (.log) or BreezySLAM (.dat), a "
-            "ROS 2 bag (.mcap) with scans and odometry or, with --calibration, a video or folder of images."
+            "ROS bag (its folder, .mcap, .db3, .bag) with scans and odometry or, with --calibration, a video or folder "
+            "of images."
         ),
     ],
     robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
@@ -513,9 +514,6 @@ def slam(
     for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--method", method)):
         if is_video and value is not None:
             _bad_input(f"{name} {value}: is for laser logs; leave it out")
-    for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--robot", robot)):
-        if dataset.suffix == ".mcap" and value is not None:
-            _bad_input(f"{name} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
     if seed is not None and seed < 0:
         _bad_input(f"--seed {seed}: must be 0 or more")
     check_positive("--tag-size", tag_size, "m")
@@ -527,13 +525,17 @@ def slam(
         from tfg_drake.datasets.load import load_dataset
         from tfg_drake.diagrams.commands import slam as slam_command
         from tfg_drake.hardware.ros.bag import load_bag
+        from tfg_drake.hardware.ros.bag_files import is_bag
 
+        for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--robot", robot)):
+            if value is not None and is_bag(dataset):
+                _bad_input(f"{name} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
         progress = slam_command.Progress(show, interruption)
         with complaining(out):
             load: Callable[[Path], Any]
             if calibration is not None and tag_size is not None:
                 load = video_loader(calibration, tag_size, mount, odometry, progress.say)
-            elif dataset.suffix == ".mcap":
+            elif is_bag(dataset):
                 load = load_bag
             else:
                 load = functools.partial(load_dataset, robot=robot, noise=odometry_noise, seed=seed)

@@ -121,7 +121,7 @@ def run_slam(
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
         for note in loaded.notes:
-            _log.info("%s", note)
+            _log.info("%s", note.text)
         if isinstance(loaded, PoseGraph):
             figures = _solve_graph(loaded, dataset, name, folder.path, report)
         elif is_log:
@@ -229,7 +229,7 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
         "calibration": smoothed.calibration.tolist(),
         "online_cpu_s": middle - start,
         "batch_cpu_s": end - middle,
-        "notes": [*recording.notes, *landmarks.notes],
+        "notes": [*(note.text for note in recording.notes), *landmarks.notes],
     }
 
 
@@ -270,7 +270,7 @@ def _map_log(recording: Recording, folder: Path, method: str, seed: int, report:
         "wall_thickness_m": _number(wall_thickness(met)),
         "walls_mapped": mapped,
         "online_cpu_s": cpu,
-        "notes": [*recording.notes],
+        "notes": [note.text for note in recording.notes],
     }
 
 
@@ -329,7 +329,7 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "calibration": None,
         "online_cpu_s": None,
         "batch_cpu_s": time.process_time() - start,
-        "notes": [*graph.notes],
+        "notes": [note.text for note in graph.notes],
     }
 
 
