@@ -38,9 +38,9 @@ class Drive(NamedTuple):
     """A recording and the truth. Times are s from the first message on, stamps those of the headers.
 
     truth: (n, 4) time, x, y, yaw. odometry: (n, 7) time recorded, stamp, x, y, yaw, speed, turn rate. scan_times:
-    (m, 2) time recorded and stamp. ranges: m arrays of ranges in the order in which the scanner counts. first, step: rad,
-    bearing of the first ray and from ray to ray. range_max: m. X_BS: (3,) where the scanner sits. mount_told: whether
-    the recording says so.
+    (m, 2) time recorded and stamp. ranges: m arrays of ranges in the order in which the scanner counts. first, step:
+    rad, bearing of the first ray and from ray to ray. range_max: m. X_BS: (3,) where the scanner sits. mount_told:
+    whether the recording says so.
     """
 
     truth: FloatArray
@@ -70,7 +70,7 @@ def drive(seed: int, carmen: bool = False, yaw: float = 0.0) -> Drive:
             [row[0] + 0.002 * rng.exponential(), row[0], *said.X_OB, *(said.V_B if row[0] > 0.0 else (0.0, 0.0))]
         )
     view = math.pi if carmen else float(rng.choice([math.pi, math.radians(240), math.radians(270), 2.0 * math.pi]))
-    count = 181 if carmen else int(round(view / math.radians(rng.choice([0.5, 1.0]))))
+    count = 181 if carmen else round(view / math.radians(rng.choice([0.5, 1.0])))
     step = view / (count - 1) if view < 6.0 else view / count
     scanner = ScanConfig(range=float(rng.choice([8.0, 12.0, 20.0])), noise=rng.uniform(0.005, 0.02))
     X_BS = (

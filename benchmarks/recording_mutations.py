@@ -29,9 +29,13 @@ import recorded_drives
 from recorded_drives import Drive
 
 from tfg_drake.bad_input import BadInput
+from tfg_drake.datasets.intake import believed
+from tfg_drake.datasets.load import load_dataset
+from tfg_drake.datasets.recording import Recording
 from tfg_drake.diagrams.commands.slam import run_slam
 from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.messages import FloatArray
 from tfg_drake.notes import NoteKeeper
 
@@ -104,7 +108,7 @@ def sign(drive: Drive, rng: np.random.Generator) -> Mutated:
 
 def lag(drive: Drive, rng: np.random.Generator) -> Mutated:
     """Scans are stamped up to 1 s too early or too late."""
-    times = drive.scan_times + (0.0, rng.uniform(-1.0, 1.0))
+    times = drive.scan_times + np.array([0.0, rng.uniform(-1.0, 1.0)])
     return Mutated(drive._replace(scan_times=times), ("lag", "clock"))
 
 
@@ -246,6 +250,13 @@ def row(seed: int, good: bool) -> dict:
         "said": said,
         "cpu_s": round(cpu, 1),
     }
+
+
+def loaded(path: Path) -> Recording:
+    """A recording as far as it is believed."""
+    recording = load_bag(path) if path.suffix == ".db3" else load_dataset(path)
+    assert isinstance(recording, Recording)
+    return believed(recording)
 
 
 def _is_near(time_s: float | None, at: float) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tfg_drake.hardware.device import Message
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
-from tfg_drake.slam.odometry_rules import MOST_SPEED, MOST_TURN_RATE
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 # A stamp may be so far ahead of the host's clock, and so old when it arrives, s.
 AHEAD, OLD = 0.25, 30.0
@@ -109,7 +109,7 @@ def _odometry(message: Odometry) -> tuple[Odometry | None, dict[str, str]]:
     v, w = (float(value) for value in message.V_B)
     if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(theta) <= _HALF_TURN):
         return None, {"pose": f"pose ({x:g} m, {y:g} m, {theta:g} rad) is not plausible; check the base's driver"}
-    if not (abs(v) <= MOST_SPEED and abs(w) <= MOST_TURN_RATE):
+    if not (abs(v) <= FASTEST and abs(w) <= FASTEST_TURN):
         return None, {"speed": f"speed ({v:g} m/s, {w:g} rad/s) is not plausible; check the base's driver"}
     return message, {}
 

@@ -11,7 +11,7 @@ from typing import Any
 from tfg_drake.bad_input import not_radians
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
-from tfg_drake.slam.odometry_rules import MOST_SPEED, MOST_TURN_RATE
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 PRESETS = Path(__file__).parent / "presets"
 
@@ -149,7 +149,7 @@ DISCOVERY = ("subnet", "localhost")
 _POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
 # No number in a preset is greater; no robot's limit of speed or turn rate, m/s and rad/s.
 _GREATEST = 1e6
-_MOST = {"limits.speed": MOST_SPEED, "limits.turn_rate": MOST_TURN_RATE}
+_MOST = {"limits.speed": FASTEST, "limits.turn_rate": FASTEST_TURN}
 
 
 def load_preset(name_or_path: str | Path) -> Preset:

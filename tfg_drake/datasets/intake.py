@@ -21,7 +21,7 @@ from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
 from tfg_drake.notes import Note, take_note
-from tfg_drake.slam.odometry_rules import SILENCE, WatchedOdometry, velocity, watch
+from tfg_drake.slam.odometry_rules import LEAP, SILENCE, WatchedOdometry, velocity, watch
 from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 
@@ -31,10 +31,14 @@ PERIODS = 5.0
 FEW, OFTEN = 5, 0.02
 # Scans that stay equal for longer than this, s, while the odometry moves so far (m, rad) are frozen.
 FROZEN, MOVED = 1.0, 0.1
+# Scans farther apart than this, s, are not held against odometry: they have too little in common.
+SPARSE = 1.0
 # Notes of one kind that are taken one by one.
 MOST_NOTES = 20
-# The way by the scans and odometry that they seemed to contradict agree to this, m and rad.
-AGREES = 0.1
+# Kinds of notes after which a way is not known.
+UNKNOWN = ("jump", "silence", "slip")
+# The way by the scans agrees with odometry to this, m and rad; else that slips if they tell it at so many times.
+AGREES, MATCHES = 0.1, 4
 
 T = TypeVar("T", Odometry, LaserScan)
 
@@ -60,21 +64,22 @@ def believed(recording: Recording) -> Recording:
     told, scans = recording.odometry, recording.scans
     if not recording.detections:
         told, scans = _in_time(recording, notes)
-    steps = np.diff([one.stamp for one in told])
-    silence = max(SILENCE, PERIODS * float(np.median(steps))) if len(scans) and len(steps) else math.inf
-    odometry, doubts = watched(told, silence)
+    silence, leap = _usual(told) if scans else (math.inf, math.inf)
+    odometry, doubts = watched(told, silence, leap)
     if scans:
         scans = _moving(scans, odometry, notes)
-        often = _often(doubts, odometry)
-        found = compare(told if often else odometry, scans, recording.mount_known)
-        verdict = judged(found)
-        if verdict.refusal:
-            raise DatasetError(f"{recording.name}: {verdict.refusal}")
-        notes += verdict.notes
-        odometry, scans = corrected(told if often else odometry, scans, verdict)
-        if often:
-            odometry, doubts = watched(odometry, silence)
-        doubts = sorted(doubts + _contradicted(odometry, contradictions(found) - found.lag), key=lambda one: one.begin)
+        if float(np.median(np.diff([one.stamp for one in scans]))) < SPARSE:
+            often = _often(doubts, odometry)
+            found = compare(told if often else odometry, scans, recording.mount_known)
+            verdict = judged(found)
+            if verdict.refusal:
+                raise DatasetError(f"{recording.name}: {verdict.refusal}")
+            notes += verdict.notes
+            odometry, scans = corrected(told if often else odometry, scans, verdict)
+            if often:
+                odometry, doubts = watched(odometry, silence, leap)
+            doubts += _contradicted(odometry, contradictions(found) - found.lag)
+            doubts.sort(key=lambda one: one.begin)
     if _often(doubts, odometry):
         jumps = f"odometry jumps {len(doubts)} times, first at {doubts[0].note.time_s:.2f} s"
         raise DatasetError(f"{recording.name}: {jumps}; see its units, m and rad, and its clock")
@@ -93,11 +98,19 @@ def _often(doubts: Sequence[Doubt], odometry: Sequence[Odometry]) -> bool:
     return sum(doubt.note.kind == "jump" for doubt in doubts) > max(FEW, OFTEN * len(odometry))
 
 
-def watched(told: Sequence[Odometry], silence: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:
+def _usual(told: Sequence[Odometry]) -> tuple[float, float]:
+    """From when on odometry is silent, s, and how far a robot moves in a message at most if it is not, m."""
+    steps = np.diff([(one.stamp, *one.X_OB[:2]) for one in told], axis=0).reshape(-1, 3)
+    ways = np.hypot(steps[:, 1], steps[:, 2])
+    usual = float(np.median(ways[ways > 0.0])) if ways.any() else 0.0
+    return max(SILENCE, PERIODS * float(np.median(steps[:, 0])) if len(steps) else 0.0), max(LEAP, PERIODS * usual)
+
+
+def watched(told: Sequence[Odometry], silence: float, leap: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:
     """Odometry in order by the rules of motion (see `odometry_rules`), and where it is not believed."""
     state, passed, doubts = WatchedOdometry(), [], []
     for one in told:
-        state, believed, note = watch(state, one, silence)
+        state, believed, note = watch(state, one, silence, leap)
         passed += [] if believed is None else [believed]
         if note is not None:
             doubts.append(Doubt(max(0, len(passed) - 2), max(0, len(passed) - 1), note))
@@ -190,46 +203,53 @@ def _bridged(
     stamps = [one.stamp for one in scans]
     X_BS = recording.prior.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     way: list[Odometry] = []
-    lost: list[tuple[int, int]] = []
+    lost: list[tuple[float, float]] = []
     # The frame in which the odometry goes on, in the one that it had.
     X, done = np.zeros(3), 0
     for doubt in doubts:
-        if doubt.note.kind not in ("jump", "silence", "slip"):
-            notes.append(doubt.note)
-            continue
         first, last = max(doubt.begin, done - 1), doubt.end
-        if last < done or last == first:
+        if doubt.note.kind not in UNKNOWN or last <= first:
+            notes += [] if doubt.note.kind in UNKNOWN else [doubt.note]
             continue
         before, after = odometry[first], odometry[last]
-        guess = se2.between(before.X_OB, after.X_OB)
         near = slice(max(0, bisect.bisect_right(stamps, before.stamp) - 1), bisect.bisect_left(stamps, after.stamp) + 1)
-        bridge = bridged(scans[near], before.stamp, after.stamp, se2.compose(se2.between(X_BS, guess), X_BS))
+        at, X_BB = _by_scans(scans[near], before, after, X_BS)
+        step = se2.between(before.X_OB, after.X_OB)
+        # Two scans may be matched wrongly: all of them, one after the other, must contradict the odometry.
+        if doubt.note.kind == "slip" and (len(at) < MATCHES or np.abs(se2.between(step, X_BB[-1])).max() < AGREES):
+            continue
         way += [_moved(one, X) for one in odometry[done : first + 1]]
-        done = last + 1
-        if bridge is None:
+        begin, done = way[-1].X_OB, last + 1
+        for k in range(1, len(at)):
+            V_B = velocity(se2.between(X_BB[k - 1], X_BB[k]), float(at[k] - at[k - 1]))
+            way.append(Odometry(float(at[k]), se2.compose(begin, X_BB[k]), V_B))
+        if len(at):
+            X = se2.compose(way[-1].X_OB, se2.inverse(after.X_OB))
+        else:
             way += [_moved(one, X) for one in odometry[first + 1 : last]]
             way.append(replace(_moved(after, X), way_unknown=True, at_rest=False))
             lost.append((before.stamp, after.stamp))
-            notes.append(replace(doubt.note, text=f"{doubt.note.text}; the way is unknown there"))
-            continue
-        at, X_SS, _ = bridge
-        by_scans = se2.compose(se2.compose(X_BS, X_SS), se2.inverse(X_BS))
-        if doubt.note.kind == "slip" and np.abs(se2.between(guess, by_scans[-1])).max() < AGREES:
-            way += [_moved(one, X) for one in odometry[first + 1 : last + 1]]
-            continue
-        poses = se2.compose(way[-1].X_OB, by_scans)
-        for k in range(1, len(at)):
-            V_B = velocity(se2.between(poses[k - 1], poses[k]), float(at[k] - at[k - 1]))
-            way.append(Odometry(float(at[k]), poses[k], V_B))
-        X = se2.compose(poses[-1], se2.inverse(after.X_OB))
-        notes.append(replace(doubt.note, text=f"{doubt.note.text}; the scans tell the way there"))
+        told = "the scans tell the way there" if len(at) else "the way is unknown there"
+        notes.append(replace(doubt.note, text=f"{doubt.note.text}; {told}"))
     way += [_moved(one, X) for one in odometry[done:]]
     begins = [begin for begin, _ in lost]
     known = []
     for scan in scans:
-        at = bisect.bisect_left(begins, scan.stamp) - 1
-        known += [] if at >= 0 and scan.stamp < lost[at][1] else [scan]
+        newest = bisect.bisect_left(begins, scan.stamp) - 1
+        known += [scan] if newest < 0 or scan.stamp >= lost[newest][1] else []
     return tuple(way), tuple(known)
+
+
+def _by_scans(
+    scans: Sequence[LaserScan], before: Odometry, after: Odometry, X_BS: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Times (k,), s, from one message to another, and the body then (k, 3) in the body at the first, by scans; none
+    where these do not tell it."""
+    guess = se2.compose(se2.between(X_BS, se2.between(before.X_OB, after.X_OB)), X_BS)
+    bridge = bridged(scans, before.stamp, after.stamp, guess)
+    if bridge is None:
+        return np.empty(0), np.empty((0, 3))
+    return bridge[0], se2.compose(se2.compose(X_BS, bridge[1]), se2.inverse(X_BS))
 
 
 def _moved(one: Odometry, X: FloatArray) -> Odometry:
@@ -244,7 +264,7 @@ def _tell(notes: Sequence[Note]) -> None:
     """Takes the notes in their order, of a kind that there is often the first ones and how many there are."""
     counts = collections.Counter(one.kind for one in notes)
     told: collections.Counter[str] = collections.Counter()
-    for one in sorted(notes, key=lambda one: one.time_s):
+    for one in sorted(notes, key=lambda one: -math.inf if one.time_s is None else one.time_s):
         told[one.kind] += 1
         if told[one.kind] < MOST_NOTES:
             take_note(one.kind, one.time_s, one.text)

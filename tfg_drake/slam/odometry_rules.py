@@ -16,9 +16,9 @@ from tfg_drake.messages import FloatArray, Odometry, message, replace
 from tfg_drake.notes import Note
 
 # What no ground robot's velocity exceeds, m/s and rad/s.
-MOST_SPEED, MOST_TURN_RATE = 5.0, 20.0
+FASTEST, FASTEST_TURN = 5.0, 20.0
 # A base drives at most so fast, m/s and rad/s, or this many times as fast as it says itself.
-FASTEST, FASTEST_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
+USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
 # And so far beyond that, m and rad: stamps are late and messages get lost.
 LEAP, LEAP_TURN = 0.5, 0.5
 # Odometry cannot be reckoned over a silence longer than this, s; the last velocity is believed for so long at most.
@@ -37,12 +37,12 @@ class WatchedOdometry:
 
 
 def watch(
-    state: WatchedOdometry, told: Odometry, silence: float = SILENCE
+    state: WatchedOdometry, told: Odometry, silence: float = SILENCE, leap: float = LEAP
 ) -> tuple[WatchedOdometry, Odometry | None, Note | None]:
     """The state after a message; the message as far as it is believed, itself where all of it is, None where it is not
     newer than the last or not finite; and a note of what is not believed.
 
-    silence: s without a message, after which the way between is unknown if the robot has moved.
+    silence: s without a message, after which the way between is unknown if the robot has moved by more than leap, m.
     """
     before, believed = state.told, state.believed
     if not all(math.isfinite(value) for value in (told.stamp, *told.X_OB)):
@@ -52,7 +52,7 @@ def watch(
     dt = told.stamp - (told if before is None else before).stamp
     step = np.zeros(3) if before is None else _between(before.X_OB, told.X_OB)
     passed, note = told, None
-    if not (abs(told.V_B[0]) <= MOST_SPEED and abs(told.V_B[1]) <= MOST_TURN_RATE):
+    if not (abs(told.V_B[0]) <= FASTEST and abs(told.V_B[1]) <= FASTEST_TURN):
         text = f"odometry tells {told.V_B[0]:g} m/s and {told.V_B[1]:g} rad/s; the way between its poses serves"
         note = Note("speed", told.stamp, text)
         passed = replace(told, V_B=velocity(step, dt))
@@ -61,8 +61,8 @@ def watch(
     far, turned = math.hypot(step[0], step[1]), abs(step[2])
     fastest, fastest_turn = (TWIST_SHARE * max(abs(u), abs(v)) for u, v in zip(believed.V_B, told.V_B, strict=True))
     beyond = (
-        max(0.0, state.beyond[0] + far - min(max(FASTEST, fastest), MOST_SPEED) * dt),
-        max(0.0, state.beyond[1] + turned - min(max(FASTEST_TURN, fastest_turn), MOST_TURN_RATE) * dt),
+        max(0.0, state.beyond[0] + far - min(max(USUAL, fastest), FASTEST) * dt),
+        max(0.0, state.beyond[1] + turned - min(max(USUAL_TURN, fastest_turn), FASTEST_TURN) * dt),
     )
     X_OR, unknown = state.X_OR, False
     if beyond[0] > LEAP or beyond[1] > LEAP_TURN:
@@ -72,7 +72,7 @@ def watch(
         passed = replace(passed, V_B=believed.V_B)
         text = f"odometry jumps by {far:.1f} m and {math.degrees(turned):.0f} degrees"
         note = Note("jump", told.stamp, text)
-    elif dt > silence and (far > LEAP or turned > LEAP_TURN):
+    elif dt > silence and (far > leap or turned > LEAP_TURN):
         unknown = True
         note = Note("silence", told.stamp, f"no odometry for {dt:.1f} s while the robot moves")
     if X_OR != (0.0, 0.0, 0.0):
@@ -86,7 +86,7 @@ def velocity(step: FloatArray, dt: float) -> FloatArray:
     """V_B (2,), within what is plausible, of a step (3,) in the frame where it began, dt s long."""
     middle = 0.5 * step[2]
     ahead = math.copysign(math.hypot(step[0], step[1]), math.cos(middle) * step[0] + math.sin(middle) * step[1])
-    most = np.array([MOST_SPEED, MOST_TURN_RATE])
+    most = np.array([FASTEST, FASTEST_TURN])
     return np.clip(np.array([ahead, step[2]]) / max(dt, 1e-3), -most, most)
 
 
