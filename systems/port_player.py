@@ -35,9 +35,10 @@ class PortPlayer(LeafSystem):
     The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
 
-    def __init__(self, recording: PortRecording) -> None:
+    def __init__(self, recording: PortRecording, source: object = None) -> None:
+        """source: what the recording was made from, for whoever asks."""
         super().__init__()
-        self._recording = recording
+        self._recording, self.source = recording, source
         self.DeclareVectorInputPort(COMMAND, 2)
         self.DeclareVectorInputPort("base.enable", 1)
         declare_message_input(self, "base.pose")

@@ -1,0 +1,52 @@
+"""What maps a drive that is recorded: an explorer without goals, paths and wheels."""
+
+from __future__ import annotations
+
+import functools
+
+from pydrake.systems.framework import Diagram
+
+from tfg_drake.diagrams.explorer import Wiring
+from tfg_drake.diagrams.methods import Method
+from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.systems.grid_mapper import GridMapper
+from tfg_drake.systems.piece_sequencer import PieceSequencer
+from tfg_drake.systems.slam_estimator import SlamEstimator
+
+
+def MakeMappingExplorer(scenario: Scenario, end_time: float) -> Diagram:
+    """Estimator and TFG builder as of MakeTfgExplorer, on a drive that is recorded up to a time, s.
+
+    Its ports are as far as it has them those of MakeTfgExplorer; base.velocity_commanded is zero.
+    """
+    wiring = Wiring()
+    recorded = functools.partial(SlamEstimator, recorded=True)
+    slam, tfg_builder = wiring.AddMapping(scenario, lambda of: recorded(of.odometry, of.tags, of.scan, of.explorer))
+    sequencer = wiring.Add("piece_sequencer", PieceSequencer(end_time))
+    wiring.FeedAll(slam, tfg_builder, sequencer)
+    return wiring.Build(sequencer, sequencer, sequencer)
+
+
+def MakeGridMappingExplorer(scenario: Scenario, end_time: float) -> Diagram:
+    """GMapping on a drive that is recorded up to a time, s; with grid in place of map and tfg."""
+    wiring = Wiring()
+    mapper = wiring.Add("grid_mapper", GridMapper(scenario.grid, scenario.odometry, scenario.seed))
+    sequencer = wiring.Add("piece_sequencer", PieceSequencer(end_time, maps={}))
+    wiring.FeedAll(mapper, sequencer)
+    return wiring.Build(sequencer, sequencer, sequencer)
+
+
+# What maps a laser recording, by name.
+MAPPING_METHODS = {
+    "walls": MakeMappingExplorer,
+    "grid": MakeGridMappingExplorer,
+}
+
+
+def MappingMethod(name: str, end_time: float) -> Method:
+    """The method of MAPPING_METHODS that maps a drive which is recorded up to a time, s."""
+    summary = "walls as landmarks and their TFG, of a recorded drive"
+    if name == "grid":
+        summary = "GMapping, of a recorded drive"
+    make = functools.partial(MAPPING_METHODS[name], end_time=end_time)
+    return Method(name, summary, make, keeps_budget=False, knows_map=name != "grid")

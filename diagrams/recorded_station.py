@@ -1,0 +1,105 @@
+"""A station that is a laser recording, behind the ports of any other."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.framework import Diagram, System
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.datasets.recording import Recording
+from tfg_drake.diagrams.replay_station import MakeReplayStation
+from tfg_drake.diagrams.robots import Robot
+from tfg_drake.diagrams.scenario import Scenario, WorldConfig
+from tfg_drake.hardware.recordings import load_laser_recording
+from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
+from tfg_drake.simulation.tag_sensor import no_detections
+from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
+
+# What a robot is called that is a laser recording.
+RECORDED = "recording"
+# Its mission ends by itself when all is mapped, at the latest so long after the recording, s.
+PATIENCE = 10.0
+
+
+def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path) -> Diagram:
+    """The station of a laser recording, with the ports of MakeReplayStation: what was sensed is sensed again, and its
+    inputs change nothing. The time begins with the first message; of the scenario nothing is read.
+
+    recording: one that was loaded, or the path of a ROS 2 bag, a CARMEN or a BreezySLAM log.
+
+    Raises:
+        DatasetError: it cannot be used.
+    """
+    if not isinstance(recording, Recording):
+        recording = load_laser_recording(Path(recording))
+    return MakeReplayStation(_ports_of(recording), recording)
+
+
+def RecordingOf(station: System) -> Recording | None:
+    """The recording of a station that MakeRecordedStation made, None of another one."""
+    if not (isinstance(station, Diagram) and station.HasSubsystemNamed("port_player")):
+        return None
+    source: Recording | None = station.GetSubsystemByName("port_player").source
+    return source
+
+
+def RecordedRobot(recording: Recording, station: Diagram | None = None) -> Robot:
+    """The robot that drove a recording. station: of it, if there is one already."""
+    end = _ports_of(recording).end_time
+    station = station or MakeRecordedStation(Scenario(), recording=recording)
+    return Robot(RECORDED, lambda _scenario: station, world_known=False, end_time=end + PATIENCE)
+
+
+def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
+    """The scenario with what is believed of the recorded odometry and scanner, and without a world."""
+    result = copy.deepcopy(scenario)
+    result.world, result.odometry = WorldConfig(), recording.model
+    result.scan = dataclasses.replace(_scanner_of(recording), range=max(scan.range_max for scan in recording.scans))
+    result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
+    result.explorer.landmarks = "walls"
+    return result
+
+
+def _ports_of(recording: Recording) -> PortRecording:
+    """What the station's ports carried, by the recording's stamps from its first message on."""
+    start = start_of(recording)
+    odometry: list[Odometry] = [replace(one, stamp=one.stamp - start) for one in recording.odometry]
+    scans: list[LaserScan] = [replace(one, stamp=one.stamp - start) for one in recording.scans]
+    messages = dict.fromkeys(PORTS, ()) | {
+        "base.odometry": odometry,
+        "base.hazards": [Hazards(0.0, 0, 0, 0)],
+        "tags.detections": [no_detections()],
+        "scan.ranges": scans,
+    }
+    times = {
+        port: np.array([nanoseconds(max(one.stamp, 0.0)) for one in carried], dtype=np.int64)
+        for port, carried in messages.items()
+    }
+    end = max(odometry[-1].stamp, scans[-1].stamp)
+    return PortRecording(Path(recording.name), RECORDED, times, messages, end, whole=True)
+
+
+def start_of(recording: Recording) -> float:
+    """When the mission of a recording begins, s by its stamps."""
+    return min(recording.odometry[0].stamp, recording.scans[0].stamp)
+
+
+def _scanner_of(recording):
+    from tfg_drake.config import ScanConfig
+    from tfg_drake.slam.shared import SCANNER_X, SCANNER_YAW
+
+    sigma = recording.prior.sigma
+    way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
+    looks = int(np.clip(len(recording.scans) / max(way, 1.0) / 3.0, 1, 3))
+    return ScanConfig(
+        yaw_deviation=float(sigma[SCANNER_YAW]),
+        mount_deviation=float(sigma[SCANNER_X]),
+        clock_deviation=float(sigma[11]),
+        sweep_deviation=float(sigma[12]),
+        unevenness=0.03,
+        least_looks=looks,
+    )
