@@ -46,7 +46,8 @@ class GridMapper(LeafSystem):
         - filter
 
     odometry: Odometry, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the newest odometry. grid:
-    GridMap, whose stage becomes the mission's stage plus one in phase "map", with the newest scan in it. filter: GmappingState, all it knows.
+    GridMap, whose stage becomes the mission's stage plus one in phase "map", with the newest scan in it.
+    filter: GmappingState, all it knows.
     """
 
     def __init__(self, config: GridConfig, odometry: OdometryConfig, seed: int) -> None:

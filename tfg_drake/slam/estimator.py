@@ -175,9 +175,9 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
 
 
 def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorState:
-    """The state where odometry does not tell the way from the newest message to this one, but guesses it: the view under
-    way begins anew, as the way there from the last one is not known better than that. What was seen meanwhile is left
-    out."""
+    """The state where odometry does not tell the way from the newest message to this one, but guesses it: the view
+    under way begins anew, as the way there from the last one is not known better than that. What was seen meanwhile is
+    left out."""
     assert state.newest is not None
     before = _step_to(state, state.odometry[-1].stamp)
     dt = odometry.stamp - state.newest.stamp

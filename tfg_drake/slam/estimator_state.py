@@ -150,9 +150,9 @@ def initial_state(
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
     localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
-    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. may_be_moved: whether what
-    contradicts the pose may be that something else than its wheels has moved the robot; else it is a fault of what is
-    seen, unless odometry says that the way is unknown.
+    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. may_be_moved: whether
+    the robot may be elsewhere where what is seen contradicts its pose; else that is a fault of what is seen, unless
+    odometry says that the way is unknown.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
