@@ -21,7 +21,7 @@ from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
 
 # What a robot is called that is a laser recording.
 RECORDED = "recording"
-# Its mission ends by itself when all is mapped, at the latest so long after the recording, s.
+# Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
 PATIENCE = 10.0
 
 
@@ -48,10 +48,10 @@ def RecordingOf(station: System) -> Recording | None:
 
 
 def RecordedRobot(recording: Recording, station: Diagram | None = None) -> Robot:
-    """The robot that drove a recording. station: of it, if there is one already."""
-    end = _ports_of(recording).end_time
+    """The robot that drove a recording. station: its station, if there is one already."""
     station = station or MakeRecordedStation(Scenario(), recording=recording)
-    return Robot(RECORDED, lambda _scenario: station, world_known=False, end_time=end + PATIENCE)
+    end = length_of(recording) + PATIENCE
+    return Robot(RECORDED, lambda _scenario: station, world_known=False, end_time=end)
 
 
 def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
@@ -79,13 +79,17 @@ def _ports_of(recording: Recording) -> PortRecording:
         port: np.array([nanoseconds(max(one.stamp, 0.0)) for one in carried], dtype=np.int64)
         for port, carried in messages.items()
     }
-    end = max(odometry[-1].stamp, scans[-1].stamp)
-    return PortRecording(Path(recording.name), RECORDED, times, messages, end, whole=True)
+    return PortRecording(Path(recording.name), RECORDED, times, messages, length_of(recording), whole=True)
 
 
 def start_of(recording: Recording) -> float:
     """When the mission of a recording begins, s by its stamps."""
     return min(recording.odometry[0].stamp, recording.scans[0].stamp)
+
+
+def length_of(recording: Recording) -> float:
+    """How long a recording takes, s."""
+    return max(recording.odometry[-1].stamp, recording.scans[-1].stamp) - start_of(recording)
 
 
 def _scanner_of(recording):

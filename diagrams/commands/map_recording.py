@@ -20,7 +20,7 @@ from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run import run_mission
-from tfg_drake.diagrams.recorded_station import PATIENCE, RecordedRobot, RecordedScenario, start_of
+from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, length_of, start_of
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
@@ -76,12 +76,11 @@ def map_recording(
         OSError: the folder cannot be written at the beginning, or another run is at work in it.
     """
     scenario = RecordedScenario(recording, ApplySettings(Scenario(seed=seed), settings))
-    robot, start = RecordedRobot(recording), start_of(recording)
-    way, end = WayKeeper(), robot.end_time - PATIENCE
+    way, start, end = WayKeeper(), start_of(recording), length_of(recording)
     result = run_mission(
         scenario,
         method=MappingMethod(method, end),
-        robot=robot,
+        robot=RecordedRobot(recording),
         name=recording.name,
         world_name="unknown",
         max_time=math.inf,
