@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,28 @@ from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.hardware.ros.bag import load_bag
+from tfg_drake.hardware.ros.bag_files import is_bag
 
 
-def load_recording(path: Path, **options: Any) -> Recording | PoseGraph:
-    """A ROS 2 bag or whatever else `load_dataset` reads. options: as its.
+def load_recording(
+    path: Path,
+    robot: int | None = None,
+    noise: float | None = None,
+    seed: int | None = None,
+    scanner: Mapping[str, Any] | None = None,
+) -> Recording | PoseGraph:
+    """A ROS bag or whatever else `load_dataset` reads, as which the options are. scanner: what of RobotScannerConfig is
+    said of a laser recording's by hand.
 
     Raises:
         DatasetError: it is none of these, or cannot be used.
     """
-    return load_bag(path) if path.suffix == ".mcap" else load_dataset(path, **options)
+    if not is_bag(path):
+        return load_dataset(path, robot, noise, seed)
+    for option, value in (("--odometry-noise", noise), ("--robot", robot)):
+        if value is not None:
+            raise DatasetError(f"{option} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
+    return load_bag(path)
 
 
 def load_laser_recording(path: Path, **options: Any) -> Recording:

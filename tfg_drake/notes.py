@@ -14,16 +14,18 @@ _log = logging.getLogger("tfg_drake.notes")
 
 @message
 class Note:
-    """kind: one word or two joined by "_", such as "jump", for who counts them. time_s: when, s. text: one line."""
+    """kind: one word or two joined by "_", such as "jump", for who counts them. time_s: when, s, None of what is so all
+    the time. text: one line."""
 
     kind: str
-    time_s: float
+    time_s: float | None
     text: str
 
 
-def take_note(kind: str, time_s: float, text: str) -> None:
+def take_note(kind: str, time_s: float | None, text: str) -> None:
     """Tells the operator, and whoever collects notes."""
-    _log.warning("%.2f s: %s", time_s, text, extra={"note": Note(kind, time_s, text)})
+    at = "" if time_s is None else f"{time_s:.2f} s: "
+    _log.warning("%s%s", at, text, extra={"note": Note(kind, time_s, text)})
 
 
 class NoteKeeper(logging.Handler):

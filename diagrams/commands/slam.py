@@ -32,6 +32,7 @@ from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
 from tfg_drake.messages import is_tag, replace
+from tfg_drake.notes import Note
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.trajectory import write_tum
@@ -117,7 +118,7 @@ def run_slam(
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
         for note in loaded.notes:
-            _log.info("%s", note)
+            _log.info("%s", note.text)
         if isinstance(loaded, PoseGraph):
             figures = _solve_graph(loaded, dataset, name, folder.path, report)
         else:
@@ -171,6 +172,10 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("CPU time", f"{summary['cpu_time_s']:.1f} s"),
     ]
     return rows + _note_rows(summary)
+
+
+def _told(notes: Sequence[Note]) -> list[dict[str, Any]]:
+    return [dict(vars(note)) for note in notes]
 
 
 def _note_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -237,7 +242,7 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
         "calibration": smoothed.calibration.tolist(),
         "online_cpu_s": middle - start,
         "batch_cpu_s": end - middle,
-        "notes": [*recording.notes, *landmarks.notes],
+        "notes": _told([*recording.notes, *(Note("truth", None, text) for text in landmarks.notes)]),
     }
 
 
@@ -286,7 +291,7 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "calibration": None,
         "online_cpu_s": None,
         "batch_cpu_s": time.process_time() - start,
-        "notes": [*graph.notes],
+        "notes": _told(graph.notes),
     }
 
 

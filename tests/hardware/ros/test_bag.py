@@ -1,15 +1,27 @@
-"""ROS 2 bags as recordings: written here by the package that reads them."""
+"""ROS bags as recordings: written here by other packages than the reader's own."""
 
 import math
+import shutil
+import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
+from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.hardware.ros.bag import ODOMETRY, SCAN, TRANSFORMS, load_bag
-from tfg_drake.slam.shared import SCANNER_X
+from tfg_drake.hardware.ros.bag import load_bag
+from tfg_drake.hardware.ros.bag_files import LEAST_UNPACKED, is_bag
+from tfg_drake.slam.shared import SCANNER_X, SCANNER_YAW
 
 writer = pytest.importorskip("mcap_ros2.writer")
+rosbag1 = pytest.importorskip("rosbags.rosbag1")
+rosbag2 = pytest.importorskip("rosbags.rosbag2")
+typesys = pytest.importorskip("rosbags.typesys")
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "recordings"
+SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 
 _LINE = "=" * 80 + "\n"
 _HEADER = """MSG: std_msgs/Header
