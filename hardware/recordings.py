@@ -31,7 +31,7 @@ def load_recording(
     for option, value in (("--odometry-noise", noise), ("--robot", robot)):
         if value is not None:
             raise DatasetError(f"{option} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
-    return load_bag(path)
+    return load_bag(path, scanner)
 
 
 def load_laser_recording(path: Path, **options: Any) -> Recording:
