@@ -23,6 +23,10 @@ from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
 RECORDED = "recording"
 # Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
 PATIENCE = 10.0
+# Walls of buildings that are lived in are off a plane by this, m, see ScanConfig.
+UNEVENNESS = 0.03
+# A new wall needs one look for so many scans a metre of way, as many as in a mission at most.
+SCANS_PER_LOOK = 3.0
 
 
 def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path) -> Diagram:
@@ -58,7 +62,11 @@ def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
     """The scenario with what is believed of the recorded odometry and scanner, and without a world."""
     result = copy.deepcopy(scenario)
     result.world, result.odometry = WorldConfig(), recording.model
-    result.scan = dataclasses.replace(_scanner_of(recording), range=max(scan.range_max for scan in recording.scans))
+    way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
+    looks = min(result.scan.least_looks, int(len(recording.scans) / max(way, 1.0) / SCANS_PER_LOOK))
+    reach = max(scan.range_max for scan in recording.scans)
+    seen = {"range": reach, "unevenness": UNEVENNESS, "least_looks": max(looks, 1)}
+    result.scan = dataclasses.replace(recording.scanner, **seen)
     result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
     result.explorer.landmarks = "walls"
     return result
@@ -90,20 +98,3 @@ def start_of(recording: Recording) -> float:
 def length_of(recording: Recording) -> float:
     """How long a recording takes, s."""
     return max(recording.odometry[-1].stamp, recording.scans[-1].stamp) - start_of(recording)
-
-
-def _scanner_of(recording):
-    from tfg_drake.config import ScanConfig
-    from tfg_drake.slam.shared import SCANNER_X, SCANNER_YAW
-
-    sigma = recording.prior.sigma
-    way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
-    looks = int(np.clip(len(recording.scans) / max(way, 1.0) / 3.0, 1, 3))
-    return ScanConfig(
-        yaw_deviation=float(sigma[SCANNER_YAW]),
-        mount_deviation=float(sigma[SCANNER_X]),
-        clock_deviation=float(sigma[11]),
-        sweep_deviation=float(sigma[12]),
-        unevenness=0.03,
-        least_looks=looks,
-    )

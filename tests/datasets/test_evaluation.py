@@ -1,8 +1,11 @@
 """Errors after alignment, and landmarks that contradict their truth."""
 
-import numpy as np
+import math
 
-from tfg_drake.datasets.evaluation import landmark_error, robot_error
+import numpy as np
+import pytest
+
+from tfg_drake.datasets.evaluation import landmark_error, relative_error, robot_error, truth_at, wall_thickness
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
 
@@ -92,5 +95,6 @@ def test_relative_errors_forget_where_the_map_lies():
 
 
 def test_the_truth_is_interpolated_over_the_cut_of_the_heading():
-    truth = GroundTruth(np.array([0.0, 1.0]), np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]]), np.zeros(0), np.zeros((0, 2)))
+    X_WB = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
+    truth = GroundTruth(np.array([0.0, 1.0]), X_WB, np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
     np.testing.assert_allclose(truth_at(truth, np.array([0.5])), [[0.5, 1.0, math.pi]])

@@ -1,19 +1,14 @@
 """ROS bags as recordings: written here by other packages than the reader's own."""
 
 import math
-import shutil
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
 
-from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.hardware.ros.bag import load_bag
-from tfg_drake.hardware.ros.bag_files import LEAST_UNPACKED, is_bag
-from tfg_drake.slam.shared import SCANNER_X, SCANNER_YAW
+from tfg_drake.slam.shared import SCANNER_X
 
 writer = pytest.importorskip("mcap_ros2.writer")
 rosbag1 = pytest.importorskip("rosbags.rosbag1")
