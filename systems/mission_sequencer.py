@@ -100,4 +100,5 @@ class MissionSequencer(LeafSystem):
 
 
 def flag(port, context: Context, default: bool) -> bool:
+    """Whether a (1,) input is true, above 0.5; where it is not connected, by default."""
     return bool(port.Eval(context)[0] > 0.5) if port.HasValue(context) else default

@@ -26,8 +26,6 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.io.files import write_atomic
-from tfg_drake.mapfile.landmark_table import landmark_csv
-from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray, IntArray, Observation
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.walls import whole_walls
@@ -123,8 +121,6 @@ def map_recording(
     if truth is not None:
         true_path = se2.transform(align(X_MB[:, :2], true_path), true_path)
     draw_laser_map(folder / "figure.png", f"{recording.name}: {method}", met, walls, X_MB[:, :2], true_path)
-    if result.mission.final_map() is not None:
-        write_atomic(folder / "landmarks.csv", landmark_csv(load_map(folder / "map.npz")))
     write_atomic(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     return SlamResult(summary, folder)
 

@@ -69,7 +69,7 @@ from tfg_drake.slam.localizer import (
     start_localizer,
     step_localizer,
 )
-from tfg_drake.slam.lost_robot import begun_elsewhere, find_itself, mapped_elsewhere, realigned
+from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere, realigned
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
@@ -96,8 +96,9 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many more such frames than others the robot may be elsewhere.
 CONTRADICTIONS = 3
-# Deviations, m, m, rad, up to which a pose after a way that is not known is corrected like any other.
-FOUND_WITHIN = np.array([0.3, 0.3, 0.15])
+# Deviations, m, m, rad, up to which a pose after a way that is not known is corrected like any other; beyond that the
+# robot is lost.
+FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
 # Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
 # A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
@@ -197,9 +198,8 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
         return replace(state, **{"piece" if state.turn is None else "turn": begun})
     sigma = np.minimum(np.sqrt(np.diag(covariance) + np.square(BREAK + dt * BREAK_RATE)), KIDNAPPED)
     state = replace(state, localizer=placed_localizer(state.map, state.walls, X_MB, sigma))
-    # Beyond what the gates of walls and tags bring together, it is searched for.
-    doubt = CONTRADICTIONS if np.any(sigma > FOUND_WITHIN) else 0
-    state = replace(state, contradictions=doubt, suspect=None, lost=False)
+    lost = bool(np.any(sigma > FOUND_WITHIN))
+    state = replace(state, contradictions=CONTRADICTIONS if lost else 0, suspect=None, lost=lost)
     return begun_elsewhere(state, replace(opened(state), sigma=sigma))
 
 
@@ -604,6 +604,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     way, view = state.way, Sighted(keyframe, solution.sightings)
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
+        turn = _found_meanwhile(state, turn)
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = realigned(state.graph, state.map or state.localizer.map, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
@@ -666,6 +667,17 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         sources=sources,
     )
     return replace(state, piece=opened(state))
+
+
+def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:
+    """A piece that began after a way that is not known, its first pose by where the robot is by now, if that tells
+    more: it has found itself among what is mapped. That is told again by what it has seen."""
+    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
+    if np.all(sigma >= begun.sigma) or state.lost:
+        return begun
+    way = se2.between(begun.begin.X_OB, state.X_OB)
+    return replace(begun, X_MB=se2.compose(X_MB, se2.inverse(way)), sigma=sigma)
 
 
 def _with_names(

@@ -85,11 +85,11 @@ def test_walls_map_a_room(room, mapped):
 def test_it_leaves_what_any_run_leaves(mapped):
     run = load_run(mapped.folder)
     assert run.map.tfg.stage == run.map.stage == mapped.summary["stages"] > 10
-    for name in ("map.npz", "landmarks.csv", "timeline.tfg", "mission.html", "figure.png", "ports.mcap", "online.tum"):
+    for name in ("map.npz", "timeline.tfg", "mission.html", "figure.png", "ports.mcap", "online.tum"):
         assert (mapped.folder / name).stat().st_size > 0
 
 
-@pytest.mark.parametrize("ending", [".geojson", ".dxf", ".svg", ".yaml", ".csv"])
+@pytest.mark.parametrize("ending", [".geojson", ".dxf", ".svg", ".yaml", ".g2o"])
 def test_its_map_is_exported(call, mapped, tmp_path, ending):
     code, _, complaint = call("map", "export", str(mapped.folder), str(tmp_path / f"room{ending}"))
     assert (code, complaint) == (0, "")
