@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tfg_drake.datasets.intake import believed
 from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, Recording
@@ -27,11 +28,12 @@ def load_recording(
         DatasetError: it is none of these, or cannot be used.
     """
     if not is_bag(path):
-        return load_dataset(path, robot, noise, seed)
+        loaded = load_dataset(path, robot, noise, seed)
+        return believed(loaded) if isinstance(loaded, Recording) else loaded
     for option, value in (("--odometry-noise", noise), ("--robot", robot)):
         if value is not None:
             raise DatasetError(f"{option} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
-    return load_bag(path, scanner)
+    return believed(load_bag(path, scanner))
 
 
 def load_laser_recording(path: Path, **options: Any) -> Recording:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -53,7 +54,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
             reads bags is missing.
     """
     try:
-        from rosbags.typesys import Stores, get_typestore
+        decoded = _decoder()
     except ImportError:
         raise DatasetError(f"{path}: a ROS bag needs an extra; pip install 'tfg_drake[bag]'") from None
     files, told = bag_files(path)
@@ -61,12 +62,6 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
     for one in read_messages(files, KINDS, told.append):
         of_topic[one.kind, one.topic].append(one)
     notes = [Note("file", None, text) for text in told]
-    ros2, ros1 = (get_typestore(store) for store in (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC))
-
-    def decoded(one: Logged) -> Any:
-        kind = one.kind.replace("tf/tf", "tf2_msgs/TF").replace("/", "/msg/")
-        return ros1.deserialize_ros1(one.data, kind) if one.ros1 else ros2.deserialize_cdr(one.data, kind)
-
     topics = [_Topic(path, kind, name, logged, decoded) for (kind, name), logged in sorted(of_topic.items())]
     if not topics:
         why = "; ".join(told) or "record scans and odometry"
@@ -74,6 +69,21 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
     seen, way = (_fullest(path, topics, kind, notes) for kind in (SCAN, ODOMETRY))
     parents = _fixed([topic for topic in topics if topic.kind not in (SCAN, ODOMETRY)])
     return _recording(path, seen, way, parents, scanner or {}, notes)
+
+
+@functools.cache
+def _decoder() -> Callable[[Logged], Any]:
+    """What makes a message of one in a bag, or raises anything. Raises ImportError without the package that can."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    ros2, ros1 = (get_typestore(store) for store in (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC))
+    ros1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+
+    def decoded(one: Logged) -> Any:
+        kind = one.kind.replace("tf/tf", "tf2_msgs/TF").replace("/", "/msg/")
+        return ros1.deserialize_ros1(one.data, kind) if one.ros1 else ros2.deserialize_cdr(one.data, kind)
+
+    return decoded
 
 
 class _Topic:
@@ -142,7 +152,7 @@ def _recording(
         notes.append(Note("stamps", None, f"the headers of {names} are not stamped: the recorder's stamps are used"))
         stamps = recorded
     first, told, looks = float(stamps[0][0]), stamps[0] - stamps[0][0], stamps[1] - stamps[0][0]
-    scanner, mount_known = _scanner(path, way, seen, parents, said, notes)
+    scanner, is_told = _scanner(path, way, seen, parents, said, notes)
 
     odometry_messages: list[Odometry] = []
     drove: list[int] = []
@@ -167,8 +177,8 @@ def _recording(
     for topic in (way, seen):
         notes += topic.notes(recorded[0][0])
     _check_clocks(path, way.name, seen.name, odometry_messages, scans, first, recorded if is_recorded else None)
-    place = TOLD if mount_known or said.keys() & {"x", "y"} else UNTOLD
-    yaw = TOLD if mount_known else UNTOLD
+    mount_known = is_told or "yaw" in said
+    place, yaw = (TOLD if known else UNTOLD for known in (is_told or {"x", "y"} & said.keys(), mount_known))
     believed = ScanConfig(mount_deviation=place.mount_deviation, yaw_deviation=yaw.yaw_deviation)
     return Recording(
         name=path.name.split(".")[0],
@@ -265,7 +275,7 @@ def _above(parents: Transforms, frame: str) -> dict[str, FloatArray]:
 def _scanner(
     path: Path, way: _Topic, seen: _Topic, parents: Transforms, said: Mapping[str, Any], notes: list[Note]
 ) -> tuple[Scanner, bool]:
-    """The scanner by fixed transforms and what somebody said, and whether it is known where it looks."""
+    """The scanner by fixed transforms and what somebody said, and whether those tell."""
     own = _above(parents, _frame(field(seen.read[0][2], "header.frame_id")))
     body = _frame(field(way.read[0][2], "child_frame_id"))
     bodies = [_above(parents, one) for one in ((body,) if body else BODIES)]
@@ -274,7 +284,7 @@ def _scanner(
         if "yaw" not in said:
             text = "No transform says where the scanner sits: it is taken to look ahead from the body's origin."
             notes.append(Note("mount", None, f"{text} Say otherwise by {SAID}, with x, y, yaw."))
-        return dataclasses.replace(Scanner(), **said), "yaw" in said
+        return dataclasses.replace(Scanner(), **said), False
     if abs(X_BS[2, 2]) < UPRIGHT and not {"yaw", "flip"} <= said.keys():
         tilt = math.degrees(math.acos(min(abs(X_BS[2, 2]), 1.0)))
         frame = next(iter(own))

@@ -30,7 +30,7 @@ SUFFIXES = (".mcap", ".db3", ".bag", ".active")
 _PACKED = (".zstd", ".zst")
 METADATA = "metadata.yaml"
 # What is packed stands for so many bytes at most, or for so many times its own: scans of nothing shrink much.
-LEAST_UNPACKED, MOST_SHRUNK = 256 * 2**20, 100
+LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
 # A record or a message has at most so many bytes: an image is there to be passed over.
 _LARGEST = 256 * 2**20
 # Opcodes of the records that are read, of MCAP and of ROS 1.
@@ -177,6 +177,8 @@ def _unchunked(stream: IO[bytes], unpacked: _Unpacked) -> Iterator[tuple[int, by
             stream.seek(-1, io.SEEK_CUR)
             continue
         opcode, length = struct.unpack("<BQ", head)
+        if opcode == 0:
+            raise ValueError("a record of no kind")
         content = _read(stream, length)
         whole = len(content) == length
         if opcode == _MCAP_CHUNK:
@@ -198,8 +200,8 @@ def _of_ros1(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> 
 
     def records(part: IO[bytes]) -> Iterator[Logged]:
         while len(head := part.read(4)) == 4:
-            of_record = _ros1_fields(_read(part, _number("<I", head)))
-            length = _number("<I", part.read(4))
+            of_record = _ros1_fields(_whole(part, _number("<I", head)))
+            length = _number("<I", _whole(part, 4))
             data = _read(part, length)
             opcode = of_record[b"op"][0]
             if opcode == _ROS1_CHUNK:
@@ -249,6 +251,14 @@ def _read(stream: IO[bytes], length: int) -> bytes:
     if length > _LARGEST:
         raise ValueError(f"a record of {length} bytes")
     return stream.read(length)
+
+
+def _whole(stream: IO[bytes], length: int) -> bytes:
+    """So many bytes; EOFError where there are fewer."""
+    data = _read(stream, length)
+    if len(data) < length:
+        raise EOFError
+    return data
 
 
 def _number(layout: str, data: bytes, at: int = 0) -> int:

@@ -19,9 +19,10 @@ import numpy as np
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
-from tfg_drake.hardware.plausible import FARTHEST, FASTEST, FASTEST_TURN, MOST_RAYS, MOST_TAGS, SCAN_RANGE
+from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import LEAST_RANGE, TagNoise, in_plane

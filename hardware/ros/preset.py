@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tfg_drake.bad_input import not_radians
-from tfg_drake.hardware.plausible import FASTEST, FASTEST_TURN
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 PRESETS = Path(__file__).parent / "presets"
 

@@ -342,7 +342,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     landmarks = state.landmarks
-    if scan.against or scan.ahead:
+    if scan.lines:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=_NO_LINES) for frame in turn.frames)
         landmarks, state = "tags", replace(state, landmarks="tags", turn=replace(turn, frames=frames), unread=())
