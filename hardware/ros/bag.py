@@ -21,8 +21,6 @@ from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odomet
 from tfg_drake.hardware.ros.preset import Scanner
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.notes import Note
-from tfg_drake.slam.estimator_state import EXACT_CAMERA
-from tfg_drake.slam.shared import by_data_sheet
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "tf2_msgs/TFMessage"
 KINDS = (SCAN, ODOMETRY, TRANSFORMS, "tf/tfMessage")
@@ -190,7 +188,7 @@ def _recording(
         truth=None,
         notes=tuple(notes),
         detections=(),
-        prior=by_data_sheet(OdometryConfig(), EXACT_CAMERA, believed),
+        scanner=believed,
         odometry_arrivals=recorded[0][drove] - first if is_recorded else np.empty(0),
         scan_arrivals=recorded[1][looked] - first if is_recorded else np.empty(0),
         mount_known=mount_known,

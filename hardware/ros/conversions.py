@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
-from tfg_drake.hardware.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import CameraCalibration

@@ -23,7 +23,6 @@ from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
 from tfg_drake.notes import Note, take_note
 from tfg_drake.slam.odometry_rules import LEAP, SILENCE, WatchedOdometry, velocity, watch
 from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
-from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 
 # Odometry that comes seldom is silent after so many of its periods.
 PERIODS = 5.0
@@ -83,7 +82,7 @@ def believed(recording: Recording) -> Recording:
     if _often(doubts, odometry):
         jumps = f"odometry jumps {len(doubts)} times, first at {doubts[0].note.time_s:.2f} s"
         raise DatasetError(f"{recording.name}: {jumps}; see its units, m and rad, and its clock")
-    odometry, scans = _bridged(recording, odometry, scans, doubts, notes)
+    odometry, scans = _bridged(odometry, scans, doubts, notes)
     if recording.scans and len(scans) < 2:
         raise DatasetError(f"{recording.name}: fewer than two scans while there is odometry; record both at once")
     _tell(notes)
@@ -192,7 +191,6 @@ def _contradicted(odometry: Sequence[Odometry], stretches: FloatArray) -> list[D
 
 
 def _bridged(
-    recording: Recording,
     odometry: Sequence[Odometry],
     scans: Sequence[LaserScan],
     doubts: Sequence[Doubt],
@@ -201,8 +199,8 @@ def _bridged(
     """Odometry with the way by the scans where it is in doubt and these tell it, else unknown, and the scans without
     those amid an unknown way."""
     stamps = [one.stamp for one in scans]
-    X_BS = recording.prior.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     way: list[Odometry] = []
+    broken: list[int] = []
     lost: list[tuple[float, float]] = []
     # The frame in which the odometry goes on, in the one that it had.
     X, done = np.zeros(3), 0
@@ -213,7 +211,7 @@ def _bridged(
             continue
         before, after = odometry[first], odometry[last]
         near = slice(max(0, bisect.bisect_right(stamps, before.stamp) - 1), bisect.bisect_left(stamps, after.stamp) + 1)
-        at, X_BB = _by_scans(scans[near], before, after, X_BS)
+        at, X_BB = _by_scans(scans[near], before, after)
         step = se2.between(before.X_OB, after.X_OB)
         # Two scans may be matched wrongly: all of them, one after the other, must contradict the odometry.
         if doubt.note.kind == "slip" and (len(at) < MATCHES or np.abs(se2.between(step, X_BB[-1])).max() < AGREES):
@@ -227,7 +225,8 @@ def _bridged(
             X = se2.compose(way[-1].X_OB, se2.inverse(after.X_OB))
         else:
             way += [_moved(one, X) for one in odometry[first + 1 : last]]
-            way.append(replace(_moved(after, X), way_unknown=True, at_rest=False))
+            broken.append(len(way))
+            way.append(replace(_moved(after, X), at_rest=False))
             lost.append((before.stamp, after.stamp))
         told = "the scans tell the way there" if len(at) else "the way is unknown there"
         notes.append(replace(doubt.note, text=f"{doubt.note.text}; {told}"))
@@ -237,19 +236,18 @@ def _bridged(
     for scan in scans:
         newest = bisect.bisect_left(begins, scan.stamp) - 1
         known += [scan] if newest < 0 or scan.stamp >= lost[newest][1] else []
-    return tuple(way), tuple(known)
+    breaks = np.searchsorted(broken, np.arange(len(way)), "right").tolist()
+    counted = (
+        one if one.breaks == count else replace(one, breaks=count) for one, count in zip(way, breaks, strict=True)
+    )
+    return tuple(counted), tuple(known)
 
 
-def _by_scans(
-    scans: Sequence[LaserScan], before: Odometry, after: Odometry, X_BS: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _by_scans(scans: Sequence[LaserScan], before: Odometry, after: Odometry) -> tuple[FloatArray, FloatArray]:
     """Times (k,), s, from one message to another, and the body then (k, 3) in the body at the first, by scans; none
     where these do not tell it."""
-    guess = se2.compose(se2.between(X_BS, se2.between(before.X_OB, after.X_OB)), X_BS)
-    bridge = bridged(scans, before.stamp, after.stamp, guess)
-    if bridge is None:
-        return np.empty(0), np.empty((0, 3))
-    return bridge[0], se2.compose(se2.compose(X_BS, bridge[1]), se2.inverse(X_BS))
+    bridge = bridged(scans, before.stamp, after.stamp, se2.between(before.X_OB, after.X_OB))
+    return (np.empty(0), np.empty((0, 3))) if bridge is None else bridge[:2]
 
 
 def _moved(one: Odometry, X: FloatArray) -> Odometry:

@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
 from tfg_drake.notes import Note
-from tfg_drake.slam.shared import Shared, exactly_known
 
 # Called with the share of the work done, 0 to 1.
 OnProgress = Callable[[float], None]
@@ -43,8 +42,8 @@ class Recording:
     what the estimator believes of the odometry. truth: None where nothing is known. notes: what a user should know
     of the data. piece_time: s, after which a piece of the way is mapped, however short it is by the odometry: for one
     that does not tell. scans: a recording with scans has no detections, and as it is read both scans and odometry are
-    in the order in which they were recorded, whatever their stamps; poses are the body's. prior: what is known of the
-    shared parameters beforehand, with scans where the scanner sits. odometry_arrivals, scan_arrivals: (n,), (m,) s,
+    in the order in which they were recorded, whatever their stamps; poses are the body's, and scans are as seen from
+    there. scanner: what is believed of it. odometry_arrivals, scan_arrivals: (n,), (m,) s,
     when each message was recorded, by the recorder's clock from the odometry's time 0 on; empty where that is unknown.
     mount_known: whether where the scanner sits and looks was told, not guessed.
     """
@@ -57,7 +56,7 @@ class Recording:
     notes: tuple[Note, ...] = ()
     piece_time: float = math.inf
     scans: tuple[LaserScan, ...] = ()
-    prior: Shared = dataclasses.field(default_factory=exactly_known)
+    scanner: ScanConfig = dataclasses.field(default_factory=ScanConfig)
     odometry_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     scan_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     mount_known: bool = True

@@ -77,8 +77,8 @@ def watch(
         note = Note("silence", told.stamp, f"no odometry for {dt:.1f} s while the robot moves")
     if X_OR != (0.0, 0.0, 0.0):
         passed = replace(passed, X_OB=np.array(_composed(X_OR, told.X_OB)))
-    if unknown:
-        passed = replace(passed, way_unknown=True, at_rest=False)
+    if breaks := believed.breaks + unknown:
+        passed = replace(passed, breaks=breaks, at_rest=passed.at_rest and not unknown)
     return WatchedOdometry(told, passed, X_OR, beyond), passed, note
 
 

@@ -12,7 +12,6 @@ from tests.mutations import assert_refused_or_read
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.hardware.ros.bag_files import LEAST_UNPACKED, is_bag
-from tfg_drake.slam.shared import SCANNER_X, SCANNER_YAW
 
 mcap_writer = pytest.importorskip("mcap.writer")
 writer = pytest.importorskip("mcap_ros2.writer")
@@ -234,7 +233,7 @@ def test_messages_come_as_they_were_recorded_by_their_own_stamps(tmp_path):
         "Say otherwise by --set hardware.scanner.KEY=VALUE, with x, y, yaw."
     )
     assert not log.mount_known
-    assert math.sqrt(log.prior.covariance[SCANNER_X, SCANNER_X]) == pytest.approx(0.2)
+    assert log.scanner.mount_deviation == pytest.approx(0.2)
 
 
 def test_the_scanner_sits_where_fixed_transforms_say(tmp_path):
@@ -301,8 +300,7 @@ def test_a_direction_that_is_said_is_known_a_place_is_not(tmp_path):
     log = load_bag(bag(tmp_path / "b.mcap", [*way(), *looks()]), {"yaw": 1.0})
     assert log.mount_known
     assert log.notes == ()
-    sigma = log.prior.sigma
-    assert (sigma[SCANNER_X], sigma[SCANNER_YAW]) == (pytest.approx(0.2), pytest.approx(0.02))
+    assert (log.scanner.mount_deviation, log.scanner.yaw_deviation) == (pytest.approx(0.2), pytest.approx(0.02))
 
 
 def test_of_two_topics_the_fuller_is_read(tmp_path):
