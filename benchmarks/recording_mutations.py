@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import collections
 import json
-import logging
 import math
 import tempfile
 import time
@@ -29,15 +28,10 @@ import recorded_drives
 from recorded_drives import Drive
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.datasets.intake import believed
-from tfg_drake.datasets.load import load_dataset
-from tfg_drake.datasets.recording import Recording
 from tfg_drake.diagrams.commands.slam import run_slam
 from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.messages import FloatArray
-from tfg_drake.notes import NoteKeeper
 
 # RMSE of what is right, m, and s from a mutation within which its note lies.
 RIGHT, NEAR = 0.1, 5.0
@@ -223,44 +217,36 @@ def error(stamps: FloatArray, X: FloatArray, truth: FloatArray) -> float:
 def row(seed: int, good: bool) -> dict:
     """What becomes of a seed's drive."""
     name, mutated, suffix = made(seed, good)
-    keeper, log = NoteKeeper(), logging.getLogger("tfg_drake")
-    begin, rmse, said = time.process_time(), math.nan, ""
-    log.addHandler(keeper)
+    begin, rmse, said, notes = time.process_time(), math.nan, "", []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"drive{suffix}"
         recorded_drives.write(mutated.drive, path)
         try:
-            run_slam(path, Path(folder) / "run", load=loaded)
+            notes = run_slam(path, Path(folder) / "run").summary["notes"]
             table = np.loadtxt(Path(folder) / "run" / "trajectory.tum")
             X = np.column_stack([table[:, 1:3], 2.0 * np.arctan2(table[:, 6], table[:, 7])])
             rmse = error(table[:, 0], X, mutated.drive.truth)
-            near = [one for one in keeper.notes if one.kind in mutated.kinds and _is_near(one.time_s, mutated.time)]
+            near = [one for one in notes if one["kind"] in mutated.kinds and _is_near(one["time_s"], mutated.time)]
             result = "right" if rmse <= RIGHT else "told" if near else "wrong"
         except BadInput as refusal:
             result, said = "refused", str(refusal).replace(folder, "")
         except Exception as fault:
             result, said = "error", f"{type(fault).__name__}: {fault}"
-        finally:
-            log.removeHandler(keeper)
-    notes = [f"{one.kind} {one.time_s}: {one.text}" for one in keeper.notes]
-    cpu = time.process_time() - begin
-    return {"seed": seed, "mutation": name, "suffix": suffix, "class": result, "rmse_m": round(rmse, 4)} | {
+    return {
+        "seed": seed,
+        "mutation": name,
+        "suffix": suffix,
+        "class": result,
+        "rmse_m": round(rmse, 4),
         "time_s": mutated.time,
         "notes": notes,
         "said": said,
-        "cpu_s": round(cpu, 1),
+        "cpu_s": round(time.process_time() - begin, 1),
     }
 
 
-def loaded(path: Path) -> Recording:
-    """A recording as far as it is believed."""
-    recording = load_bag(path) if path.suffix == ".db3" else load_dataset(path)
-    assert isinstance(recording, Recording)
-    return believed(recording)
-
-
 def _is_near(time_s: float | None, at: float) -> bool:
-    return math.isnan(at) or time_s is None or abs(time_s - at) <= NEAR
+    return math.isnan(at) or time_s is None or abs(time_s % recorded_drives.EPOCH - at) <= NEAR
 
 
 def main() -> None:
@@ -270,7 +256,6 @@ def main() -> None:
     parser.add_argument("--good", action="store_true", help="drives that are right")
     parser.add_argument("--rows", type=Path, help="the file of rows; runs/recording_mutations.jsonl, or _good.jsonl")
     options = parser.parse_args()
-    logging.getLogger("tfg_drake").addHandler(logging.NullHandler())
     path = options.rows or Path(f"runs/recording_mutations{'_good' if options.good else ''}.jsonl")
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []

@@ -62,7 +62,7 @@ def test_after_a_jump_it_goes_on_by_its_velocity(step, text):
     jumping = [*told[:at], *(replace(one, X_OB=se2.compose(frame, one.X_OB)) for one in told[at:])]
     passed, notes = watched(jumping)
     assert [(one.kind, one.time_s, one.text) for one in notes] == [("jump", told[at].stamp, text)]
-    assert [k for k, one in enumerate(passed) if one.way_unknown] == [at]
+    assert [one.breaks for one in passed] == [0] * at + [1] * (len(told) - at)
     # An arc goes on as an arc: next to nothing is left of the jump.
     for one, true in zip(passed, told, strict=True):
         np.testing.assert_allclose(se2.between(true.X_OB, one.X_OB), 0.0, atol=1e-4)
@@ -86,7 +86,7 @@ def test_one_that_says_so_itself_may_be_faster():
 def test_a_silence_in_which_it_moved_is_an_unknown_way(way, silent):
     before, after = arc(0.0, 0.0, 0.2)[:2], Odometry(5.0, np.array([1.0 + way, -2.0, 3.0]), np.zeros(2), at_rest=True)
     passed, notes = watched([*before, after])
-    assert passed[-1].way_unknown == silent
+    assert passed[-1].breaks == silent
     assert [one.text for one in notes] == ["no odometry for 5.0 s while the robot moves"] * silent
     np.testing.assert_array_equal(passed[-1].X_OB, after.X_OB)
     assert passed[-1].at_rest != silent

@@ -20,7 +20,7 @@ from tfg_drake.datasets.recorded_clock import steady, together
 from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
-from tfg_drake.notes import Note, take_note
+from tfg_drake.notes import Note
 from tfg_drake.slam.odometry_rules import LEAP, SILENCE, WatchedOdometry, velocity, watch
 from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
 
@@ -32,7 +32,7 @@ FEW, OFTEN = 5, 0.02
 FROZEN, MOVED = 1.0, 0.1
 # Scans farther apart than this, s, are not held against odometry: they have too little in common.
 SPARSE = 1.0
-# Notes of one kind that are taken one by one.
+# Notes of one kind that are told one by one.
 MOST_NOTES = 20
 # Kinds of notes after which a way is not known.
 UNKNOWN = ("jump", "silence", "slip")
@@ -52,7 +52,7 @@ class Doubt:
 
 
 def believed(recording: Recording) -> Recording:
-    """A recording as far as it is believed, the same objects where all of it is; of what is not notes are taken.
+    """A recording as far as it is believed, itself where all of it is, with notes of what is not.
 
     Raises:
         DatasetError: it cannot be used.
@@ -85,11 +85,16 @@ def believed(recording: Recording) -> Recording:
     odometry, scans = _bridged(odometry, scans, doubts, notes)
     if recording.scans and len(scans) < 2:
         raise DatasetError(f"{recording.name}: fewer than two scans while there is odometry; record both at once")
-    _tell(notes)
-    if _same(odometry, recording.odometry) and _same(scans, recording.scans):
+    if not notes and _same(odometry, recording.odometry) and _same(scans, recording.scans):
         return recording
-    nothing = np.empty(0)
-    return replace(recording, odometry=odometry, scans=scans, odometry_arrivals=nothing, scan_arrivals=nothing)
+    return replace(
+        recording,
+        odometry=odometry,
+        scans=scans,
+        odometry_arrivals=np.empty(0),
+        scan_arrivals=np.empty(0),
+        notes=recording.notes + _summed_up(notes),
+    )
 
 
 def _often(doubts: Sequence[Doubt], odometry: Sequence[Odometry]) -> bool:
@@ -258,13 +263,16 @@ def _same(some: Sequence[object], others: Sequence[object]) -> bool:
     return len(some) == len(others) and all(one is other for one, other in zip(some, others, strict=True))
 
 
-def _tell(notes: Sequence[Note]) -> None:
-    """Takes the notes in their order, of a kind that there is often the first ones and how many there are."""
+def _summed_up(notes: Sequence[Note]) -> tuple[Note, ...]:
+    """The notes in their order, of a kind that there is often the first ones and how many there are."""
     counts = collections.Counter(one.kind for one in notes)
     told: collections.Counter[str] = collections.Counter()
+    kept = []
     for one in sorted(notes, key=lambda one: -math.inf if one.time_s is None else one.time_s):
         told[one.kind] += 1
-        if told[one.kind] < MOST_NOTES:
-            take_note(one.kind, one.time_s, one.text)
-        elif told[one.kind] == MOST_NOTES:
-            take_note(one.kind, one.time_s, f"{one.text}; and {counts[one.kind] - MOST_NOTES} times more")
+        more = counts[one.kind] - MOST_NOTES
+        if told[one.kind] == MOST_NOTES and more:
+            kept.append(replace(one, text=f"{one.text}; and {more} times more"))
+        elif told[one.kind] <= MOST_NOTES:
+            kept.append(one)
+    return tuple(kept)
