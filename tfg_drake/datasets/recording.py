@@ -45,8 +45,9 @@ class Recording:
     that does not tell. scans: a recording with scans has no detections, and as it is read both scans and odometry are
     in the order in which they were recorded, whatever their stamps; poses are the body's. prior: what is known of the
     shared parameters beforehand, with scans where the scanner sits. odometry_arrivals, scan_arrivals: (n,), (m,) s,
-    when each message was recorded, by the recorder's clock from the odometry's time 0 on; empty where that is unknown.
-    mount_known: whether where the scanner sits and looks was told, not guessed.
+    when each message was recorded, both by one clock, the recorder's; empty where that is unknown.
+    mount_known: whether where the scanner sits and looks was told, not guessed. told_stamps: (k, 2) s, of all scans as
+    the data set has them and as they are here, where some could not be true; else empty.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Recording:
     odometry_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     scan_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     mount_known: bool = True
+    told_stamps: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
 
 
 def make_frames(
