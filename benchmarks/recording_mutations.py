@@ -225,7 +225,7 @@ def row(seed: int, good: bool) -> dict:
             notes = run_slam(path, Path(folder) / "run").summary["notes"]
             table = np.loadtxt(Path(folder) / "run" / "trajectory.tum")
             X = np.column_stack([table[:, 1:3], 2.0 * np.arctan2(table[:, 6], table[:, 7])])
-            rmse = error(table[:, 0], X, mutated.drive.truth)
+            rmse = error(table[:, 0] % recorded_drives.EPOCH, X, mutated.drive.truth)
             near = [one for one in notes if one["kind"] in mutated.kinds and _is_near(one["time_s"], mutated.time)]
             result = "right" if rmse <= RIGHT else "told" if near else "wrong"
         except BadInput as refusal:

@@ -89,7 +89,7 @@ def load_carmen(
     log = read_carmen(path, rows)
     raw, poses, X_BS = _way(path, log)
     told = np.array([one.stamp for one in log.scans])
-    stamps, untrue = _in_time(told, poses)
+    stamps, untrue = _in_time(told, poses, raw)
     scans = []
     for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
         angles, order = _seen(_angles(path, one, said), said, X_BS[2])
@@ -150,17 +150,19 @@ def _apart(some: FloatArray, others: FloatArray) -> FloatArray:
     return np.asarray(np.abs(step).max(axis=1))
 
 
-def _in_time(stamps: FloatArray, poses: FloatArray) -> tuple[FloatArray, tuple[Note, ...]]:
+def _in_time(stamps: FloatArray, poses: FloatArray, raw: bool) -> tuple[FloatArray, tuple[Note, ...]]:
     """Stamps (n,), s, of scans at poses (n, 3) in the order of the log, those that cannot be true by motion, and a note
-    on these."""
+    on these. raw: poses are those of wheels; stamps that seldom cannot be true stay as they are."""
     step, dt = np.abs(np.diff(poses, axis=0)), np.diff(stamps)
     length, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(se2.wrap_angle(step[:, 2]))
     least = np.maximum(np.maximum(length / FASTEST, turn / FASTEST_TURN), LEAST_STEP)
     usual = np.maximum(length / USUAL, turn / USUAL_TURN) + SCAN_TIME
     untrue = (dt < least) | (dt > LONGEST_STEP)
-    if not untrue.any():
+    often = bool(np.mean(untrue) > OFTEN)
+    # Wheels themselves may jump, and a clock may be set: the intake tells.
+    if not untrue.any() or (raw and not often):
         return stamps, ()
-    if np.mean(untrue) > OFTEN:
+    if often:
         times = stamps[0] + np.append(0.0, np.cumsum(usual))
         what = "none is believed"
     else:
@@ -217,7 +219,8 @@ def _told_odometry(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]
     """What wheels have said at stamps (n,): poses (n, 3)."""
     steps = np.vstack([np.zeros((1, 3)), se2.between(X_OB[:-1], X_OB[1:])])
     steps[:, 2] = se2.wrap_angle(steps[:, 2])
-    V_B = steps[:, [0, 2]] / np.append(1.0, np.diff(stamps))[:, None]
+    dt = np.append(1.0, np.diff(stamps))
+    V_B = steps[:, [0, 2]] / np.where(dt > 0.0, dt, 1.0)[:, None]
     told = zip(stamps, X_OB, V_B, (steps == 0.0).all(axis=1), strict=True)
     return tuple(Odometry(float(stamp), X, V, bool(still)) for stamp, X, V, still in told)
 

@@ -17,7 +17,7 @@ from tfg_drake.notes import Note
 
 # What no ground robot's velocity exceeds, m/s and rad/s.
 FASTEST, FASTEST_TURN = 5.0, 20.0
-# A base drives at most so fast, m/s and rad/s, or this many times as fast as it says itself.
+# A base drives at most so fast, m/s and rad/s, or this many times as fast as it did before.
 USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
 # And so far beyond that, m and rad: stamps are late and messages get lost.
 LEAP, LEAP_TURN = 0.5, 0.5
@@ -59,7 +59,7 @@ def watch(
     if before is None or believed is None:
         return WatchedOdometry(told, passed), passed, note
     far, turned = math.hypot(step[0], step[1]), abs(step[2])
-    fastest, fastest_turn = (TWIST_SHARE * max(abs(u), abs(v)) for u, v in zip(believed.V_B, told.V_B, strict=True))
+    fastest, fastest_turn = (TWIST_SHARE * abs(float(value)) for value in believed.V_B)
     beyond = (
         max(0.0, state.beyond[0] + far - min(max(USUAL, fastest), FASTEST) * dt),
         max(0.0, state.beyond[1] + turned - min(max(USUAL_TURN, fastest_turn), FASTEST_TURN) * dt),
