@@ -254,7 +254,7 @@ def test_what_contradicts_all_along_is_refused_in_a_line():
         "the scans do not turn while the odometry does": (odometry, frozen),
         "scans travel backwards": drive(travel=-1.0),
         "scans travel 99 times as far as the odometry": drive(travel=100.0),
-        "scans turn 9.9 times as far": drive(turn=10.0),
+        "scans turn 10 times as far": drive(turn=10.0),
     }
     for begins, (wheels, seen) in cases.items():
         refusal = judged(compare(wheels, seen, mount_known=True)).refusal
