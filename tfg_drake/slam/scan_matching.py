@@ -155,7 +155,7 @@ class _Way:
         self.stamps = np.array([one.stamp for one in odometry])
         X = np.array([one.X_OB for one in odometry])
         self._p, self._heading = X[:, 0] + 1j * X[:, 1], np.unwrap(X[:, 2])
-        unknown = np.flatnonzero([one.way_unknown for one in odometry[1:]])
+        unknown = np.flatnonzero(np.diff([one.breaks for one in odometry]))
         self._lost, self._found = self.stamps[unknown], self.stamps[unknown + 1]
 
     def tells(self, begin: FloatArray, end: FloatArray) -> BoolArray:
