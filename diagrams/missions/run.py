@@ -67,6 +67,7 @@ TOLD_AT_THE_END = (
     "stages",
     "landmarks_mapped",
     "landmarks_reachable",
+    "walls_mapped",
     "landmark_rmse_m",
     "landmark_rmse_aligned_m",
     "position_error_m",

@@ -321,7 +321,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
 
 def test_the_progress_line():
     progress = Progress(
-        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
+        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks="63 tags", area=412.4, position_error=0.0213
     )
     expected = " 120.0 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
     assert explore_command.progress_line(progress) == expected
