@@ -29,8 +29,8 @@ _FIELDS = """schema version scenario world seed method outcome reason sim_time_s
 real_time_factor distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_doubtful
 landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m least_known changes
 landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m heading_error_rad
-surface_coverage surface_phantom_m area_coverage area_seen_s explored_s contacts contacts_received min_clearance_m map_variables
-map_bytes calibration estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+surface_coverage surface_phantom_m area_coverage area_seen_s explored_s contacts contacts_received min_clearance_m
+map_variables map_bytes calibration estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 
