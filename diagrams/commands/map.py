@@ -128,7 +128,9 @@ def export(
             _write(saved, out, name, arguments)
     files = [out, out.with_suffix(BESIDE[name])] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    print(f"{', '.join(map(str, files))}: {len(saved.ids)} landmarks, {size / 1e3:.0f} kB")
+    walls = (len(saved.graph.ids) - len(saved.ids)) // 2
+    landmarks = f"{len(saved.ids)} landmarks" if len(saved.ids) or not walls else f"{walls} walls"
+    print(f"{', '.join(map(str, files))}: {landmarks}, {size / 1e3:.0f} kB")
 
 
 def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
