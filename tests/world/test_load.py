@@ -181,8 +181,8 @@ def test_transparent_pixels_are_unknown(tmp_path):
     with pytest.raises(WorldError) as error:
         load_map_server(tmp_path / "map.yaml")
     assert str(error.value) == (
-        f"{tmp_path / 'map.yaml'}: image: {tmp_path / 'map.png'} has no free space, for what is transparent is unknown; "
-        "give it a white ground"
+        f"{tmp_path / 'map.yaml'}: image: {tmp_path / 'map.png'} has no free space, for what is transparent is "
+        "unknown; give it a white ground"
     )
 
 
