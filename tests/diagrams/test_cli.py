@@ -148,8 +148,9 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
-    names = [line[:12].strip() for line in out.splitlines()[-11:-1]]
-    assert names == ["outcome", "time", "driven", "tags", "map", "pose error", "coverage", "safety", "files", "page"]
+    names = [line[:12].strip() for line in out.splitlines()[-12:-1]]
+    before, after = ["outcome", "time", "driven", "tags", "walls", "map"], ["coverage", "safety", "files", "page"]
+    assert names == [*before, "pose error", *after]
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
     assert f"\ntags        {mapped} mapped of {reachable} reachable, map error 0.0" in out
     assert "\nsafety      contacts: 0 by the robot, 0 by others; least clearance " in out
