@@ -452,7 +452,7 @@ def fork(
                 out_dir=out,
                 on_progress=lambda progress: show(explore_command.progress_line(progress)),
                 interrupted=interruption,
-                fork=change,
+                monitor=change.monitor,
             )
             if change.failure is not None:
                 if out is None:
@@ -475,8 +475,8 @@ def slam(
     dataset: Annotated[
         Path,
         typer.Argument(
-            help="An MR.CLAM or TagSLAM folder, a .g2o file, a laser log of CARMEN (.log) or BreezySLAM (.dat), a "
-            "ROS 2 bag (.mcap) with scans and odometry or, with --calibration, a video or folder of images."
+            help="A ROS bag with scans and odometry, a laser log of CARMEN or BreezySLAM, an MR.CLAM or TagSLAM "
+            "folder, a .g2o file or, with --calibration, a video or folder of images."
         ),
     ],
     robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
@@ -491,18 +491,32 @@ def slam(
         Path | None, typer.Option(metavar="FILE", help="Of a video: a TUM trajectory, or a CSV of time, x, y, heading.")
     ] = None,
     method: Annotated[
-        str | None, typer.Option(metavar="walls|grid", help="Of a laser log: walls as landmarks, or GMapping. [walls]")
+        str | None,
+        typer.Option(metavar="walls|grid", help="Of a laser recording: walls as landmarks, or GMapping. [walls]"),
+    ] = None,
+    relations: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Of a laser recording: relations of poses, to be held against it."),
     ] = None,
     odometry_noise: Annotated[
-        float | None, typer.Option(metavar="K", help="Of a CARMEN log: errors of its odometry, times the usual. [1]")
+        float | None,
+        typer.Option(metavar="K", help="Of a corrected CARMEN log: errors of its odometry, times the usual. [1]"),
     ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of these errors. [0]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Of these errors, and of the grid's particles. [0]")
+    ] = None,
+    settings: Settings = None,
+    page: Annotated[bool, typer.Option("--page", help="A page that shows how a laser recording is mapped.")] = False,
+    meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw that in Drake's Meshcat, too.")] = False,
+    realtime_rate: Annotated[
+        float, typer.Option(metavar="R", help="At most R recorded seconds a second; 0 for no limit.")
+    ] = 0.0,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Run the estimator alone on a recorded data set, or on the tags in a video."""
+    """Map what was recorded: a mission without wheels, of a laser recording, or the estimator alone on other data."""
     is_video = calibration is not None or tag_size is not None
     if is_video and (calibration is None or tag_size is None):
         _bad_input("slam: a video needs both --calibration FILE and --tag-size M")
@@ -510,41 +524,59 @@ def slam(
         _bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
     if robot is not None and is_video:
         _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
-    for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--method", method)):
-        if is_video and value is not None:
-            _bad_input(f"{name} {value}: is for laser logs; leave it out")
-    for name, value in (("--odometry-noise", odometry_noise), ("--seed", seed), ("--robot", robot)):
-        if dataset.suffix == ".mcap" and value is not None:
-            _bad_input(f"{name} {value}: a ROS bag has one robot, with odometry of its own; leave it out")
-    if seed is not None and seed < 0:
-        _bad_input(f"--seed {seed}: must be 0 or more")
+    of_lasers = {"--odometry-noise": odometry_noise, "--seed": seed, "--method": method, "--relations": relations}
+    of_lasers |= {"--set": settings, "--page": page, "--meshcat": meshcat}
+    for name, value in of_lasers.items():
+        if is_video and value:
+            _bad_input(f"{name} {value}: is for laser recordings; leave it out")
+    _check_rate_and_seed(realtime_rate, seed)
     check_positive("--tag-size", tag_size, "m")
     check_positive("--odometry-noise", odometry_noise, "")
     _make_ready(out)
-    with Screen() as show:
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(Screen())
         show("loading")
 
-        from tfg_drake.datasets.load import load_dataset
         from tfg_drake.diagrams.commands import slam as slam_command
-        from tfg_drake.hardware.ros.bag import load_bag
+        from tfg_drake.hardware.recordings import load_recording
 
         progress = slam_command.Progress(show, interruption)
-        with complaining(out):
-            load: Callable[[Path], Any]
-            if calibration is not None and tag_size is not None:
-                load = video_loader(calibration, tag_size, mount, odometry, progress.say)
-            elif dataset.suffix == ".mcap":
-                load = load_bag
-            else:
-                load = functools.partial(load_dataset, robot=robot, noise=odometry_noise, seed=seed)
-            try:
-                result = slam_command.run_slam(dataset, out, progress, load, method, seed or 0)
-            except slam_command.Interrupted:
-                raise typer.Exit(EXIT_CODES["interrupted"]) from None
+        stack.enter_context(complaining(out))
+        load: Callable[[Path], Any]
+        if calibration is not None and tag_size is not None:
+            load = video_loader(calibration, tag_size, mount, odometry, progress.say)
+        else:
+            scanner, others = slam_command.scanner_settings(settings or [])
+            load = functools.partial(load_recording, robot=robot, noise=odometry_noise, seed=seed, scanner=scanner)
+            settings = others
+        shown: dict[str, Any] = {}
+        if page:
+            from tfg_drake.diagrams.commands.page import open_page
+
+            shown["cockpit"] = stack.enter_context(open_page(dataset.name, "localhost", None, rate=realtime_rate))
+        if meshcat:
+            shown["meshcat"] = explore_command.open_meshcat()
+        try:
+            result = slam_command.run_slam(
+                dataset,
+                out,
+                progress,
+                load,
+                method,
+                relations,
+                settings=settings or [],
+                seed=seed or 0,
+                realtime_rate=realtime_rate,
+                interrupted=interruption,
+                **shown,
+            )
+        except slam_command.Interrupted:
+            raise typer.Exit(EXIT_CODES["interrupted"]) from None
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
         print(f"{name:<14}{value}")
     if as_json:
         print(json.dumps(result.summary), flush=True)
+    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
 
 
 @app.command()

@@ -23,6 +23,7 @@ from tfg_drake.diagrams.commands.explore import check_kept, remarks_on_screen, r
 from tfg_drake.diagrams.commands.page import open_page
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.hardware_station import Bounded
+from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission
@@ -30,6 +31,7 @@ from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
+from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, RecordingOf, length_of
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import PrepareScenario, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
@@ -81,7 +83,9 @@ def explore(
         goal_selector, estimator, planner, follower: each makes a part for the scenario, in place of the method tfg's
             own, as MakeTfgExplorer has them: functions of a Scenario that return a System.
         plant: makes likewise what moves in the simulated station, see MakeTurtlebotStation.
-        station: makes the station, in place of MakeTurtlebotStation; a System with its ports. That of a real robot,
+        station: makes the station, in place of MakeTurtlebotStation; a System with its ports. One that plays a laser
+            recording, as `functools.partial(MakeRecordedStation, recording="drive.mcap")` makes it, is mapped by method
+            walls (the default) or grid, with an estimator of one's own if there is one. That of a real robot,
             as `functools.partial(MakeTurtlebotStation, hardware=True)` makes it, keeps real time; its mission is
             rehearsed in simulation first and kept, and the robot is closed at the end.
         enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
@@ -129,14 +133,22 @@ def explore(
         name = run_name(named or "mission", None if world is None else Path(world))
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
-    summary = f"tfg, another {', '.join(own)}"
-    explorer = Method("own", summary, functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
+    robot, explorer = SIMULATED, None
+    if station is not None:
+        made = MakePart("station", station, station, loaded)
+        recording = RecordingOf(made)
+        if recording is None:
+            robot, loaded = _robot_of(made, loaded, enable)
+        else:
+            robot, name = RecordedRobot(recording, made), recording.name
+            loaded = RecordedScenario(recording, loaded)
+            explorer = MappingMethod("walls" if method == "tfg" else method, length_of(recording), **own)
+    if explorer is None:
+        summary = f"tfg, another {', '.join(own)}"
+        explorer = Method("own", summary, functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
     explorer.Check(loaded)
-    robot = SIMULATED
     if plant is not None:
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
-    if station is not None:
-        robot, loaded = _robot_of(MakePart("station", station, station, loaded), loaded, enable)
     if out is None and not page and not robot.real:
         mission = Mission(loaded, explorer, meshcat, f"{name}, seed {loaded.seed}", robot)
         mission.begin()

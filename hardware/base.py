@@ -13,6 +13,8 @@ from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.notes import take_note
+from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.systems.ports import MessageInputs, MessageState
 
@@ -28,6 +30,10 @@ LOST = 60.0
 FIRST_TURN = 1.5 * math.pi
 # Of so many messages at most: half a minute's.
 HEARD = 1000
+CONTRADICT = (
+    "scans and odometry contradict each other for a while, the map may not hold: see whether the wheels slip, the "
+    "scanner is frozen or its mount has moved"
+)
 
 _log = logging.getLogger("tfg_drake.hardware")
 
@@ -37,7 +43,7 @@ class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
     waiting: what it waits for, "" for nothing. begun: when it was first looked at, s, since: when it began to
     wait. watch: of what the operator is told. heard: what was said in the first turn so far, turned: whether
-    that is over."""
+    that is over. scans: held against the odometry all along."""
 
     hazards: Hazards
     tried: float = 0.0
@@ -48,6 +54,7 @@ class _BaseState:
     watch: Watch = dataclasses.field(default_factory=Watch)
     heard: tuple[Message, ...] = ()
     turned: bool = False
+    scans: scan_matching.Watch = dataclasses.field(default_factory=scan_matching.Watch)
 
 
 class HardwareBase(LeafSystem):
@@ -72,7 +79,8 @@ class HardwareBase(LeafSystem):
     the base may move and every sensor speaks.
 
     When the base has turned by FIRST_TURN, what tags and scans say of that is held against its odometry: where they
-    turn against it, or the scanner's clock is wrong, it stands until it is enabled anew.
+    turn against it or by another measure, or the scanner's clock is wrong, it stands until it is enabled anew. Scans
+    are held against it all along; where they contradict it for long a note is taken.
 
     Raises DeviceError in a simulation when the robot is lost for good.
     """
@@ -122,10 +130,13 @@ class HardwareBase(LeafSystem):
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
         now = self._Turned(now, context)
+        scans, contradict = scan_matching.watched(now.scans, self._odometry(context), self._inputs(context, "scan"))
+        if contradict:
+            take_note("contradiction", time, CONTRADICT)
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
         for line in [*lines, *self.devices.take_remarks()]:
             _log.warning("%.2f s: %s", time, line)
-        self._state.set(state, replace(now, watch=watch))
+        self._state.set(state, replace(now, watch=watch, scans=scans))
         return EventStatus.Succeeded()
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:

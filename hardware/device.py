@@ -21,8 +21,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
+from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.announcements import Outbox
-from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
 

@@ -15,11 +15,12 @@ import numpy as np
 
 from tfg_drake.hardware.device import Message
 from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 # A stamp may be so far ahead of the host's clock, and so old when it arrives, s.
 AHEAD, OLD = 0.25, 30.0
-# How far a base can be from where it was switched on, m; how fast it drives and turns, m/s and rad/s.
-FARTHEST, FASTEST, FASTEST_TURN = 1e5, 5.0, 20.0
+# How far a base can be from where it was switched on, m.
+FARTHEST = 1e5
 # Of one message: sightings of tags, and rays.
 MOST_TAGS, MOST_RAYS = 2000, 50_000
 # A tag is seen within this, m; its id is below that.

@@ -6,8 +6,8 @@ from typing import Any, Protocol, TypeVar
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.host_clock import HostClock
-from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections, replace
 from tfg_drake.systems.ports import MessageState
 

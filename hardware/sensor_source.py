@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from tfg_drake.config import HardwareConfig
+from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.messages import LaserScan, TagDetections
 
 T = TypeVar("T", LaserScan, Sweep, TagDetections)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.sensor import Source
-from tfg_drake.hardware.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, Odometry
 
 

@@ -43,9 +43,11 @@ class GridMapper(LeafSystem):
         output_ports:
         - pose
         - grid
+        - filter
 
     odometry: Odometry, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the newest odometry. grid:
     GridMap, whose stage becomes the mission's stage plus one in phase "map", with the newest scan in it.
+    filter: GmappingState, all it knows.
     """
 
     def __init__(self, config: GridConfig, odometry: OdometryConfig, seed: int) -> None:
@@ -57,6 +59,7 @@ class GridMapper(LeafSystem):
         self._state = MessageState(self, _MapperState(first, grid_map(first, 0)))
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         self._state.declare_output(self, "grid", lambda now: now.grid)
+        self._state.declare_output(self, "filter", lambda now: now.filter)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     @metered("grid_mapper")

@@ -88,9 +88,9 @@ class MissionSequencer(LeafSystem):
             max_speed=self._max_speed,
             glance_period=self._glance_period,
             bumper=self._inputs(context, "hazards").bumper != 0,
-            pause=_flag(self._pause, context, False),
-            enable=_flag(self._enable, context, True),
-            stop=_flag(self._stop, context, False),
+            pause=flag(self._pause, context, False),
+            enable=flag(self._enable, context, True),
+            stop=flag(self._stop, context, False),
         )
         updated = step(status, inputs)
         if updated is status:
@@ -99,5 +99,6 @@ class MissionSequencer(LeafSystem):
         return EventStatus.Succeeded()
 
 
-def _flag(port, context: Context, default: bool) -> bool:
+def flag(port, context: Context, default: bool) -> bool:
+    """Whether a (1,) input is true, above 0.5; where it is not connected, by default."""
     return bool(port.Eval(context)[0] > 0.5) if port.HasValue(context) else default

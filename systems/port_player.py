@@ -35,20 +35,21 @@ class PortPlayer(LeafSystem):
     The inputs change nothing: what the robot did it has done. It has no state, the time says all.
     """
 
-    def __init__(self, recording: PortRecording) -> None:
+    def __init__(self, recording: PortRecording, source: object = None) -> None:
+        """source: what the recording was made from, kept for whoever asks."""
         super().__init__()
-        self._recording = recording
+        self.recording, self.source = recording, source
         self.DeclareVectorInputPort(COMMAND, 2)
         self.DeclareVectorInputPort("base.enable", 1)
         declare_message_input(self, "base.pose")
         for name in MESSAGES:
             declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
         self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})
-        goal = lambda context: self._recording.requested_goal(context.get_time())  # noqa: E731
+        goal = lambda context: self.recording.requested_goal(context.get_time())  # noqa: E731
         declare_message_output(self, GOAL, goal, {self.time_ticket()})
 
     def _Message(self, name: str, context: Context) -> object:
-        return self._recording.at(name, context.get_time())
+        return self.recording.at(name, context.get_time())
 
     def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._recording.enabled(context.get_time()))
+        output.SetAtIndex(0, self.recording.enabled(context.get_time()))

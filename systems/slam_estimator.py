@@ -20,6 +20,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.estimator import (
     begin_turn,
+    close_piece,
     end_turn,
     pose_estimate,
     process_detections,
@@ -29,12 +30,15 @@ from tfg_drake.slam.estimator import (
 from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.shared import by_data_sheet
+from tfg_drake.slam.walls import no_walls
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 # Period of the update, s: the odometry's.
 PERIOD = 1.0 / 16.0
+# Odometry of a recording that is silent for so long, s, has ended.
+SILENCE = 1.0
 
 
 class SlamEstimator(LeafSystem):
@@ -69,10 +73,13 @@ class SlamEstimator(LeafSystem):
         sensor: TagSensorConfig,
         scanner: ScanConfig,
         explorer: ExplorerConfig,
+        *,
+        recorded: bool = False,
     ) -> None:
         """odometry_config, sensor, scanner: what the estimator believes of odometry, camera and scanner. explorer: its
         path_keyframe_period, solver and landmarks, see `tfg_drake.slam.estimator_state.initial_state`, and known_map.
-        Raises MapFileError where that is no map."""
+        recorded: the drive is a recorded one, that makes no turns to be mapped: in phase "map" the piece of the way
+        since the last view is. Raises MapFileError where that is no map."""
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
@@ -80,8 +87,15 @@ class SlamEstimator(LeafSystem):
             self, odometry=Odometry, detections=TagDetections, scan=LaserScan, mission=MissionStatus, goal=GoalChoice
         )
         prior = by_data_sheet(odometry_config, sensor, scanner)
+        self._recorded = recorded
         state = initial_state(
-            odometry_config, explorer.path_keyframe_period, prior, explorer.solver, explorer.landmarks
+            odometry_config,
+            math.inf if recorded else explorer.path_keyframe_period,
+            prior,
+            explorer.solver,
+            explorer.landmarks,
+            no_walls(scanner.unevenness, scanner.least_looks),
+            may_be_moved=not recorded,
         )
         if explorer.known_map:
             state = begun_with(load_map(Path(explorer.known_map)), state)
@@ -111,7 +125,11 @@ class SlamEstimator(LeafSystem):
             self._detections_stamp.set(state, detections.stamp)
         stage = estimator.map.stage if estimator.map is not None else 0
         waits = estimator.turn is None and estimator.newest is not None
-        if mission.phase in ("observe", "glance") and waits and stage == mission.stage:
+        if self._recorded:
+            if mission.phase == "map" and waits and stage == mission.stage:
+                at_last = context.get_time() >= odometry.stamp + SILENCE
+                estimator = close_piece(estimator, odometry.stamp, at_last=at_last)
+        elif mission.phase in ("observe", "glance") and waits and stage == mission.stage:
             estimator = begin_turn(estimator, odometry.stamp)
         elif mission.phase == "map" and estimator.turn is not None and stage == mission.stage:
             goal = self._inputs.optional(context, "goal")

@@ -73,15 +73,15 @@ class Odometry:
 
     stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame. V_B: (2,) measured forward speed (m/s)
     and turn rate (rad/s). at_rest: no wheel has turned since the message before: the encoders know that the robot
-    stands, while the gyro's angle wanders on. way_unknown: how the robot came here since the message before is not
-    known: odometry was reset, jumped or was silent. X_OB is a guess, then.
+    stands, while the gyro's angle wanders on. breaks: how often so far the way from one message to the next was not
+    known, as odometry was reset, jumped or was silent; X_OB goes on by a guess.
     """
 
     stamp: float
     X_OB: FloatArray
     V_B: FloatArray
     at_rest: bool = False
-    way_unknown: bool = False
+    breaks: int = 0
 
 
 @message

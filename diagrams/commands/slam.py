@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +15,26 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
-from tfg_drake.comparison.metrics import rmse
-from tfg_drake.config import GridConfig
 from tfg_drake.datasets.batch_smoother import smooth
-from tfg_drake.datasets.evaluation import hits, landmark_error, relative_error, robot_error, wall_thickness
-from tfg_drake.datasets.figure import draw_laser_map, draw_slam
+from tfg_drake.datasets.evaluation import landmark_error, robot_error
+from tfg_drake.datasets.figure import draw_slam
 from tfg_drake.datasets.g2o import write_g2o
-from tfg_drake.datasets.laser_run import poses_between, run_grid, run_walls
-from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
+from tfg_drake.diagrams.commands.map_recording import SlamResult, map_recording
+from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS
 from tfg_drake.diagrams.missions.run_folder import open_run_folder
-from tfg_drake.geometry.alignment import align
+from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.hardware.recordings import load_recording
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
-from tfg_drake.messages import FloatArray, is_tag, replace
+from tfg_drake.messages import is_tag, replace
+from tfg_drake.notes import Note
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
-from tfg_drake.slam.walls import directions, known_walls
 from tfg_drake.storage.trajectory import write_tum
 from tfg_drake.tfg.feature_graph import empty_graph
 from tfg_drake.tfg.graph import empty_map
@@ -46,18 +44,10 @@ _log = logging.getLogger("tfg_drake.slam_command")
 SCHEMA = 1
 # What a graph without a robot's way in it is solved by.
 GRAPH_METHOD = "batch"
-# What maps a laser log.
-LASER_METHODS = ("walls", "grid")
+# Settings of a recording's scanner begin so.
+_SCANNER = "hardware.scanner."
 # Called with the part of the work ("online" or "batch") and the share of it done, 0 to 1.
 OnProgress = Callable[[str, float], None]
-
-
-@dataclasses.dataclass(frozen=True)
-class SlamResult:
-    """The summary and the folder it is in."""
-
-    summary: dict[str, Any]
-    folder: Path
 
 
 class Interrupted(Exception):
@@ -88,21 +78,23 @@ def run_slam(
     dataset: Path,
     out: Path | None = None,
     on_progress: OnProgress | None = None,
-    load: Callable[[Path], Recording | PoseGraph] = load_dataset,
+    load: Callable[[Path], Recording | PoseGraph] = load_recording,
     method: str | None = None,
-    seed: int = 0,
+    relations: Path | None = None,
+    **mapped: Any,
 ) -> SlamResult:
     """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png,
     log.txt, trajectories and the map with its covariances, map.npz and landmarks.csv; of a g2o graph, which is only
-    solved, solved.g2o. A laser log is mapped online only.
+    solved, solved.g2o. A laser recording is a mission, see `map_recording`.
 
     Args:
         dataset: its path.
         out: the folder, made if missing; runs/<time>-<data set> by default.
         on_progress: told how far the work is.
         load: reads the data set.
-        method: of a laser log, one of LASER_METHODS; None: the first.
-        seed: of the filter that maps a grid.
+        method: of a laser recording, one of MAPPING_METHODS; None: the first.
+        relations: of a laser recording, a file of relations between its poses, to be held against it.
+        mapped: of a laser recording, more arguments of `map_recording`.
 
     Raises:
         DatasetError: the data set cannot be used; nothing is written.
@@ -111,21 +103,24 @@ def run_slam(
     report = on_progress or (lambda _part, _share: None)
     cpu, wall = time.process_time(), time.monotonic()
     loaded = load(dataset)
-    is_log = isinstance(loaded, Recording) and len(loaded.scans) > 0
-    if method is not None and not (is_log and method in LASER_METHODS):
-        methods = " or ".join(LASER_METHODS) + " for a laser log, and nothing for other data sets"
+    is_laser = isinstance(loaded, Recording) and len(loaded.scans) > 0
+    if method is not None and not (is_laser and method in MAPPING_METHODS):
+        methods = " or ".join(MAPPING_METHODS) + " for a laser recording, and nothing for other data sets"
         raise DatasetError(f"--method {method}: name {methods}")
-    if isinstance(loaded, Recording) and is_log and not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
-        raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
+    if isinstance(loaded, Recording) and is_laser:
+        online = lambda share: report("online", share)  # noqa: E731
+        mapping = method or next(iter(MAPPING_METHODS))
+        return map_recording(loaded, dataset, out, mapping, online, relations=relations, **mapped)
+    if relations is not None or mapped.get("settings"):
+        option = f"--relations {relations}" if relations is not None else f"--set {mapped['settings'][0]}"
+        raise DatasetError(f"{option}: is for laser recordings; leave it out")
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
         for note in loaded.notes:
-            _log.info("%s", note)
+            _log.info("%s", note.text)
         if isinstance(loaded, PoseGraph):
             figures = _solve_graph(loaded, dataset, name, folder.path, report)
-        elif is_log:
-            figures = _map_log(loaded, folder.path, method or LASER_METHODS[0], seed, report)
         else:
             figures = _run_recording(loaded, folder.path, report)
         summary = {
@@ -141,6 +136,15 @@ def run_slam(
     return SlamResult(summary, folder.path)
 
 
+def scanner_settings(settings: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """What of some settings is said of a recording's scanner, `hardware.scanner.KEY=VALUE`, by its keys, and the other
+    settings. Raises ScenarioError."""
+    said = [one for one in settings if one.startswith(_SCANNER)]
+    scanner = ApplySettings(Scenario(), said).hardware.scanner
+    keys = (one.removeprefix(_SCANNER).partition("=")[0] for one in said)
+    return {key: getattr(scanner, key) for key in keys}, [one for one in settings if one not in said]
+
+
 def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """The closing table: name and value, "-" where there is none."""
 
@@ -148,7 +152,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         return "-" if summary[key] is None else f"{summary[key]:.3f} m"
 
     rows = [("data set", f"{summary['name']}, {summary['method']}")]
-    if summary["method"] in LASER_METHODS:
+    if summary["method"] in MAPPING_METHODS:
         return rows + _log_rows(summary, metres)
     used, rejected = summary["measurements_used"], summary["measurements_rejected"]
     mapped = f"{summary['landmarks_mapped']} mapped"
@@ -167,7 +171,16 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("measurements", f"{used} used, {rejected} rejected, final error {summary['final_error']:.6g}"),
         ("CPU time", f"{summary['cpu_time_s']:.1f} s"),
     ]
-    return rows + [("note", note) for note in summary["notes"]]
+    return rows + _note_rows(summary)
+
+
+def _told(notes: Sequence[Note]) -> list[dict[str, Any]]:
+    return [dict(vars(note)) for note in notes]
+
+
+def _note_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    at = lambda time: "" if time is None else f"{time:.1f} s: "  # noqa: E731
+    return [("note", at(note["time_s"]) + note["text"]) for note in summary["notes"]]
 
 
 def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tuple[str, str]]:
@@ -180,7 +193,7 @@ def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tup
     mapped = "" if summary["walls_mapped"] is None else f"{summary['walls_mapped']} mapped, "
     rows.append(("walls", f"{mapped}hits {metres('wall_thickness_m')} off them, mean"))
     rows.append(("CPU time", f"{summary['cpu_time_s']:.1f} s"))
-    return rows + [("note", note) for note in summary["notes"]]
+    return rows + _note_rows(summary)
 
 
 def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> dict[str, Any]:
@@ -229,59 +242,8 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
         "calibration": smoothed.calibration.tolist(),
         "online_cpu_s": middle - start,
         "batch_cpu_s": end - middle,
-        "notes": [*recording.notes, *landmarks.notes],
+        "notes": _told([*recording.notes, *(Note("truth", None, text) for text in landmarks.notes)]),
     }
-
-
-def _map_log(recording: Recording, folder: Path, method: str, seed: int, report: OnProgress) -> dict[str, Any]:
-    start, stamps = time.process_time(), np.array([scan.stamp for scan in recording.scans])
-    walls, mapped = np.empty((0, 2, 2)), None
-    if method == "grid":
-        grid = run_grid(recording, GridConfig(), seed, lambda share: report("grid", share))
-        X_MS, online = (poses_between(recording, grid.stamps, X) for X in (grid.X_MS, grid.online))
-    else:
-        run = run_walls(recording, lambda share: report("online", share))
-        X_MS, online, walls = run.X_MS, run.online, _whole_walls(run.state)
-        mapped = len(walls)
-        _keep_map(folder, run.state)
-    cpu = time.process_time() - start
-    truth = recording.truth or _no_truth()
-    errors = relative_error(truth.X_WB, X_MS) if recording.truth is not None else (None, None)
-    X_MW = align(X_MS[:, :2], truth.X_WB[:, :2]) if recording.truth is not None else np.zeros(3)
-
-    def off(X: FloatArray) -> float | None:
-        p_WS = truth.X_WB[:, :2]
-        return None if recording.truth is None else rmse(transform(align(p_WS, X[:, :2]), X[:, :2]) - p_WS)
-
-    met = hits(recording.scans, X_MS)
-    write_tum(folder / "trajectory.tum", stamps, X_MS)
-    write_tum(folder / "online.tum", stamps, online)
-    true_path = transform(X_MW, truth.X_WB[:, :2])
-    draw_laser_map(folder / "figure.png", f"{recording.name}: {method}", met, walls, X_MS[:, :2], true_path)
-    return {
-        "method": method,
-        "outcome": "complete",
-        "scans": len(stamps),
-        "way_m": float(np.hypot(*np.diff(X_MS[:, :2], axis=0).T).sum()),
-        "relative_translation_m": errors[0],
-        "relative_rotation_rad": errors[1],
-        "robot_rmse_m": off(X_MS),
-        "online_rmse_m": off(online),
-        "wall_thickness_m": _number(wall_thickness(met)),
-        "walls_mapped": mapped,
-        "online_cpu_s": cpu,
-        "notes": [*recording.notes],
-    }
-
-
-def _whole_walls(state: EstimatorState) -> FloatArray:
-    """(w, 2, 2) m, the ends of the map's walls as far as they have been seen."""
-    if state.map is None:
-        return np.empty((0, 2, 2))
-    first, p_ML, _ = known_walls(state.map)
-    order = np.argsort(state.walls.first)
-    reach = state.walls.reach[order[np.searchsorted(state.walls.first, first, sorter=order)]]
-    return np.asarray(p_ML[:, :1] + reach[:, :, None] * directions(p_ML)[0][:, None])
 
 
 def _keep_map(folder: Path, state: EstimatorState) -> None:
@@ -329,7 +291,7 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "calibration": None,
         "online_cpu_s": None,
         "batch_cpu_s": time.process_time() - start,
-        "notes": [*graph.notes],
+        "notes": _told(graph.notes),
     }
 
 

@@ -36,6 +36,7 @@ from tfg_drake.messages import (
     is_tag,
 )
 from tfg_drake.mission.manual_drive import Pressed
+from tfg_drake.notes import Note
 from tfg_drake.pictures import scene
 from tfg_drake.slam.estimator import carried, finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
@@ -74,7 +75,7 @@ STAGE_FIELDS = (
     "landmarks",
 )
 # What a mission has noted of itself, besides its Context.
-_STATE = ("stages", "departures", "map", "stage_cpu", "resumed", "_choice")
+_STATE = ("stages", "departures", "map", "stage_cpu", "resumed", "_choice", "notes")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -125,7 +126,7 @@ class Mission:
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
     `say`. simulator: of the diagram, and explorer: what explores, once it is built. X_WM: (3,) pose of the map frame in
-    the world, see `MapFrame`. failure: what ended it, of the outcome fault.
+    the world, see `MapFrame`. failure: what ended it, of the outcome fault. notes: what was not believed meanwhile.
     resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
     taken when it was gone on with, s.
     """
@@ -169,6 +170,7 @@ class Mission:
         self.departures: list[Departure] = []  # one a stage
         self.stages: list[dict[str, Any]] = []
         self.resumed: list[float] = []
+        self.notes: list[Note] = []
         self.outcome, self.reason = "", ""
         self.failure: BaseException | None = None
         self.stage_cpu: dict[int, float] = {}
@@ -218,7 +220,8 @@ class Mission:
         self.meter.spent.update(state["spent"])
         self.wall_start -= state["wall_time"]
         self._cpu_start -= state["cpu_time"]
-        vars(self).update(state["mission"])
+        self.notes[:0] = state["mission"]["notes"]
+        vars(self).update(state["mission"] | {"notes": self.notes})
         self.resumed = [*self.resumed, self.time]
         _log.info("goes on from %.2f s", self.time)
 
@@ -295,23 +298,23 @@ class Mission:
     @property
     def shared(self) -> Shared:
         """The shared parameters as the estimator knows them; of a method without an estimator all are zero."""
-        state = self._estimator_state()
+        state = self.estimator_state()
         return exactly_known() if state is None else state.graph.shared
 
     @property
     def noise(self) -> LearntNoise:
         """The noise as the estimator knows it; of a method without an estimator as the data sheet says."""
-        state = self._estimator_state()
+        state = self.estimator_state()
         return noise_by_data_sheet(random_walks(self.scenario.odometry)) if state is None else state.noise
 
     @property
     def placed_since(self) -> float:
         """Since when the robot has known where it is in the map that it began with, s; -inf where it began with none,
         nan or inf where it has not found itself."""
-        state = self._estimator_state()
+        state = self.estimator_state()
         return -math.inf if state is None else state.placed
 
-    def _estimator_state(self) -> EstimatorState | None:
+    def estimator_state(self) -> EstimatorState | None:
         """What the estimator knows, in the end with the final map; None of a method without one."""
         if self._final is not None or self._context is None or not self.explorer.HasOutputPort("map"):
             return self._final
@@ -320,7 +323,7 @@ class Mission:
     @property
     def landmarks(self) -> MapEstimate | None:
         """The newest map with the walls that are landmarks, in the end the final one; None of a method without one."""
-        state = self._estimator_state()
+        state = self.estimator_state()
         return state.map if state is not None else None
 
     @property
@@ -352,7 +355,7 @@ class Mission:
     def published_poses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Stamps (n,) in s, poses X_MB (n, 3) and covariances (n, 3, 3) as they were published, once a second to the
         end; none by a method without an estimator."""
-        if self._estimator_state() is None:
+        if self.estimator_state() is None:
             return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
         stamps, values = self._logged(self._covariance_log)
         return stamps, values[:, :3], values[:, 3:].reshape(-1, 3, 3)

@@ -132,6 +132,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "reason": mission.reason,
         "sim_time_s": mission.end_time,
         "resumed_at_s": mission.resumed,
+        "notes": [dict(vars(note)) for note in mission.notes],
         "wall_time_s": mission.wall_time,
         "cpu_time_s": mission.cpu_time,
         "real_time_factor": mission.end_time / mission.wall_time,

@@ -17,11 +17,12 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydrake.common.yaml import yaml_dump_typed
+from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
@@ -38,6 +39,7 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
+from tfg_drake.notes import Note, NoteKeeper
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
 from tfg_drake.storage.checkpoint import write_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
@@ -49,7 +51,6 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
-    from tfg_drake.diagrams.missions.fork import Fork
 
 # The map is kept no more often than takes this share of the time on the wall, and the mission likewise: of one that is
 # killed a few seconds of work are lost, ten in a large building.
@@ -109,7 +110,8 @@ def run_mission(
     interrupted: threading.Event | None = None,
     record: bool = True,
     warm_up: WarmUp | None = None,
-    fork: Fork | None = None,
+    monitor: Callable[[Mission], Callable[[Context], EventStatus]] | None = None,
+    notes: Sequence[Note] = (),
     before: Mapping[str, Any] | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
@@ -129,7 +131,8 @@ def run_mission(
         record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
             grows; not for what a seed gives again.
         warm_up: those who compile the kernels that come after its first look, which takes its time until all are there.
-        fork: what becomes of its goals from a stage on.
+        monitor: makes what is called with the diagram's Context after every step of the simulator.
+        notes: what was not believed before it began, of a recording.
         before: the state in which the mission that is in out_dir was cut short, to go on with it.
 
     The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
@@ -167,14 +170,16 @@ def run_mission(
                 interrupted.first = lambda *_: None
                 stack.enter_context(interrupted.heard())
             mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit, before)
+            mission.notes += notes
+            stack.enter_context(NoteKeeper(mission.notes))
             rows = [] if before is None else before["mission"]["stages"]
             folder.attempt("stages.jsonl", lambda path: write_atomic(path, stage_lines(rows)))
             told = {"scenario": name, "world": world_name or name, "seed": scenario.seed, "robot": robot.name}
             told |= {"method": method.name, "source": method.source or method.name}
             keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
-            monitor = fork.monitor(mission) if fork is not None else None
             runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
-            runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, monitor)
+            looks_on = monitor(mission) if monitor is not None else None
+            runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, looks_on)
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
             if mission.outcome in ("complete", "stuck"):

@@ -1,162 +1,296 @@
-"""A ROS 2 bag (MCAP) of a robot with a planar laser scanner, as a recording."""
+"""A ROS bag of a robot with a planar laser scanner, as a recording: its messages as they were recorded, none judged."""
 
 from __future__ import annotations
 
+import collections
+import contextlib
+import dataclasses
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.recording import DatasetError, Recording
-from tfg_drake.geometry import se2
-from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odometry, ros_stamp
+from tfg_drake.hardware.ros.bag_files import Logged, bag_files, read_messages
+from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odometry, ros_stamp, unit_quaternion
 from tfg_drake.hardware.ros.preset import Scanner
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
-from tfg_drake.slam.estimator_state import EXACT_CAMERA
-from tfg_drake.slam.shared import by_data_sheet
+from tfg_drake.notes import Note
 
-SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
-STATIC = "/tf_static"
+SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "tf2_msgs/TFMessage"
+KINDS = (SCAN, ODOMETRY, TRANSFORMS, "tf/tfMessage")
+STATIC = "tf_static"
+# The body where odometry does not name it (REP 105).
+BODIES = ("base_footprint", "base_link")
 # Least cosine of the tilt of what is upright: 8 degrees.
 UPRIGHT = 0.99
-# What is believed of a scanner whose place the bag tells, and of one whose place it does not.
-TOLD = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02)
-UNTOLD = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
+# A transform whose numbers change by no more than this stays as it is, m and parts of a quaternion.
+_FIXED = 1e-3
+# What is believed of a scanner's place and direction where they are told, and where they are not, m and rad.
+TOLD, UNTOLD = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02), ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
+# Stamps that so many messages share, on average, are none of theirs.
+_SHARED = 3
+# By frame its parent, and its pose (4, 4) there.
+Transforms = dict[str, tuple[str, FloatArray]]
+# What can be said of a scanner by hand.
+SAID = "--set hardware.scanner.KEY=VALUE"
 
 
-def load_bag(path: Path) -> Recording:
-    """The run in a file: its scans and its odometry, of several topics the one with the most messages.
+def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
+    """The run in a bag, a file or a folder: its scans and its odometry, of several topics the one with most messages.
 
-    Where the scanner sits is read from the fixed transforms; where these do not tell, it is taken to be at the body's
-    origin, within some 0.2 m. Stamps are those of the headers, from the first message on. The odometry is believed to
-    be as good as a TurtleBot's.
+    scanner: fields of `Scanner` that somebody has said; they win over what the bag says. Where the scanner sits is read
+    from fixed transforms else; where these do not tell, it is taken to be at the body's origin, within some 0.2 m.
+    Stamps are those of the headers, or where these are not stamped the recorder's, from the odometry's first on. The
+    odometry is believed to be as good as a TurtleBot's. A message that cannot be used is left out.
 
     Raises:
-        DatasetError: the file cannot be read, a message is broken, there are no scans or no odometry in it, or the
-            package that reads bags is missing.
+        DatasetError: no file can be read, there are no scans or no odometry in it that can be used, or the package that
+            reads bags is missing.
     """
     try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
-        from mcap_ros2.decoder import DecoderFactory
+        decoded = _decoder()
     except ImportError:
         raise DatasetError(f"{path}: a ROS bag needs an extra; pip install 'tfg_drake[bag]'") from None
-    try:
-        with path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            scans, told, fixed, notes = _chosen(path, reader.get_summary())
-            topics = [topic for topic in (scans, told, fixed) if topic]
-            read = ((channel.topic, message) for _, channel, _, message in reader.iter_decoded_messages(topics))
-            return _recording(path, read, scans, told, notes)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file or folder; name a data set") from None
-    except (OSError, McapError, ValueError) as error:
-        if isinstance(error, DatasetError):
-            raise
-        raise DatasetError(f"{path}: not a whole ROS 2 bag ({' '.join(str(error).split())}); copy it again") from None
+    files, told = bag_files(path)
+    of_topic: dict[tuple[str, str], list[Logged]] = collections.defaultdict(list)
+    for one in read_messages(files, KINDS, told.append):
+        of_topic[one.kind, one.topic].append(one)
+    notes = [Note("file", None, text) for text in told]
+    topics = [_Topic(path, kind, name, logged, decoded) for (kind, name), logged in sorted(of_topic.items())]
+    if not topics:
+        why = "; ".join(told) or "record scans and odometry"
+        raise DatasetError(f"{path}: no {SCAN} and no {ODOMETRY} in it; {why}")
+    seen, way = (_fullest(path, topics, kind, notes) for kind in (SCAN, ODOMETRY))
+    parents = _fixed([topic for topic in topics if topic.kind not in (SCAN, ODOMETRY)])
+    return _recording(path, seen, way, parents, scanner or {}, notes)
 
 
-def _chosen(path: Path, summary: Any) -> tuple[str, str, str, tuple[str, ...]]:
-    """The topics of scans, of odometry and of fixed transforms, "" where there are none, and what is left out."""
-    counts = {} if summary is None or summary.statistics is None else summary.statistics.channel_message_counts
-    topics: dict[str, list[tuple[int, str]]] = {SCAN: [], ODOMETRY: [], TRANSFORMS: []}
-    for key, channel in ({} if summary is None else summary.channels).items():
-        schema = summary.schemas.get(channel.schema_id)
-        if schema is not None and schema.name in topics:
-            topics[schema.name].append((counts.get(key, 0), channel.topic))
-    notes = []
-    for kind in (SCAN, ODOMETRY):
-        if not topics[kind]:
-            raise DatasetError(f"{path}: no {kind} in it; record scans and odometry of ROS 2")
-        _, best = max(topics[kind])
-        others = sorted(topic for _, topic in topics[kind] if topic != best)
-        notes += [f"Of {kind} {best} is read, not {', '.join(others)}."] if others else []
-    static = STATIC if any(topic == STATIC for _, topic in topics[TRANSFORMS]) else ""
-    return max(topics[SCAN])[1], max(topics[ODOMETRY])[1], static, tuple(notes)
+@functools.cache
+def _decoder() -> Callable[[Logged], Any]:
+    """What makes a message of one in a bag, or raises anything. Raises ImportError without the package that can."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    ros2, ros1 = (get_typestore(store) for store in (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC))
+    ros1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+
+    def decoded(one: Logged) -> Any:
+        kind = one.kind.replace("tf/tf", "tf2_msgs/TF").replace("/", "/msg/")
+        return ros1.deserialize_ros1(one.data, kind) if one.ros1 else ros2.deserialize_cdr(one.data, kind)
+
+    return decoded
+
+
+class _Topic:
+    """The messages of a topic. read: those that can be decoded, each with its header's stamp and the recorder's, s."""
+
+    def __init__(
+        self, path: Path, kind: str, name: str, logged: list[Logged], decoded: Callable[[Logged], Any]
+    ) -> None:
+        self.kind, self.name, self.total, self._path = kind, name, len(logged), path
+        self._reasons: list[tuple[float, str]] = []
+        self.read: list[tuple[float, float, Any]] = []
+        for one in logged:
+            arrival = 1e-9 * one.time_ns
+            with self.leaving_out(arrival):
+                message = decoded(one)
+                self.read.append((_stamp(message) if kind in (SCAN, ODOMETRY) else math.nan, arrival, message))
+
+    @contextlib.contextmanager
+    def leaving_out(self, arrival: float) -> Iterator[None]:
+        """While the message that was recorded then, s, is used: whatever is wrong with it, it is left out."""
+        try:
+            with np.errstate(all="ignore"):
+                yield
+        except Exception as error:  # whatever its bytes may hold
+            self._reasons.append((arrival, " ".join(str(error).split())[:200] or type(error).__name__))
+
+    def check(self, used: int) -> None:
+        """Raises DatasetError where fewer than two messages can be used."""
+        if used < 2:
+            why = f": {self._reasons[0][1]}" if self._reasons else ""
+            told = f"{used} of {self.total} messages of {self.name} can be used{why}"
+            raise DatasetError(f"{self._path}: {told}; record more")
+
+    def notes(self, begin: float) -> list[Note]:
+        """A note on what was left out, if anything was. begin: s of the recorder's clock at time 0."""
+        if not self._reasons:
+            return []
+        text = f"{len(self._reasons)} of {self.total} messages of {self.name} are not used: {self._reasons[0][1]}"
+        return [Note("messages", self._reasons[0][0] - begin, text)]
+
+
+def _fullest(path: Path, topics: list[_Topic], kind: str, notes: list[Note]) -> _Topic:
+    """The topic of a kind that has most messages; a note names the others."""
+    found = sorted((topic for topic in topics if topic.kind == kind), key=lambda topic: (-topic.total, topic.name))
+    if not found:
+        has = ", ".join(sorted({topic.kind for topic in topics}))
+        raise DatasetError(f"{path}: no {kind} in it, but {has}; record scans and odometry")
+    if found[1:]:
+        others = ", ".join(topic.name for topic in found[1:])
+        notes.append(Note("topics", None, f"Of {kind} {found[0].name} is read, not {others}."))
+    return found[0]
 
 
 def _recording(
-    path: Path, read: Iterator[tuple[str, Any]], scan_topic: str, odometry_topic: str, notes: tuple[str, ...]
+    path: Path, seen: _Topic, way: _Topic, parents: Transforms, said: Mapping[str, Any], notes: list[Note]
 ) -> Recording:
-    """The recording of the messages, each with its topic."""
-    seen: list[tuple[float, Any]] = []
-    told: list[tuple[float, Any]] = []
-    parents: dict[str, Any] = {}
-    for topic, message in read:
-        if topic == scan_topic:
-            seen.append((_stamp(message), message))
-        elif topic == odometry_topic:
-            told.append((_stamp(message), message))
-        else:
-            for one in field(message, "transforms"):
-                parents[field(one, "child_frame_id")] = one
-    if len(seen) < 2 or len(told) < 2:
-        raise DatasetError(f"{path}: {len(seen)} scans and {len(told)} messages of odometry in it; record more")
-    seen.sort(key=lambda one: one[0])
-    told.sort(key=lambda one: one[0])
-    first = min(seen[0][0], told[0][0])
-    way: list[Odometry] = []
-    for stamp, message in told:
-        if not way or stamp - first > way[-1].stamp:
-            way.append(odometry(message, stamp - first, way[-1] if way else None))
-    X_BS = _mount(path, parents, field(seen[0][1], "header.frame_id"), field(told[0][1], "child_frame_id"))
-    if X_BS is None:
-        notes += ("Where the scanner sits is not told; it is learnt, from the body's origin on.",)
-    x, y, yaw = (0.0, 0.0, 0.0) if X_BS is None else X_BS
-    stamps = np.array([one.stamp for one in way])
+    """The recording of the scans seen and the odometry's way."""
+    for topic in (way, seen):
+        topic.check(len(topic.read))
+    stamps, recorded = ([np.array([one[k] for one in topic.read]) for topic in (way, seen)] for k in (0, 1))
+    is_recorded = all(map(_is_clock, recorded))
+    if unstamped := [topic.name for topic, t in zip((way, seen), stamps, strict=True) if not _is_clock(t)]:
+        names = " and ".join(unstamped)
+        if not is_recorded:
+            raise DatasetError(f"{path}: neither headers nor the recorder stamp {names}; record it again")
+        notes.append(Note("stamps", None, f"the headers of {names} are not stamped: the recorder's stamps are used"))
+        stamps = recorded
+    first, told, looks = float(stamps[0][0]), stamps[0] - stamps[0][0], stamps[1] - stamps[0][0]
+    scanner, is_told = _scanner(path, way, seen, parents, said, notes)
+
+    odometry_messages: list[Odometry] = []
+    drove: list[int] = []
+    for k, stamp in enumerate(told):
+        with way.leaving_out(recorded[0][k]):
+            before = odometry_messages[-1] if odometry_messages else None
+            odometry_messages.append(odometry(way.read[k][2], float(stamp), before))
+            drove.append(k)
+    way.check(len(drove))
+    # The velocity of a sweep: by stamps where they are in order, else by when it was recorded.
+    in_order = all((np.diff(t) >= 0.0).all() for t in (told, looks))
+    of_way, of_look = (told[drove], looks) if in_order else (recorded[0][drove], recorded[1])
+    newest = np.searchsorted(np.maximum.accumulate(of_way), of_look, "right") - 1
     scans: list[LaserScan] = []
-    for stamp, message in seen:
-        before = way[max(int(np.searchsorted(stamps, stamp - first, "right")) - 1, 0)]
-        scan = laser_scan(message, stamp - first, Scanner(float(x), float(y), float(yaw)), before.V_B)
-        if (scans[-1].stamp if scans else way[0].stamp) < scan.stamp <= way[-1].stamp:
-            scans.append(scan)
-    if len(scans) < 2:
-        raise DatasetError(f"{path}: fewer than two scans while there is odometry; record both at once")
+    looked: list[int] = []
+    for k, stamp in enumerate(looks):
+        with seen.leaving_out(recorded[1][k]):
+            V_B = odometry_messages[max(newest[k], 0)].V_B
+            scans.append(laser_scan(seen.read[k][2], float(stamp), scanner, V_B))
+            looked.append(k)
+    seen.check(len(looked))
+    for topic in (way, seen):
+        notes += topic.notes(recorded[0][0])
+    _check_clocks(path, way.name, seen.name, odometry_messages, scans, first, recorded if is_recorded else None)
+    mount_known = is_told or "yaw" in said
+    place, yaw = (TOLD if known else UNTOLD for known in (is_told or {"x", "y"} & said.keys(), mount_known))
+    believed = ScanConfig(mount_deviation=place.mount_deviation, yaw_deviation=yaw.yaw_deviation)
     return Recording(
         name=path.name.split(".")[0],
-        odometry=tuple(way),
+        odometry=tuple(odometry_messages),
         scans=tuple(scans),
         model=OdometryConfig(),
         truth=None,
-        notes=notes,
+        notes=tuple(notes),
         detections=(),
-        prior=by_data_sheet(OdometryConfig(), EXACT_CAMERA, UNTOLD if X_BS is None else TOLD),
+        scanner=believed,
+        odometry_arrivals=recorded[0][drove] - first if is_recorded else np.empty(0),
+        scan_arrivals=recorded[1][looked] - first if is_recorded else np.empty(0),
+        mount_known=mount_known,
     )
 
 
 def _stamp(message: Any) -> float:
     stamp = ros_stamp(message)
     if stamp is None:
-        raise ValueError("a message without a header")
+        raise ValueError("no header")
     return stamp
 
 
-def _planar(transform: Any) -> FloatArray | None:
-    """The pose (3,) of a geometry_msgs/TransformStamped in the plane, None where it is not upright."""
-    x, y = (number(transform, f"transform.translation.{axis}") for axis in "xy")
-    q = [number(transform, f"transform.rotation.{axis}") for axis in "xyzw"]
-    if 1.0 - 2.0 * (q[0] ** 2 + q[1] ** 2) < UPRIGHT:
-        return None
-    yaw = math.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), q[3] ** 2 + q[0] ** 2 - q[1] ** 2 - q[2] ** 2)
-    return np.array([x, y, yaw])
+def _is_clock(stamps: FloatArray) -> bool:
+    """Whether stamps (n,) tell the messages apart: those never set, or cut to whole seconds, do not."""
+    return len(np.unique(stamps)) * _SHARED > len(stamps)
 
 
-def _mount(path: Path, parents: dict[str, Any], scanner: str, body: str) -> FloatArray | None:
-    """X_BS (3,), from the scanner's frame up to the body's by transforms to their parents; None where that is not told.
+def _check_clocks(
+    path: Path,
+    way: str,
+    seen: str,
+    odometry: list[Odometry],
+    scans: list[LaserScan],
+    first: float,
+    recorded: list[FloatArray] | None,
+) -> None:
+    """Raises DatasetError where no scan is of a time when there is odometry."""
+    spans = [(min(t), max(t)) for t in ([one.stamp for one in odometry], [one.stamp for one in scans])]
+    if spans[0][0] < spans[1][1] and spans[1][0] < spans[0][1]:
+        return
+    (a, b), (c, d) = ((first + begin, first + end) for begin, end in spans)
+    told = f"{way} is stamped {a:.1f} to {b:.1f} s, {seen} {c:.1f} to {d:.1f} s"
+    mend = "record both at once"
+    if recorded is not None and recorded[0][0] < recorded[1][-1] and recorded[1][0] < recorded[0][-1]:
+        ahead = np.median([one.stamp for one in scans]) - np.median(recorded[1])
+        ahead -= np.median([one.stamp for one in odometry]) - np.median(recorded[0])
+        mend = "they have two clocks: record both by one (use_sim_time)"
+        mend += f", or say how far the scanner's is ahead, --set hardware.scanner.clock_offset={ahead:.3f} or near it"
+    raise DatasetError(f"{path}: {told}; {mend}")
 
-    Raises DatasetError where the scanner is not upright.
-    """
-    X, frame = np.zeros(3), scanner
-    for _ in range(len(parents) + 1):
-        if frame == body:
-            return X
-        if frame not in parents:
-            break
-        step = _planar(parents[frame])
-        if step is None:
-            raise DatasetError(f"{path}: {STATIC} has {frame} tilted or upside down; a scanner must be upright")
-        frame, X = field(parents[frame], "header.frame_id"), se2.compose(step, X)
-    return None
+
+def _fixed(topics: Iterable[_Topic]) -> Transforms:
+    """The fixed transforms: those of /tf_static, and of /tf those that never change."""
+    parents: Transforms = {}
+    static: Transforms = {}
+    moving: set[str] = set()
+    for topic in topics:
+        is_static = _frame(topic.name) == STATIC
+        for _, arrival, message in topic.read:
+            with topic.leaving_out(arrival):
+                for one in field(message, "transforms"):
+                    child, parent, pose = _frame(one.child_frame_id), _frame(one.header.frame_id), _pose(one)
+                    if is_static:
+                        static[child] = parent, pose
+                    elif np.abs(parents.setdefault(child, (parent, pose))[1] - pose).max() > _FIXED:
+                        moving.add(child)
+    return {child: one for child, one in parents.items() if child not in moving} | static
+
+
+def _frame(name: str) -> str:
+    """A frame's or a topic's name, without the slash that ROS 1 may begin it with."""
+    return str(name).lstrip("/")
+
+
+def _pose(transform: Any) -> FloatArray:
+    """The pose (4, 4) of a geometry_msgs/TransformStamped."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(unit_quaternion(transform, "transform.rotation")).as_matrix()
+    pose[:3, 3] = [number(transform, f"transform.translation.{axis}") for axis in "xyz"]
+    return pose
+
+
+def _above(parents: Transforms, frame: str) -> dict[str, FloatArray]:
+    """The frame's pose (4, 4) in itself and in all frames above it."""
+    pose, found = np.eye(4), {frame: np.eye(4)}
+    while frame in parents and parents[frame][0] not in found:
+        frame, step = parents[frame]
+        pose = step @ pose
+        found[frame] = pose
+    return found
+
+
+def _scanner(
+    path: Path, way: _Topic, seen: _Topic, parents: Transforms, said: Mapping[str, Any], notes: list[Note]
+) -> tuple[Scanner, bool]:
+    """The scanner by fixed transforms and what somebody said, and whether those tell."""
+    own = _above(parents, _frame(field(seen.read[0][2], "header.frame_id")))
+    body = _frame(field(way.read[0][2], "child_frame_id"))
+    bodies = [_above(parents, one) for one in ((body,) if body else BODIES)]
+    X_BS = next((np.linalg.inv(above[one]) @ own[one] for above in bodies for one in above if one in own), None)
+    if X_BS is None:
+        if "yaw" not in said:
+            text = "No transform says where the scanner sits: it is taken to look ahead from the body's origin."
+            notes.append(Note("mount", None, f"{text} Say otherwise by {SAID}, with x, y, yaw."))
+        return dataclasses.replace(Scanner(), **said), False
+    if abs(X_BS[2, 2]) < UPRIGHT and not {"yaw", "flip"} <= said.keys():
+        tilt = math.degrees(math.acos(min(abs(X_BS[2, 2]), 1.0)))
+        frame = next(iter(own))
+        raise DatasetError(
+            f"{path}: transforms have {frame} tilted by {tilt:.0f} degrees, a scanner must be level; if it is, say so "
+            f"by {SAID}, with yaw and flip"
+        )
+    x, y, yaw = float(X_BS[0, 3]), float(X_BS[1, 3]), math.atan2(X_BS[1, 0], X_BS[0, 0])
+    return dataclasses.replace(Scanner(x, y, yaw, flip=bool(X_BS[2, 2] < 0.0)), **said), True

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
-from tfg_drake.hardware.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import LEAST_RANGE, TagNoise, in_plane
@@ -29,6 +30,9 @@ from tfg_drake.vision.tag_position import tag_positions
 
 # A robot whose odometry tells no more motion than this has not turned a wheel: m or m/s, and rad/s.
 REST, REST_TURN_RATE = 1e-5, 1e-3
+# A quaternion whose length is off by no more was rounded. A range this near to range_max, m, is one that met nothing:
+# drivers write that, or what their steps make of it.
+OFF_UNIT, NO_RETURN = 0.05, 1e-3
 # The bits of tfg_drake.messages.Hazards.
 RIGHT, CENTRE, LEFT = 1, 2, 4
 # Columns of a plain detections message, see `plain_detections`.
@@ -103,32 +107,52 @@ def ros_stamp(message: Any) -> float | None:
     return count(stamp, seconds, _LAST_STAMP) + 1e-9 * count(stamp, nanoseconds, 10**9)
 
 
+def unit_quaternion(message: Any, path: str) -> tuple[float, float, float, float]:
+    """The geometry_msgs/Quaternion (x, y, z, w) there, of length one; ValueError where it is not near that."""
+    q = [number(message, f"{path}.{axis}") for axis in "xyzw"]
+    length = math.hypot(*q)
+    if abs(length - 1.0) > OFF_UNIT:
+        raise ValueError(f"orientation {' '.join(f'{one:g}' for one in q)} is no unit quaternion")
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
+
+
 def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odometry:
     """nav_msgs/Odometry: the pose is that of child_frame_id in frame_id, the twist is in child_frame_id.
 
-    before: the message before this one, which tells whether the robot stands.
+    before: the message before this one, which tells whether the robot stands, and its velocity where the twist says
+    nothing: many drivers leave it at zero.
     """
-    x, y, z, w = (number(message, f"pose.pose.orientation.{axis}") for axis in "xyzw")
-    if not 0.99 < math.hypot(x, y, z, w) < 1.01:
-        raise ValueError(f"odometry's orientation {x, y, z, w} is no unit quaternion")
+    x, y, z, w = unit_quaternion(message, "pose.pose.orientation")
     yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
     px, py = (number(message, f"pose.pose.position.{axis}", FARTHEST) for axis in "xy")
-    speed, turn_rate = number(message, "twist.twist.linear.x"), number(message, "twist.twist.angular.z")
-    at_rest = (
-        before is not None
-        and max(abs(px - before.X_OB[0]), abs(py - before.X_OB[1])) < REST
-        and abs(speed) < REST
-        and abs(turn_rate) < REST_TURN_RATE
-    )
-    return Odometry(stamp, np.array([px, py, yaw]), np.array([speed, turn_rate]), bool(at_rest))
+    speed, turn_rate = _told(message, "twist.twist.linear.x"), _told(message, "twist.twist.angular.z")
+    at_rest = False
+    if before is not None:
+        dt, dx, dy = stamp - before.stamp, px - float(before.X_OB[0]), py - float(before.X_OB[1])
+        turn = math.remainder(yaw - float(before.X_OB[2]), 2.0 * math.pi)
+        stands = max(abs(dx), abs(dy)) < REST and abs(turn) < REST + REST_TURN_RATE * max(dt, 0.0)
+        at_rest = stands and abs(speed) < REST and abs(turn_rate) < REST_TURN_RATE
+        if not stands and speed == turn_rate == 0.0 and dt > 0.0:
+            middle = yaw - 0.5 * turn
+            ahead, turning = (math.cos(middle) * dx + math.sin(middle) * dy) / dt, turn / dt
+            if abs(ahead) <= FASTEST and abs(turning) <= FASTEST_TURN:  # else it did not drive there
+                speed, turn_rate = ahead, turning
+    return Odometry(stamp, np.array([px, py, yaw]), np.array([speed, turn_rate]), at_rest)
+
+
+def _told(message: Any, path: str) -> float:
+    """A number of a twist, 0 where it is none: null and nan say no more than 0 does."""
+    value = field(message, path)
+    return 0.0 if value is None or value != value else number(message, path)
 
 
 def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) -> LaserScan:
     """sensor_msgs/LaserScan as seen from the body's origin at the middle of the sweep, angles increasing in (-pi, pi].
 
-    stamp: of the first ray, as the definition has it; the result's is that of the middle. V_B: (2,) velocity of the
-    body meanwhile, m/s and rad/s. REP 117: inf, or more than range_max, is nothing met within range_max; -inf is
-    something nearer than range_min, told as range_min; nan, and what is less than range_min, says nothing and is nan.
+    stamp: of the first ray, as the definition has it, by the scanner's clock; the result's is that of the middle, by
+    the odometry's. V_B: (2,) velocity of the body meanwhile, m/s and rad/s. REP 117: inf, or range_max (but for
+    NO_RETURN) and more, is nothing met within range_max; -inf is something nearer than range_min, told as range_min;
+    nan, and what is less than range_min, says nothing and is nan.
     nan, 0 (what many drivers write for no answer) and null (what rosbridge's JSON makes of nan and inf) are inf where
     the scanner's `unanswered` says that what gives no answer is free.
     """
@@ -137,22 +161,24 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
         raise ValueError("ranges is no list of numbers")
     least, greatest = number(message, "range_min", SCAN_RANGE), number(message, "range_max", SCAN_RANGE)
     first, step = (number(message, name, 4.0 * math.pi) for name in ("angle_min", "angle_increment"))
-    between = number(message, "time_increment", _RAY_TIME)
+    between, n = number(message, "time_increment", _RAY_TIME), len(ranges)
+    if scanner.field_of_view > 0.0:
+        first, step = -0.5 * scanner.field_of_view, scanner.field_of_view / max(n - 1, 1)
     if not (step != 0.0 and 0.0 <= least < greatest):
         raise ValueError(f"scan of angles {first} + i * {step} and ranges from {least} to {greatest}")
     if scanner.unanswered == "free":
         ranges[np.isnan(ranges) | (ranges == 0.0)] = math.inf
     too_near = np.isneginf(ranges)
     ranges[ranges < least] = math.nan
-    ranges[ranges > greatest] = math.inf
+    ranges[ranges >= greatest - NO_RETURN] = math.inf
     ranges[too_near] = least
 
-    n = len(ranges)
     after_middle = np.asarray((np.arange(n) - 0.5 * (n - 1)) * between, dtype=float)
     from_ahead = first + step * np.arange(n)
-    directions = np.asarray(scanner.yaw + (-from_ahead if scanner.flip else from_ahead), dtype=float)
-    middle = stamp - (float(after_middle[0]) if n else 0.0)
-    return scan_of(Sweep(middle, directions, ranges, after_middle, scanner.x, scanner.y, greatest, scanner.sigma), V_B)
+    directions = np.asarray(scanner.yaw + (from_ahead if scanner.flip == scanner.clockwise else -from_ahead), float)
+    middle = stamp - scanner.clock_offset - (float(after_middle[0]) if n else 0.0)
+    sweep = Sweep(middle, directions, ranges, after_middle, scanner.x, scanner.y, greatest, scanner.sigma)
+    return scan_of(sweep, np.clip(V_B, (-FASTEST, -FASTEST_TURN), (FASTEST, FASTEST_TURN)))
 
 
 def calibration(camera_info: Any) -> CameraCalibration:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,16 +14,13 @@ from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
-from tfg_drake.messages import FloatArray, Hazards, Odometry, replace
+from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.slam.odometry_rules import WatchedOdometry, watch
 from tfg_drake.vision.calibration import CameraCalibration
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.ros.images import ImageTags
 
-# No base drives faster, m/s, and none leaps so far, m, between two messages: its odometry was reset. Nor does it turn
-# faster, rad/s, or so far, rad.
-FASTEST, LEAP = 1.5, 0.5
-FASTEST_TURN, LEAP_TURN = 2.0 * math.pi, 0.5
 # Why a base must not drive, by its charger or the level of its battery.
 _ALARMS = {
     "charger": "the base is charging: take it off its dock or its cable, then enable it",
@@ -49,10 +45,7 @@ class Intake:
         self._preset = preset
         self._messages: list[Message] = []
         self._V_B = np.zeros(2)
-        # The newest odometry, as it is passed on and as it was told, in frames O and R.
-        self._odometry: Odometry | None = None
-        self._odometry_told: Odometry | None = None
-        self._X_OR = (0.0, 0.0, 0.0)
+        self._watched = WatchedOdometry()
         self._hazards = Hazards(-math.inf, 0, 0, 0)
         # What the camera says of itself, and that of it which apriltag_msgs need.
         self._camera_info: Any = None
@@ -97,8 +90,8 @@ class Intake:
             pass
         elif key == "clock":
             self._V_B = conversions.odometry(message, stamp).V_B
-        else:
-            self._messages.append(self._convert(key, topic, message, stamp))
+        elif (converted := self._convert(key, topic, message, stamp)) is not None:
+            self._messages.append(converted)
 
     def _host_stamp(self, key: str, topic: Topic, message: Any, arrival: float) -> float | None:
         stamp = conversions.ros_stamp(message)
@@ -111,11 +104,11 @@ class Intake:
             return arrival if self.clock.ready or key == "hazards" else None
         return self.clock.host(topic.name, stamp, arrival)
 
-    def _convert(self, key: str, topic: Topic, message: Any, stamp: float) -> Message:
+    def _convert(self, key: str, topic: Topic, message: Any, stamp: float) -> Message | None:
         if key == "odometry":
-            if self._odometry is None:
+            if self._watched.told is None:
                 self._check_frame(topic, message)
-            return self._continued(topic, conversions.odometry(message, stamp, self._odometry_told))
+            return self._continued(topic, conversions.odometry(message, stamp, self._watched.told))
         if key == "scan":
             return conversions.laser_scan(message, stamp, self._preset.scanner, self._V_B)
         if key == "hazards":
@@ -141,23 +134,12 @@ class Intake:
         tell(self.refusals, topic.name, seen.remarks)
         return seen.detections
 
-    def _continued(self, topic: Topic, told: Odometry) -> Odometry:
+    def _continued(self, topic: Topic, told: Odometry) -> Odometry | None:
         """The odometry, going on where it was when the base has begun to count anew."""
-        before = self._odometry
-        if before is not None and self._odometry_told is not None:
-            dt = max(0.0, told.stamp - before.stamp)
-            turned = abs(math.remainder(told.X_OB[2] - self._odometry_told.X_OB[2], 2.0 * math.pi))
-            leaps = math.dist(told.X_OB[:2], self._odometry_told.X_OB[:2]) > FASTEST * dt + LEAP
-            if leaps or turned > FASTEST_TURN * dt + LEAP_TURN:
-                self._fault = (
-                    f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
-                )
-                turn = before.X_OB[2] - told.X_OB[2]
-                x, y, _ = _composed((0.0, 0.0, turn), told.X_OB)
-                self._X_OR = (before.X_OB[0] - x, before.X_OB[1] - y, turn)
-        self._odometry_told = told
-        self._odometry = replace(told, X_OB=np.array(_composed(self._X_OR, told.X_OB)))
-        return self._odometry
+        self._watched, believed, note = watch(self._watched, told)
+        if note is not None and note.kind == "jump":
+            self._fault = f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
+        return told if note is not None and note.kind == "speed" else believed  # the former is refused elsewhere
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Where the odometry is in another frame than the preset says, our map -> odom would join nothing."""
@@ -181,13 +163,6 @@ class Intake:
         """Lines for the operator since the last call."""
         remarks, self._remarks = self._remarks, []
         return [*remarks, *self.refusals.take()]
-
-
-def _composed(X_AB: Sequence[float] | FloatArray, X_BC: FloatArray) -> tuple[float, float, float]:
-    """X_AC, in plain numbers: who drives a robot must not wait until tfg_drake.geometry.se2 is compiled."""
-    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
-    theta = math.pi - (math.pi - X_AB[2] - X_BC[2]) % (2.0 * math.pi)
-    return X_AB[0] + c * X_BC[0] - s * X_BC[1], X_AB[1] + s * X_BC[0] + c * X_BC[1], theta
 
 
 def _kind(error: Exception) -> str:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tfg_drake.bad_input import not_radians
-from tfg_drake.hardware.plausible import FASTEST, FASTEST_TURN
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 PRESETS = Path(__file__).parent / "presets"
 
@@ -47,14 +47,19 @@ class Topics:
 class Scanner:
     """X_BS, the pose of the scan's frame in base_link (m, rad), and the standard deviation of a range (m).
 
-    flip: it is mounted upside down. unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range:
-    nothing nearer is seen, m.
+    flip: it is mounted upside down. clockwise: it counts its rays so, as seen from above it. field_of_view: what its
+    rays span, rad, symmetric to its x axis, 0: as its messages say. clock_offset: how far its clock is ahead of the
+    odometry's, s. unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range: nothing nearer is
+    seen, m.
     """
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
     flip: bool = False
+    clockwise: bool = False
+    field_of_view: float = 0.0
+    clock_offset: float = 0.0
     sigma: float = 0.015
     unanswered: str = "unknown"
     least_range: float = 0.0
@@ -189,9 +194,9 @@ def _read(value: Any, schema: Any, place: str) -> Any:
             raise PresetError(f"{place}: expected a number above 0, {_found(value)}")
         if value > _MOST.get(place, _GREATEST):
             raise PresetError(f"{place}: expected a number up to {_MOST[place]:g}, found {value!r}")
-        if place.endswith(("yaw", "pitch")) and (told := not_radians(value)):
+        if place.endswith(("yaw", "pitch", "field_of_view")) and (told := not_radians(value)):
             raise PresetError(f"{place}: {told}")
-        if place == "scanner.least_range" and value < 0.0:
+        if place in ("scanner.least_range", "scanner.field_of_view") and value < 0.0:
             raise PresetError(f"{place}: expected a number of 0 or more, {_found(value)}")
         return float(value)
     if schema is bool:

@@ -10,13 +10,13 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotScannerConfig
+from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import NodeDecoder
 from tfg_drake.hardware.rplidar.sweeps import SweepMaker
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
-from tfg_drake.hardware.sweep import Sweep
 from tfg_drake.hardware.watchdog import TICK
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.config import RobotScannerConfig
+from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.rplidar.codec import Node
 from tfg_drake.hardware.rplidar.turn_clock import TurnClock
-from tfg_drake.hardware.sweep import Sweep
 
 # How far the models see, m, and how near all of them; standard deviation of a range, m.
 RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02

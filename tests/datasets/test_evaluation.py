@@ -1,8 +1,11 @@
 """Errors after alignment, and landmarks that contradict their truth."""
 
-import numpy as np
+import math
 
-from tfg_drake.datasets.evaluation import landmark_error, robot_error
+import numpy as np
+import pytest
+
+from tfg_drake.datasets.evaluation import landmark_error, relative_error, robot_error, truth_at, wall_thickness
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
 
@@ -71,3 +74,27 @@ def test_nothing_to_compare_is_nan():
     landmarks = landmark_error(given, np.array([99]), np.zeros((1, 2)))
     assert np.isnan(landmarks.rmse)
     assert landmarks.ids.tolist() == []
+
+
+def test_walls_that_are_seen_twice_are_thick():
+    x = np.linspace(0.0, 5.0, 500)
+    one = np.column_stack([x, np.zeros(500)])
+    assert wall_thickness(one) == pytest.approx(0.0, abs=1e-9)
+    assert wall_thickness(np.vstack([one, one + np.array([0.0, 0.1])])) == pytest.approx(0.05, rel=0.02)
+    assert math.isnan(wall_thickness(one[::100]))
+
+
+def test_relative_errors_forget_where_the_map_lies():
+    X_WS = np.column_stack([np.arange(50.0), np.zeros(50), np.zeros(50)])
+    moved = se2.compose(np.array([3.0, -2.0, 2.5]), X_WS)
+    assert max(*relative_error(X_WS, moved)[0].values(), *relative_error(X_WS, moved)[1].values()) < 1e-9
+    longer = X_WS * [1.1, 1.0, 1.0]
+    translation, rotation = relative_error(X_WS, longer)
+    assert 0.5 < translation["mean"] < translation["worst_tenth"] <= 2.0 + 1e-9
+    assert rotation["worst_tenth"] < 1e-9
+
+
+def test_the_truth_is_interpolated_over_the_cut_of_the_heading():
+    X_WB = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
+    truth = GroundTruth(np.array([0.0, 1.0]), X_WB, np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    np.testing.assert_allclose(truth_at(truth, np.array([0.5])), [[0.5, 1.0, math.pi]])

@@ -10,10 +10,9 @@ from tfg_drake.slam.first_look import (
     agreement,
     held_against_odometry,
     remedies,
-    turn_between,
-    turns_of_scans,
     turns_of_tags,
 )
+from tfg_drake.slam.scan_matching import Verdict
 
 # A room that looks another from each side, and tags in it.
 WALLS = np.array([[4.0, -3.0, 4.0, 5.0], [4.0, 5.0, -6.0, 5.0], [-6.0, 5.0, -6.0, -3.0], [-6.0, -3.0, 4.0, -3.0]])
@@ -60,27 +59,6 @@ def messages(seed=0, angles=NARROW, flip=False, mirrored=False, scan_ahead=0.0, 
     return result
 
 
-@pytest.mark.parametrize("angles", [NARROW, ALL_ROUND])
-@pytest.mark.parametrize("turn", [-0.3, -0.12, 0.0, 0.07, 0.12, 0.31])
-def test_the_turn_between_two_scans(angles, turn):
-    rng = np.random.default_rng(3)
-    for at in np.linspace(0.0, 6.0, 7):
-        before, after = (cast_rays(WALLS, np.zeros(2), angles + h, 8.0) for h in (at, at + turn))
-        scans = [LaserScan(0.0, angles, r + 0.015 * rng.normal(size=len(r)), 8.0, 0.015) for r in (before, after)]
-        assert turn_between(*scans) == pytest.approx(turn, abs=0.011)
-        upside_down = [LaserScan(0.0, -angles[::-1], one.ranges[::-1], 8.0, 0.015) for one in scans]
-        assert turn_between(*upside_down) == pytest.approx(-turn, abs=0.011)
-
-
-def test_scans_that_show_nothing_tell_no_turn():
-    nothing = LaserScan(0.0, NARROW, np.full(len(NARROW), np.inf), 8.0, 0.015)
-    assert np.isnan(turn_between(nothing, nothing))
-    one_ray = LaserScan(0.0, NARROW[:1], np.ones(1), 8.0, 0.015)
-    assert np.isnan(turn_between(one_ray, nothing))
-    empty = LaserScan(0.0, np.zeros(0), np.zeros(0), 8.0, 0.015)
-    assert turns_of_scans([nothing, nothing, empty]).shape == turns_of_scans([]).shape == (0, 3)
-
-
 def test_the_turn_between_two_frames_is_that_of_most_tags():
     bearings = np.array([0.1, 3.1, -0.5, 0.7])
     after = bearings - 0.2
@@ -99,11 +77,9 @@ def test_the_turn_between_two_frames_is_that_of_most_tags():
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_a_sensor_that_is_upside_down_turns_against_the_robot(angles, flip, mirrored):
     for seed in range(3):
-        seen = messages(seed, angles, flip, mirrored)
-        assert [vars(one) for one in held_against_odometry(seen)] == [
-            {"against": mirrored, "ahead": 0.0},
-            {"against": flip, "ahead": 0.0},
-        ]
+        tags, scan = held_against_odometry(messages(seed, angles, flip, mirrored))
+        assert vars(tags) == {"against": mirrored, "ahead": 0.0}
+        assert (scan.against, len(scan.lines)) == (flip, int(flip))
     # It is no scanner that is upside down where it is the odometry that turns the other way.
     other = held_against_odometry(messages(3, angles, flip, mirrored, turned=-1.0))
     assert [one.against for one in other] == [not mirrored, not flip]
@@ -113,40 +89,53 @@ def test_a_sensor_that_is_upside_down_turns_against_the_robot(angles, flip, mirr
 def test_a_wrong_clock_is_found(ahead):
     for seed in range(3):
         tags, scans = held_against_odometry(messages(seed, tags_ahead=ahead))
-        assert (tags.ahead, scans.ahead) == (pytest.approx(ahead, abs=0.03), 0.0)
-        tags, scans = held_against_odometry(messages(seed, scan_ahead=ahead, flip=True))
-        assert (tags.ahead, scans.ahead) == (0.0, pytest.approx(ahead, abs=0.03))
-        assert scans.against
+        assert (tags.ahead, scans.lines) == (pytest.approx(ahead, abs=0.03), [])
+        tags, scans = held_against_odometry(messages(seed, scan_ahead=ahead))
+        assert (tags.ahead, scans.lag) == (0.0, pytest.approx(ahead, abs=0.03))
+        assert [note.kind for note in scans.notes] == ["lag"]
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.05, -0.08])
 def test_what_is_learnt_with_the_map_is_no_fault(ahead):
-    assert [one.ahead for one in held_against_odometry(messages(1, tags_ahead=ahead, scan_ahead=ahead))] == [0.0, 0.0]
+    tags, scans = held_against_odometry(messages(1, tags_ahead=ahead, scan_ahead=ahead))
+    assert (tags.ahead, scans.lines) == (0.0, [])
+
+
+@pytest.mark.parametrize("turned", [0.5, 2.0])
+def test_odometry_that_turns_by_another_measure_is_told(turned):
+    _, scans = held_against_odometry(messages(2, turned=turned))
+    assert scans.turn == pytest.approx(1.0 / turned, rel=0.02)
+    (line,) = scans.lines
+    assert line.startswith(f"scans turn {scans.turn:.3g} times as far as the odometry")
+
+
+def test_odometry_that_does_not_turn_with_the_scans_is_told():
+    _, scans = held_against_odometry(messages(turned=0.0))
+    assert scans.refusal.startswith("the odometry stands while the scans move")
 
 
 def test_where_nothing_is_told_nothing_is_wrong():
-    none = [vars(Agreement())] * 2
     stands = [one for one in messages() if one.stamp < BEGIN]
-    for seen in (stands, [one for one in messages() if isinstance(one, Odometry)], messages(turned=0.0), []):
-        assert [vars(one) for one in held_against_odometry(seen)] == none
+    for seen in (stands, [one for one in messages() if isinstance(one, Odometry)], []):
+        tags, scans = held_against_odometry(seen)
+        assert vars(tags) == vars(Agreement())
+        assert vars(scans) == vars(Verdict())
     # Turns that no clock explains.
     rng = np.random.default_rng(0)
     stamps = np.arange(0.0, 17.0, 0.1)
     seen = np.column_stack([stamps[:-1], stamps[1:], rng.uniform(-0.3, 0.3, len(stamps) - 1)])
-    assert vars(agreement(seen, stamps, heading(stamps))) == none[0]
+    assert vars(agreement(seen, stamps, heading(stamps))) == vars(Agreement())
 
 
 def test_each_finding_is_a_line_with_the_key_to_set():
     right, against = Agreement(), Agreement(against=True)
-    assert remedies(right, right) == []
-    (line,) = remedies(right, against)
-    assert line.startswith("the scan turns against the robot")
-    assert "hardware.scanner.flip" in line
-    (line,) = remedies(against, right)
+    agrees, flipped = Verdict(), Verdict(refusal="scans turn against the odometry", against=True)
+    assert remedies(right, agrees) == []
+    assert remedies(right, flipped) == ["scans turn against the odometry"]
+    (line,) = remedies(against, agrees)
     assert line.startswith("the tags turn against the robot")
-    (line,) = remedies(against, against)
-    assert "odometry" in line
-    camera, scanner = remedies(Agreement(ahead=0.3), Agreement(ahead=-0.2))
+    (line,) = remedies(against, flipped)
+    assert "its odometry counts turns to the right" in line
+    camera, scanner = remedies(Agreement(ahead=0.3), flipped)
     assert "0.30 s ahead of the base's" in camera
-    assert "hardware.camera.latency" in camera
-    assert "0.20 s behind the base's" in scanner
+    assert scanner == flipped.refusal

@@ -68,6 +68,12 @@ def robot_error(truth: GroundTruth, stamps: FloatArray, X_MB: FloatArray) -> Rob
     return RobotError(rmse(se2.transform(X_WM, X_MB[inside, :2]) - p_WB), X_WM, len(at))
 
 
+def truth_at(truth: GroundTruth, stamps: FloatArray) -> FloatArray:
+    """(n, 3) true poses at stamps (n,), s, interpolated."""
+    x, y, heading = (truth.X_WB[:, 0], truth.X_WB[:, 1], np.unwrap(truth.X_WB[:, 2]))
+    return np.column_stack([np.interp(stamps, truth.stamps, one) for one in (x, y, heading)])
+
+
 def relative_error(X_WS: FloatArray, X_MS: FloatArray) -> tuple[dict[str, float], dict[str, float]]:
     """How far estimated poses X_MS (n, 3) of two scans are off to each other, by the true ones X_WS (n, 3):
     translation, m, and rotation, rad, each as the mean and the mean of the worst tenth over PAIRS pairs, PAIR_WAY apart

@@ -23,10 +23,9 @@ from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
+from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.simulation import odometry
-from tfg_drake.slam.estimator_state import EXACT_CAMERA
-from tfg_drake.slam.shared import SCANNER_X, Shared, by_data_sheet
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
@@ -91,7 +90,7 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float =
         truth=GroundTruth(np.array(stamps), X_WB, nothing, np.empty((0, 2))),
         notes=rows.notes,
         detections=(),
-        prior=by_data_sheet(model, EXACT_CAMERA, EXACT_SCANNER),
+        scanner=EXACT_SCANNER,
     )
 
 
@@ -156,8 +155,8 @@ def load_breezyslam(path: Path) -> Recording:
         ranges = 1e-3 * row[3:][seen]
         valid = ranges >= LEAST_RANGE
         if stamp >= SCANS_LATE:
-            scans.append(LaserScan(float(stamp - SCANS_LATE), angles[valid], ranges[valid], RANGE_MAX, ROVER_SIGMA))
-    prior = by_data_sheet(odometry_model(), EXACT_CAMERA, ROVER_SCANNER)
+            at = float(stamp - SCANS_LATE), angles[valid], ranges[valid], np.zeros(np.count_nonzero(valid))
+            scans.append(scan_of(Sweep(*at, SCANNER_AHEAD, 0.0, RANGE_MAX, ROVER_SIGMA), np.zeros(2)))
     return Recording(
         name=path.name.split(".")[0],
         odometry=_wheel_odometry(stamps, METRES_PER_COUNT * table[:, 1:3]),
@@ -166,7 +165,7 @@ def load_breezyslam(path: Path) -> Recording:
         truth=None,
         notes=rows.notes,
         detections=(),
-        prior=Shared(prior.mean + SCANNER_AHEAD * np.eye(len(prior.mean))[SCANNER_X], prior.covariance),
+        scanner=ROVER_SCANNER,
     )
 
 

@@ -17,6 +17,7 @@ from tfg_drake.datasets.rows import read_table
 from tfg_drake.datasets.text import find_file, found_file
 from tfg_drake.io.clock_unit import UNITS, clock_unit
 from tfg_drake.messages import FloatArray, Odometry
+from tfg_drake.notes import Note
 
 # Subjects 1 to 5 are robots, 6 to 20 landmarks.
 ROBOTS = range(1, 6)
@@ -58,11 +59,11 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
         raise DatasetError(f"{odometry_file}: no odometry in it; copy it again")
     unit = clock_unit(odometry[:, 0])
     if unit != "s":
-        notes.append(f"{odometry_file.name}: stamps of all files read as {unit}")
+        notes.append(Note("stamps", None, f"{odometry_file.name}: stamps of all files read as {unit}"))
     odometry[:, 0] *= UNITS[unit]
     odometry, missing = _without_long_turns(odometry)
     if missing:
-        mended = ("; ".join([*mended, missing]),) if mended else (f"{odometry_file.name}: {missing}",)
+        notes.append(Note("silence", None, f"{odometry_file.name}: {missing}"))
     notes += mended
     at_first = (odometry[0, 0], 0.0, 0.0)
     commands = odometry / (1.0, SPEED_SCALE, TURN_SCALE) + (COMMAND_LATENCY, 0.0, 0.0)
@@ -75,7 +76,8 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
     subject = np.array([subjects.get(int(code), 0) for code in sightings[:, 1]], dtype=np.int64)
     unknown = int(np.count_nonzero(subject == 0))
     if unknown:
-        notes.append(f"{unknown} measurements of barcodes that Barcodes.dat does not list were left out")
+        left_out = f"{unknown} measurements of barcodes that Barcodes.dat does not list were left out"
+        notes.append(Note("messages", None, left_out))
     stamps = sightings[:, 0] * UNITS[unit]
     kept = np.isin(subject, LANDMARKS) & (stamps >= messages[0].stamp) & (stamps <= messages[-1].stamp)
     kept &= sightings[:, 2] > 0.0
@@ -140,9 +142,9 @@ def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
     return np.insert(rows, holes + 1, straight, axis=0), f"no rows for {at}{more}; the motion then is a guess"
 
 
-def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, list[str]]:
+def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, list[Note]]:
     """What is known of it, and what was mended in its files. unit: of its stamps, s."""
-    notes: list[str] = []
+    notes: list[Note] = []
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
     if file := found_file(folder, f"Robot{robot}_Groundtruth.dat"):

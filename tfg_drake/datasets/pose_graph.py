@@ -12,6 +12,7 @@ from tfg_drake.datasets.planar_graph import Motions, PlanarGraph, Sightings
 from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
+from tfg_drake.notes import Note
 
 # Steps that show which of two starts is the better one.
 STEPS_TO_COMPARE = 10
@@ -24,7 +25,7 @@ class PoseGraph:
 
     edges: (e, 2) ids of poses i, j; X_ij: (e, 3) the pose of j in i; edge_information: (e, 3, 3) of (x, y, theta) of
     X_ij^-1 X_i^-1 X_j. sightings: (s, 2) ids of pose and landmark; p_BL: (s, 2) m; sighting_information: (s, 2, 2).
-    notes: what a user should know of the data, a sentence each.
+    notes: what a user should know of the data.
     """
 
     pose_ids: IntArray
@@ -38,7 +39,7 @@ class PoseGraph:
     sightings: IntArray
     p_BL: FloatArray
     sighting_information: FloatArray
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
 
 def half_chi_square(graph: PoseGraph) -> float:

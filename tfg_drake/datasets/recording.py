@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.config import OdometryConfig
+from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
-from tfg_drake.slam.shared import Shared, exactly_known
+from tfg_drake.notes import Note
 
 # Called with the share of the work done, 0 to 1.
 OnProgress = Callable[[float], None]
@@ -40,9 +40,12 @@ class Recording:
 
     name. odometry, detections: each in the order of their stamps, all detections within the odometry's span. model:
     what the estimator believes of the odometry. truth: None where nothing is known. notes: what a user should know
-    of the data, a sentence each. piece_time: s, after which a piece of the way is mapped, however short it is by the
-    odometry: for one that does not tell. scans: in the order of their stamps; a recording with scans has no detections.
-    prior: what is known of the shared parameters beforehand, with scans where the scanner sits.
+    of the data. piece_time: s, after which a piece of the way is mapped, however short it is by the odometry: for one
+    that does not tell. scans: a recording with scans has no detections, and as it is read both scans and odometry are
+    in the order in which they were recorded, whatever their stamps; poses are the body's, and scans are as seen from
+    there. scanner: what is believed of it. odometry_arrivals, scan_arrivals: (n,), (m,) s,
+    when each message was recorded, by the recorder's clock from the odometry's time 0 on; empty where that is unknown.
+    mount_known: whether where the scanner sits and looks was told, not guessed.
     """
 
     name: str
@@ -50,10 +53,13 @@ class Recording:
     detections: tuple[TagDetections, ...]
     model: OdometryConfig
     truth: GroundTruth | None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     piece_time: float = math.inf
     scans: tuple[LaserScan, ...] = ()
-    prior: Shared = dataclasses.field(default_factory=exactly_known)
+    scanner: ScanConfig = dataclasses.field(default_factory=ScanConfig)
+    odometry_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
+    scan_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
+    mount_known: bool = True
 
 
 def make_frames(

@@ -19,6 +19,7 @@ import numpy as np
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.text import parse_numbers, read_text
 from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.notes import Note
 
 # A heading without '#' has at most so many lines.
 HEADING = 4
@@ -173,9 +174,9 @@ class Rows:
         return np.argsort(stamps, kind="stable")
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """A line that says what was mended in the file, or none."""
-        return (f"{self.path.name}: {'; '.join(self._mended)}",) if self._mended else ()
+    def notes(self) -> tuple[Note, ...]:
+        """What was mended in the file, in one, or none."""
+        return (Note("file", None, f"{self.path.name}: {'; '.join(self._mended)}"),) if self._mended else ()
 
     def _split(self) -> Iterator[tuple[int, list[str]]]:
         for number, line in enumerate(self._lines, start=1):
@@ -192,8 +193,8 @@ class Rows:
         return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
 
 
-def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[str, ...]]:
-    """Finite numbers (n, columns of a layout) and what was mended, a line or none.
+def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[Note, ...]]:
+    """Finite numbers (n, columns of a layout) and what was mended, a note or none.
 
     layouts: names of columns, of which the file has one set, see `Rows.columns`. timed: the first column is time, by
     whatever unit, and sorts the rows.

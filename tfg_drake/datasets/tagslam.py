@@ -22,6 +22,7 @@ from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import GREATEST, find_file, found_file, parse_numbers, read_text
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry
+from tfg_drake.notes import Note
 from tfg_drake.vision.calibration import calibration_of
 from tfg_drake.vision.tag_position import tag_positions
 
@@ -54,13 +55,14 @@ def load_tagslam(folder: Path) -> Recording:
         DatasetError: a file is missing or broken, or the files do not belong together.
     """
     setup = _Setup(folder)
-    notes: list[str] = []
+    notes: list[Note] = []
     stamps, R_VR, p_VR = _rig_poses(folder, "vio_odometry.csv", setup.R_RO, setup.p_RO, notes)
     heading = _heading(R_VR)
     odometry, jumps = _planar_odometry(stamps, p_VR[:, :2], heading)
     if jumps:
         at = ", ".join(f"{jump - stamps[0]:.1f}" for jump in jumps)
-        notes.append(f"the odometry jumps at {at} s: there the motion before the jump was put in its place")
+        told = f"the odometry jumps at {at} s: there the motion before the jump was put in its place"
+        notes.append(Note("jump", jumps[0] - float(stamps[0]), told))
     found = _detections(folder, setup, stamps, R_VR, heading, notes)
     truth = _truth(folder, setup, notes)
     return Recording(
@@ -143,7 +145,7 @@ def _planar_odometry(
 
 
 def _detections(
-    folder: Path, setup: _Setup, stamps: FloatArray, R_VR: FloatArray, heading: FloatArray, notes: list[str]
+    folder: Path, setup: _Setup, stamps: FloatArray, R_VR: FloatArray, heading: FloatArray, notes: list[Note]
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Stamps, ids, range, bearing and their deviations, a row a sighting, as make_frames takes them."""
     file = find_file(folder, "tag_corners.csv")
@@ -159,7 +161,8 @@ def _detections(
     trusted = (table[:, 2] <= setup.most_hamming) & ~np.isin(ids, sorted(setup.ignored))
     left_out = int(np.count_nonzero(~(inside & trusted)))
     if left_out:
-        notes.append(f"{left_out} detections outside the odometry or of tags to ignore were left out")
+        told = f"{left_out} detections outside the odometry or of tags to ignore were left out"
+        notes.append(Note("messages", None, told))
     p_RT = np.zeros((len(table), 3))
     covariance = np.zeros((len(table), 3, 3))
     for camera in setup.cameras.values():
@@ -181,7 +184,7 @@ def _detections(
     P = (R_BR @ covariance[kept] @ np.swapaxes(R_BR, 1, 2))[:, :2, :2]
     distance = np.hypot(p[:, 0], p[:, 1])
     if lost := int(np.count_nonzero(np.isnan(distance))):
-        notes.append(f"{lost} detections whose corners are no square's were left out")
+        notes.append(Note("messages", None, f"{lost} detections whose corners are no square's were left out"))
     far = distance > LEAST_RANGE
     p, P, distance, kept = p[far], P[far], distance[far], kept[far]
     radial = p / distance[:, None]
@@ -191,7 +194,7 @@ def _detections(
     return table[kept, 0], ids[kept], distance, np.arctan2(p[:, 1], p[:, 0]), sigma_range, sigma_bearing
 
 
-def _truth(folder: Path, setup: _Setup, notes: list[str]) -> GroundTruth | None:
+def _truth(folder: Path, setup: _Setup, notes: list[Note]) -> GroundTruth | None:
     """The survey and the reference trajectory; not independent of the detections, but all there is."""
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     if found_file(folder, "tagslam_reference.csv"):
@@ -203,7 +206,7 @@ def _truth(folder: Path, setup: _Setup, notes: list[str]) -> GroundTruth | None:
 
 
 def _rig_poses(
-    folder: Path, name: str, R_RO: FloatArray, p_RO: FloatArray, notes: list[str]
+    folder: Path, name: str, R_RO: FloatArray, p_RO: FloatArray, notes: list[Note]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """stamps (n,), R_VR (n, 3, 3), p_VR (n, 3) from a table of poses of the frame O that sits in the rig at X_RO."""
     file = find_file(folder, name)
@@ -256,9 +259,9 @@ def _read_yaml(file: Path) -> dict[str, Any]:
 
 def _read_csv(
     file: Path, columns: tuple[str, ...], usual: tuple[str, ...], label: str | None = None
-) -> tuple[list[str], FloatArray, tuple[str, ...]]:
+) -> tuple[list[str], FloatArray, tuple[Note, ...]]:
     """The label column, if one is asked for, the columns named as finite numbers (n, len(columns)), and what was
-    mended, a line or none.
+    mended, a note or none.
 
     usual: the columns of a file that has no header. The rows are sorted by their first column named, time, s.
     """

@@ -17,6 +17,7 @@ from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.rows import read_table
 from tfg_drake.io.clock_unit import in_seconds
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
+from tfg_drake.notes import Note
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.frames import FrameError, frames
 from tfg_drake.vision.mount import CameraMount
@@ -105,16 +106,19 @@ def load_video(
         while not len(seen[0].ids):
             del seen[0]
         messages = _standing(seen)
-        return Recording(name, messages, tuple(seen), wandering(), None, tuple(notes), PIECE_TIME)
+        return Recording(name, messages, tuple(seen), wandering(), None, _noted(notes), PIECE_TIME)
     stamps, X_OB, mended = read_poses(odometry)
-    notes += mended
     inside = [one for one in seen if stamps[0] <= one.stamp <= stamps[-1]]
     if not any(len(one.ids) for one in inside):
         span = f"{stamps[0]:.1f} to {stamps[-1]:.1f} s, the frames from {seen[0].stamp:.1f} to {seen[-1].stamp:.1f} s"
         raise DatasetError(f"{odometry}: reaches from {span}: they need one clock")
     if len(inside) < len(seen):
         notes.append(f"{len(seen) - len(inside)} frames outside the odometry were left out")
-    return Recording(name, _moving(stamps, X_OB), tuple(inside), odometry_model(), None, tuple(notes))
+    return Recording(name, _moving(stamps, X_OB), tuple(inside), odometry_model(), None, (*mended, *_noted(notes)))
+
+
+def _noted(lines: list[str]) -> tuple[Note, ...]:
+    return tuple(Note("video", None, line) for line in lines)
 
 
 def _standing(seen: list[TagDetections]) -> tuple[Odometry, ...]:
@@ -131,11 +135,11 @@ def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
     return tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
 
 
-def read_poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+def read_poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[Note, ...]]:
     """Stamps (n,), s, poses (n, 3), and what was mended in the file."""
     table, mended = read_table(path, _TUM, _PLANAR)
     stamps, told = in_seconds(table[:, 0])
-    mended += tuple(f"{path.name}: {line}" for line in told)
+    mended += tuple(Note("stamps", None, f"{path.name}: {line}") for line in told)
     if table.shape[1] == len(_PLANAR):
         heading = table[:, 3]
         turning = np.abs(np.diff(heading)).sum() / max(np.ptp(stamps), 1e-9) if len(table) else 0.0
@@ -148,7 +152,8 @@ def read_poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
         if len(none := np.flatnonzero(length < _NO_LENGTH)):
             raise DatasetError(f"{path}: the quaternion at {stamps[none[0]]:.3f} s has no length; leave its row out")
         if (np.abs(length - 1.0) > _ROUNDED).any():
-            mended += (f"{path.name}: quaternions of length {length.min():.3g} to {length.max():.3g}, normalised",)
+            told_length = f"{path.name}: quaternions of length {length.min():.3g} to {length.max():.3g}, normalised"
+            mended += (Note("file", None, told_length),)
         heading = _heading(table[:, 4:] / length[:, None])
     if len(table) < 2:
         raise DatasetError(f"{path}: fewer than two poses in it; name a TUM trajectory or a CSV file")

@@ -32,6 +32,8 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.odometry_model import (
+    BREAK,
+    BREAK_RATE,
     DeadReckoning,
     arc,
     first_reckoning,
@@ -137,6 +139,8 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
             newest.clock - before.clock,
             state.noise,
         )
+        if odometry.breaks != state.odometry.breaks:
+            noise = noise + np.diag(np.square(BREAK + (odometry.stamp - state.odometry.stamp) * BREAK_RATE))
         state = replace(
             state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian
         )

@@ -61,11 +61,20 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
-from tfg_drake.slam.localizer import corrected_by_walls, localized_pose, new_tags, start_localizer, step_localizer
-from tfg_drake.slam.lost_robot import find_itself, mapped_elsewhere, realigned
+from tfg_drake.slam.localizer import (
+    corrected_by_walls,
+    localized_pose,
+    new_tags,
+    placed_localizer,
+    start_localizer,
+    step_localizer,
+)
+from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere, realigned
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
+    BREAK,
+    BREAK_RATE,
     DeadReckoning,
     arc,
     first_reckoning,
@@ -87,6 +96,9 @@ LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
 # After this many more such frames than others the robot may be elsewhere.
 CONTRADICTIONS = 3
+# Deviations, m, m, rad, up to which a pose after a way that is not known is corrected like any other; beyond that the
+# robot is lost.
+FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
 # Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
 LONGEST_DOUBT = 60.0
 # A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
@@ -152,6 +164,8 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
         return replace(state, piece=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
     if odometry.stamp <= state.newest.stamp:
         return state
+    if odometry.breaks != state.newest.breaks:
+        return _with_way_unknown(state, odometry)
     reckoning = reckon(state.odometry[-1], state.newest, odometry)
     state = replace(_kept(state, odometry), newest=odometry, odometry=(*state.odometry, reckoning))
     state = _process_pending(state)
@@ -159,6 +173,34 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     if before - state.stamp > LONGEST_STEP:
         state = _step(state, no_detections(before), state.pending)
     return state
+
+
+def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorState:
+    """The state where odometry does not tell the way from the newest message to this one, but guesses it: the view
+    under way begins anew, as the way there from the last one is not known better than that. What was seen meanwhile is
+    left out."""
+    assert state.newest is not None
+    before = _step_to(state, state.odometry[-1].stamp)
+    dt = odometry.stamp - state.newest.stamp
+    reckoning = reckon(state.odometry[-1], state.newest, replace(odometry, at_rest=False))
+    state = replace(
+        _kept(before, odometry),
+        newest=odometry,
+        odometry=(*before.odometry, reckoning),
+        pending=tuple(one for one in before.pending if one.stamp > odometry.stamp),
+        unread=tuple(one for one in before.unread if one.stamp > odometry.stamp),
+    )
+    state = _step_to(state, odometry.stamp)
+    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    if state.map is None:  # The map begins here.
+        state = replace(state, localizer=start_localizer(state.localizer.map, state.walls), way=())
+        begun = opened(state)
+        return replace(state, **{"piece" if state.turn is None else "turn": begun})
+    sigma = np.minimum(np.sqrt(np.diag(covariance) + np.square(BREAK + dt * BREAK_RATE)), KIDNAPPED)
+    state = replace(state, localizer=placed_localizer(state.map, state.walls, X_MB, sigma))
+    lost = bool(np.any(sigma > FOUND_WITHIN))
+    state = replace(state, contradictions=CONTRADICTIONS if lost else 0, suspect=None, lost=lost)
+    return begun_elsewhere(state, replace(opened(state), sigma=sigma))
 
 
 def process_detections(state: EstimatorState, detections: TagDetections) -> EstimatorState:
@@ -215,12 +257,12 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     return _add_view(state, turn, SPREAD if explored else 0)
 
 
-def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
+def close_piece(state: EstimatorState, stamp: float, *, at_last: bool = False) -> EstimatorState:
     """The state with the piece of the way since the last call added to the map as a view, as if it had been a turn.
 
     For recorded drives without turns; needs path_keyframe_period = inf. While it is in doubt where the robot is, the
-    piece stays open. The stamp is brought into the span of the odometry at hand. Raises ValueError before any odometry,
-    or where no piece is open.
+    piece stays open, but at last. The stamp is brought into the span of the odometry at hand. Raises ValueError before
+    any odometry, or where no piece is open.
     """
     if state.piece is None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
@@ -228,7 +270,7 @@ def close_piece(state: EstimatorState, stamp: float) -> EstimatorState:
     piece, suspect = state.piece, state.suspect
     assert piece is not None
     in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
-    if in_doubt and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
+    if in_doubt and not at_last and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
     return _add_view(state, piece, 0)
 
@@ -300,7 +342,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     landmarks = state.landmarks
-    if scan.against or scan.ahead:
+    if scan.lines:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=_NO_LINES) for frame in turn.frames)
         landmarks, state = "tags", replace(state, landmarks="tags", turn=replace(turn, frames=frames), unread=())
@@ -418,7 +460,7 @@ def _step(
     if math.isnan(state.placed):
         contradictions = CONTRADICTIONS
     elif ignored > MOST_IGNORED * known:
-        contradictions += 1
+        contradictions += state.may_be_moved or state.kidnapped
     elif known:
         contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
         agreed = agreed if contradictions else stamp
@@ -562,6 +604,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     way, view = state.way, Sighted(keyframe, solution.sightings)
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
+        turn = _found_meanwhile(state, turn)
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known = realigned(state.graph, state.map or state.localizer.map, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
@@ -624,6 +667,17 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         sources=sources,
     )
     return replace(state, piece=opened(state))
+
+
+def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:
+    """A piece that began after a way that is not known, its first pose by where the robot is by now, if that tells
+    more: it has found itself among what is mapped. That is told again by what it has seen."""
+    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
+    if np.all(sigma >= begun.sigma) or state.lost:
+        return begun
+    way = se2.between(begun.begin.X_OB, state.X_OB)
+    return replace(begun, X_MB=se2.compose(X_MB, se2.inverse(way)), sigma=sigma)
 
 
 def _with_names(

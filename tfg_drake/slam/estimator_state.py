@@ -92,7 +92,8 @@ class EstimatorState:
     None before the first view. rejected: (r,) ids of known tags left out of the newest view. look: the first look, None
     once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
     is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
-    for a turn or piece. published: the map without its walls, which all others get.
+    for a turn or piece. may_be_moved: by something else
+    than its wheels. published: the map without its walls, which all others get.
     """
 
     noise: LearntNoise
@@ -129,6 +130,7 @@ class EstimatorState:
     landmarks: str = "both"
     unread: tuple[LaserScan, ...] = ()
     looked: float = -np.inf
+    may_be_moved: bool = True
     published: MapEstimate | None = None
 
 
@@ -139,6 +141,8 @@ def initial_state(
     solver: str = "dissection",
     landmarks: str = "both",
     walls: Walls | None = None,
+    *,
+    may_be_moved: bool = True,
 ) -> EstimatorState:
     """The estimator at the map's origin, before any message.
 
@@ -146,7 +150,9 @@ def initial_state(
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
     localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
-    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them.
+    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. may_be_moved: whether
+    the robot may be elsewhere where what is seen contradicts its pose; else that is a fault of what is seen, unless
+    odometry says that the way is unknown.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
@@ -163,8 +169,10 @@ def initial_state(
         watch=no_watch(),
         landmarks=landmarks,
         walls=walls or no_walls(),
+        may_be_moved=may_be_moved,
     )
-    return replace(state, look=FirstLook(state))
+    # Pieces of a recorded drive are no turns, of which the first is looked at once more.
+    return state if np.isinf(path_keyframe_period) else replace(state, look=FirstLook(state))
 
 
 def instant(state: EstimatorState) -> TurnFrame:

@@ -9,7 +9,6 @@ are those of the scan is the subject of `tfg_drake.slam.scan_ranges`.)
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message
 from tfg_drake.slam.evidence import sanitized
+from tfg_drake.slam.scan_matching import Verdict, compare, judged
 
 # Clocks are compared up to so much before or after each other, in steps of so much, s.
 MOST_OFFSET, OFFSET_STEP = 1.0, 0.02
@@ -31,59 +31,50 @@ LEAST_TURN, LEAST_TURNS = 0.03, 15
 EXPLAINS = 0.5
 # A clock is wrong when what is seen is so many deviations less likely with a right one.
 SIGNIFICANT = 5.0
-# Least standard deviation of a turn seen, rad: scans are compared in such steps.
+# Least standard deviation of a turn seen, rad.
 STEP = 0.01
-# The greatest turn looked for from one scan to the next, rad, and the greatest difference of two ranges (of their
-# logarithms) that counts. So large a share of the rays must overlap.
-MOST_TURN, MOST_APART, OVERLAP = 0.4, 0.2, 0.3
-
-# What explains that tags, the scan or both turn against the robot.
-AGAINST = {
-    (False, True): "the scan turns against the robot: is the scanner mounted upside down? "
-    "Set hardware.scanner.flip, on ROS the preset's scanner.flip",
-    (True, False): "the tags turn against the robot: is the camera mounted upside down, or its image mirrored? "
-    "Set hardware.camera.roll, or mend the image",
-    (True, True): "tags and scan turn against the robot: its odometry counts turns to the right, not to the left",
-}
+TAGS_AGAINST = (
+    "the tags turn against the robot: is the camera mounted upside down, or its image mirrored? "
+    "Set hardware.camera.roll, or mend the image"
+)
+BOTH_AGAINST = "tags and scan turn against the robot: its odometry counts turns to the right, not to the left"
 
 Message = Odometry | TagDetections | LaserScan
 
 
 @message
 class Agreement:
-    """How a sensor's turns agree with the odometry's. against: they go the other way. ahead: its clock less the
+    """How the tags' turns agree with the odometry's. against: they go the other way. ahead: the camera's clock less the
     odometry's, s, 0 where that is no fault."""
 
     against: bool = False
     ahead: float = 0.0
 
 
-def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Agreement, Agreement]:
+def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Agreement, Verdict]:
     """What the tags and what the scans of a first look say, one that says nothing like one that agrees. known: s, how
     far the camera's clock is ahead of the odometry's as far as is known: `ahead` comes on top."""
     odometry = [one for one in messages if isinstance(one, Odometry)]
     stamps = np.array([one.stamp for one in odometry])
     heading = np.unwrap([one.X_OB[2] for one in odometry])
     frames = [sanitized(one)[0] for one in messages if isinstance(one, TagDetections)]
-    scans = [one for one in messages if isinstance(one, LaserScan)]
+    scans = [one for one in messages if isinstance(one, LaserScan) and len(one.angles)]
     by_tags = turns_of_tags(frames) - [known, known, 0.0]
-    return agreement(by_tags, stamps, heading), agreement(turns_of_scans(scans), stamps, heading)
+    scan = judged(compare(odometry, scans, mount_known=True), LEAST_OFFSET)
+    return agreement(by_tags, stamps, heading), scan
 
 
-def remedies(tags: Agreement, scan: Agreement) -> list[str]:
+def remedies(tags: Agreement, scan: Verdict) -> list[str]:
     """What somebody can mend, a line each."""
-    lines = [AGAINST[tags.against, scan.against]] if tags.against or scan.against else []
+    if tags.against and scan.against:
+        return [BOTH_AGAINST]
+    lines = [TAGS_AGAINST] if tags.against else []
     if tags.ahead:
         lines.append(
             f"the camera's clock is {_off(tags.ahead)} the base's, which is corrected: mend hardware.camera.latency, "
             "on ROS the clocks"
         )
-    if scan.ahead:
-        lines.append(
-            f"the scanner's clock is {_off(scan.ahead)} the base's, which smears the map: mend how its scans are "
-            "stamped, on ROS the clocks"
-        )
-    return lines
+    return lines + scan.lines
 
 
 def _off(ahead: float) -> str:
@@ -100,32 +91,6 @@ def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:
             turn = np.median(wrap_angle(before.bearing[i] - after.bearing[j]))
             seen.append((before.stamp, after.stamp, float(turn)))
     return np.array(seen).reshape(-1, 3)
-
-
-def turns_of_scans(scans: Sequence[LaserScan]) -> FloatArray:
-    """As `turns_of_tags`, of scans that show something."""
-    pairs = itertools.pairwise(scan for scan in scans if len(scan.angles))
-    turns = [(one.stamp, other.stamp, turn_between(one, other)) for one, other in pairs]
-    seen = np.array(turns).reshape(-1, 3)
-    return np.asarray(seen[np.isfinite(seen[:, 2])])
-
-
-def turn_between(before: LaserScan, after: LaserScan) -> float:
-    """By how much, rad, the second scan fits best on the first if the robot has turned so far to the left; nan where
-    they show too little."""
-    first, last = max(before.angles[0], after.angles[0]), min(before.angles[-1], after.angles[-1])
-    grid = np.arange(first, last, STEP)
-    met = [np.where((scan.ranges > 0.0) & (scan.ranges < np.inf), scan.ranges, np.nan) for scan in (before, after)]
-    then, now = (np.interp(grid, scan.angles, np.log(r)) for scan, r in zip((before, after), met, strict=True))
-    most = round(MOST_TURN / STEP)
-    shifted = np.lib.stride_tricks.sliding_window_view(np.pad(then, most, constant_values=np.nan), len(grid))
-    apart = np.minimum(np.abs(shifted - now), MOST_APART)
-    overlap = np.isfinite(apart).sum(axis=1)
-    enough = overlap > OVERLAP * len(grid)
-    if not enough.any():
-        return math.nan
-    mean = np.where(enough, np.nansum(apart, axis=1) / np.maximum(overlap, 1), np.inf)
-    return STEP * (int(np.argmin(mean)) - most)
 
 
 def agreement(seen: FloatArray, stamps: FloatArray, heading: FloatArray) -> Agreement:

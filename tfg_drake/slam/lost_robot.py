@@ -126,7 +126,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
             return state
         _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
         # Tags met before the robot was moved have another place relative to it now.
-        return _kidnapped(
+        return begun_elsewhere(
             replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=KIDNAPPED)
         )
     tags = select(seen, found.agreeing)
@@ -137,7 +137,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
         if not state.lost:
             _log.warning("%.2f s: the tags in view contradict the pose; the robot looks for itself", stamp)
         localizer = _restarted(state, estimate, found.X_MB, tags)
-        return _kidnapped(replace(state, localizer=localizer, lost=True), begun)
+        return begun_elsewhere(replace(state, localizer=localizer, lost=True), begun)
     X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
@@ -166,7 +166,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     )
     localizer = _restarted(state, nearby, found.X_MB, tags)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return _kidnapped(replace(state, placed=stamp) if anywhere else state, begun)
+    return begun_elsewhere(replace(state, placed=stamp) if anywhere else state, begun)
 
 
 def _found_among_walls(
@@ -197,7 +197,7 @@ def _found_among_walls(
         if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
         _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
-        return _kidnapped(state, replace(opened(state), sigma=KIDNAPPED))
+        return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
     off = X_MA - expected
     distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
     if anywhere:
@@ -211,7 +211,7 @@ def _found_among_walls(
     X_MB = se2.compose(X_MA, se2.between(begin.X_OB, state.X_OB))
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
     state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return _kidnapped(state, OpenObservation(begin, X_MA, PLACED, newest))
+    return begun_elsewhere(state, OpenObservation(begin, X_MA, PLACED, newest))
 
 
 def _tell_place(stamp: float, X_MB: FloatArray, by: str) -> None:
@@ -233,7 +233,7 @@ def _restarted(
     return restart_localizer(estimate, state.noise.now.walks, X_MB, tags)
 
 
-def _kidnapped(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
+def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
     """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
     if state.turn is None:
         return replace(state, kidnapped=True, way=(), piece=begun)

@@ -18,6 +18,9 @@ from tfg_drake.messages import FloatArray, Odometry, message
 # A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
 # motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
 REST_SHARE = 0.0001
+# Deviations of a way that odometry does not tell but guesses, by the velocity before: so much at once, m, m, rad, and
+# so much a second, m/s, m/s, rad/s.
+BREAK, BREAK_RATE = np.array([0.02, 0.02, 0.02]), np.array([0.5, 0.5, 1.0])
 
 
 def random_walks(config: OdometryConfig) -> FloatArray:

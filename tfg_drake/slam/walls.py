@@ -126,6 +126,14 @@ def no_lines() -> FloatArray:
     return np.empty((0, 11))
 
 
+def whole_walls(known: MapEstimate, walls: Walls) -> FloatArray:
+    """(w, 2, 2) m, the ends of a map's walls as far as they have been seen."""
+    first, p_ML, _ = known_walls(known)
+    order = np.argsort(walls.first)
+    reach = walls.reach[order[np.searchsorted(walls.first, first, sorter=order)]]
+    return np.asarray(p_ML[:, :1] + reach[:, :, None] * directions(p_ML)[0][:, None])
+
+
 def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
     """The walls among some landmarks: ids (w,) of their first points, both points (w, 2, 2) in M, m, and the deviations
     normal to the wall there (w, 2), m. Along a wall its points tell nothing."""

@@ -58,7 +58,9 @@ def test_the_context_can_be_cloned_and_driven_on(original):
 def test_the_robot_drives_to_another_candidate_and_looks_round_there(original):
     change = Fork(2, candidate=3)
     result = run.run_mission(
-        LoadScenario(original.folder / "scenario.yaml"), out_dir=original.folder.parent / "other", fork=change
+        LoadScenario(original.folder / "scenario.yaml"),
+        out_dir=original.folder.parent / "other",
+        monitor=change.monitor,
     )
     check_same(tfg_drake.load_run(original.folder), result.stages, 2)
     assert change.reached

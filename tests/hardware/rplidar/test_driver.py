@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import RobotScannerConfig
+from tfg_drake.geometry.sweep import scan_of
 from tfg_drake.hardware import sensor_reader
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
@@ -14,7 +15,6 @@ from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
 from tfg_drake.hardware.rplidar import codec, driver
 from tfg_drake.hardware.rplidar.driver import RplidarDriver
 from tfg_drake.hardware.rplidar.sweeps import SIGMA
-from tfg_drake.hardware.sweep import scan_of
 
 # A room, and a scanner that looks back.
 WALLS = np.array([[-2.0, -1.0, 3.0, -1.0], [3.0, -1.0, 3.0, 2.0], [3.0, 2.0, -2.0, 2.0], [-2.0, 2.0, -2.0, -1.0]])

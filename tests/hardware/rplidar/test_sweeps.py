@@ -8,9 +8,9 @@ import pytest
 
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.se2 import compose
+from tfg_drake.geometry.sweep import scan_of
 from tfg_drake.hardware.rplidar.codec import Node
 from tfg_drake.hardware.rplidar.sweeps import SweepMaker
-from tfg_drake.hardware.sweep import scan_of
 
 # A room: x and y of its walls. Rays a turn, and how long one takes, s.
 LEFT, RIGHT, BELOW, ABOVE = -2.0, 3.0, -1.5, 2.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.hardware.sweep import Sweep, scan_of
+from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.messages import Odometry
 

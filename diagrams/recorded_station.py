@@ -1,0 +1,100 @@
+"""A station that is a laser recording, behind the ports of any other."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.framework import Diagram, System
+
+from tfg_drake.config import TagSensorConfig
+from tfg_drake.datasets.recording import Recording
+from tfg_drake.diagrams.replay_station import MakeReplayStation
+from tfg_drake.diagrams.robots import Robot
+from tfg_drake.diagrams.scenario import Scenario, WorldConfig
+from tfg_drake.hardware.recordings import load_laser_recording
+from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
+from tfg_drake.simulation.tag_sensor import no_detections
+from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
+
+# What a robot is called that is a laser recording.
+RECORDED = "recording"
+# Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
+PATIENCE = 10.0
+# Walls of buildings that are lived in are off a plane by this, m, see ScanConfig.
+UNEVENNESS = 0.03
+# A new wall needs one look for so many scans a metre of way, as many as in a mission at most.
+SCANS_PER_LOOK = 3.0
+
+
+def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path) -> Diagram:
+    """The station of a laser recording, with the ports of MakeReplayStation: what was sensed is sensed again, and its
+    inputs change nothing. The time begins with the first message; of the scenario nothing is read.
+
+    recording: one that was loaded, or the path of a ROS 2 bag, a CARMEN or a BreezySLAM log.
+
+    Raises:
+        DatasetError: it cannot be used.
+    """
+    if not isinstance(recording, Recording):
+        recording = load_laser_recording(Path(recording))
+    return MakeReplayStation(_ports_of(recording), recording)
+
+
+def RecordingOf(station: System) -> Recording | None:
+    """The recording of a station that MakeRecordedStation made, None of another one."""
+    if not (isinstance(station, Diagram) and station.HasSubsystemNamed("port_player")):
+        return None
+    source: Recording | None = station.GetSubsystemByName("port_player").source
+    return source
+
+
+def RecordedRobot(recording: Recording, station: Diagram | None = None) -> Robot:
+    """The robot that drove a recording. station: its station, if there is one already."""
+    station = station or MakeRecordedStation(Scenario(), recording=recording)
+    end = length_of(recording) + PATIENCE
+    return Robot(RECORDED, lambda _scenario: station, world_known=False, end_time=end)
+
+
+def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
+    """The scenario with what is believed of the recorded odometry and scanner, and without a world."""
+    result = copy.deepcopy(scenario)
+    result.world, result.odometry = WorldConfig(), recording.model
+    way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
+    looks = min(result.scan.least_looks, int(len(recording.scans) / max(way, 1.0) / SCANS_PER_LOOK))
+    reach = max(scan.range_max for scan in recording.scans)
+    seen = {"range": reach, "unevenness": UNEVENNESS, "least_looks": max(looks, 1)}
+    result.scan = dataclasses.replace(recording.scanner, **seen)
+    result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
+    result.explorer.landmarks = "walls"
+    return result
+
+
+def _ports_of(recording: Recording) -> PortRecording:
+    """What the station's ports carried, by the recording's stamps from its first message on."""
+    start = start_of(recording)
+    odometry: list[Odometry] = [replace(one, stamp=one.stamp - start) for one in recording.odometry]
+    scans: list[LaserScan] = [replace(one, stamp=one.stamp - start) for one in recording.scans]
+    messages = dict.fromkeys(PORTS, ()) | {
+        "base.odometry": odometry,
+        "base.hazards": [Hazards(0.0, 0, 0, 0)],
+        "tags.detections": [no_detections()],
+        "scan.ranges": scans,
+    }
+    times = {
+        port: np.array([nanoseconds(max(one.stamp, 0.0)) for one in carried], dtype=np.int64)
+        for port, carried in messages.items()
+    }
+    return PortRecording(Path(recording.name), RECORDED, times, messages, length_of(recording), whole=True)
+
+
+def start_of(recording: Recording) -> float:
+    """When the mission of a recording begins, s by its stamps."""
+    return min(recording.odometry[0].stamp, recording.scans[0].stamp)
+
+
+def length_of(recording: Recording) -> float:
+    """How long a recording takes, s."""
+    return max(recording.odometry[-1].stamp, recording.scans[-1].stamp) - start_of(recording)

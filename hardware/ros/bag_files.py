@@ -1,0 +1,288 @@
+"""The messages in the files of a ROS bag: MCAP and SQLite of ROS 2, and those of ROS 1, packed or not, whole or cut.
+
+Every file is read from its beginning to its end, without its index: so what a recorder wrote before it was killed is
+there, and the messages of a topic come in the order in which they were recorded. What is unpacked is bounded.
+"""
+
+from __future__ import annotations
+
+import bz2
+import contextlib
+import io
+import re
+import sqlite3
+import struct
+import tempfile
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import lz4.frame
+import zstandard
+
+from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.io.yaml_text import parse_yaml
+
+# What files begin with.
+_MCAP, _SQLITE, _ROS1, _ZSTD = b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n", b"\x28\xb5\x2f\xfd"
+# Suffixes of files of a bag; a recorder that packs whole files adds another to them.
+SUFFIXES = (".mcap", ".db3", ".bag", ".active")
+_PACKED = (".zstd", ".zst")
+METADATA = "metadata.yaml"
+# What is packed stands for so many bytes at most, or for so many times its own: scans of nothing shrink much.
+LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
+# A record or a message has at most so many bytes: an image is there to be passed over.
+_LARGEST = 256 * 2**20
+# Opcodes of the records that are read, of MCAP and of ROS 1.
+_SCHEMA, _CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _DATA_END = 3, 4, 5, 6, 15
+_ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 5, 7
+
+
+class Logged(NamedTuple):
+    """A message as it stands in a bag. kind: its type, "sensor_msgs/LaserScan". time_ns: when it was recorded, by the
+    recorder's clock. ros1: how data is to be read."""
+
+    topic: str
+    kind: str
+    time_ns: int
+    data: bytes
+    ros1: bool = False
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file is named like one of a bag, or a folder has such files or metadata.yaml in it."""
+    if path.is_dir():
+        return (path / METADATA).is_file() or bool(_in_folder(path))
+    return _is_named(path)
+
+
+def bag_files(path: Path) -> tuple[list[Path], list[str]]:
+    """The files of a bag in the order in which they were recorded, and what of that is to be told: by metadata.yaml,
+    or where a recorder was killed before it wrote that, by the numbers in their names.
+
+    Raises:
+        DatasetError: there are none.
+    """
+    if not path.is_dir():
+        return [path], []
+    told, found = [], _in_folder(path)
+    try:
+        tree: Any = parse_yaml((path / METADATA).read_text(encoding="utf-8"))
+        named = [path / Path(name).name for name in tree["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        told.append(f"no whole {METADATA} in it: all files of a bag are read, in the order of their numbers")
+    else:
+        if missing := [one.name for one in named if _there(one) is None]:
+            told.append(f"{', '.join(missing)[:200]} of {METADATA} not there, the others are read")
+        found = [there for one in named if (there := _there(one)) is not None]
+    if not found:
+        raise DatasetError(f"{path}: no file of its bag is there; copy the whole folder")
+    return found, told
+
+
+def read_messages(files: Collection[Path], kinds: Collection[str], tell: Callable[[str], None]) -> Iterator[Logged]:
+    """The messages of these kinds, file by file, each in the order of the file. tell: called with what of a file is
+    not read.
+
+    Raises:
+        DatasetError: a file cannot be opened or is no file of a bag, or would be too large unpacked.
+    """
+    try:
+        unpacked = _Unpacked(max(LEAST_UNPACKED, MOST_SHRUNK * sum(file.stat().st_size for file in files)))
+        for file in files:
+            with file.open("rb") as stream:
+                yield from _of_file(file, stream, kinds, unpacked, tell)
+    except FileNotFoundError as error:
+        raise DatasetError(f"{error.filename}: no such file or folder; name a data set") from None
+    except OSError as error:
+        raise DatasetError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+
+
+class _Unpacked:
+    """What is unpacked of a bag, while there is room for it."""
+
+    def __init__(self, room: int) -> None:
+        self._room, self._most = room, room
+
+    def __call__(self, packing: str, data: bytes) -> bytes:
+        """The data unpacked. Raises DatasetError where that is too large, anything where it is damaged."""
+        if packing == "zstd":
+            result = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(self._room + 1)
+        elif packing == "lz4":
+            result = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=self._room + 1)
+        elif packing == "bz2":
+            result = bz2.BZ2Decompressor().decompress(data, self._room + 1)
+        else:
+            return data
+        self._room -= len(result)
+        if self._room < 0:
+            raise DatasetError(f"it unpacks to more than {self._most // 2**20} MiB; record it again, unpacked")
+        return result
+
+
+def _of_file(
+    file: Path, stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked, tell: Callable[[str], None]
+) -> Iterator[Logged]:
+    start = stream.read(16)
+    stream.seek(0)
+    if start.startswith(_ZSTD):
+        with tempfile.NamedTemporaryFile() as whole:
+            whole.write(unpacked("zstd", stream.read()))
+            whole.seek(0)
+            yield from _of_file(file, whole.file, kinds, unpacked, tell)
+        return
+    readers = {_MCAP: _of_mcap, _ROS1: _of_ros1, _SQLITE: _of_sqlite}
+    reader = next((one for begin, one in readers.items() if start.startswith(begin)), None)
+    if reader is None:
+        raise DatasetError(f"{file}: not a file of a ROS bag (.mcap, .db3, .bag); is it what its name says?")
+    count = 0
+    try:
+        for one in reader(stream, kinds, unpacked):
+            # ROS 2 may pack messages each for itself.
+            yield one._replace(data=unpacked("zstd", one.data)) if one.data.startswith(_ZSTD) else one
+            count += 1
+    except DatasetError as error:
+        raise DatasetError(f"{file}: {error}") from None
+    except EOFError:
+        tell(f"{file.name} is cut off, as by a recorder that was killed: the {count} messages before that are read")
+    except Exception as error:  # whatever bytes may hold that are not what they should be
+        why = " ".join(str(error).split())[:100] or type(error).__name__
+        tell(f"{file.name} is damaged ({why}): the {count} messages before that are read")
+
+
+def _of_mcap(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> Iterator[Logged]:
+    """By the specification of MCAP: https://mcap.dev/spec."""
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str, bool]] = {}
+    stream.seek(len(_MCAP))
+    for opcode, content in _unchunked(stream, unpacked):
+        if opcode == _SCHEMA:
+            schemas[_number("<H", content)] = _text(content, 2)[0].replace("/msg/", "/")
+        elif opcode == _CHANNEL:
+            number, schema = struct.unpack_from("<HH", content)
+            topic, after = _text(content, 4)
+            channels[number] = topic, schemas.get(schema, ""), _text(content, after)[0] == "ros1"
+        elif opcode == _MCAP_MESSAGE:
+            number, _, logged = struct.unpack_from("<HIQ", content)
+            topic, kind, ros1 = channels.get(number, ("", "", False))
+            if kind in kinds:
+                yield Logged(topic, kind, logged, content[22:], ros1)
+
+
+def _unchunked(stream: IO[bytes], unpacked: _Unpacked) -> Iterator[tuple[int, bytes]]:
+    """Opcodes and contents of the records of an MCAP's data section, those in chunks, too. Raises EOFError where it is
+    cut off; of a chunk that was, what is there comes before."""
+    while len(head := stream.read(9)) == 9:
+        if head.startswith(_MCAP):  # once more, as mcap of Python writes it where it makes no chunks
+            stream.seek(-1, io.SEEK_CUR)
+            continue
+        opcode, length = struct.unpack("<BQ", head)
+        if opcode == 0:
+            raise ValueError("a record of no kind")
+        content = _read(stream, length)
+        whole = len(content) == length
+        if opcode == _MCAP_CHUNK:
+            packing, at = _text(content, 28)
+            with contextlib.suppress(EOFError):
+                yield from _unchunked(io.BytesIO(unpacked(packing, content[at + 8 :])), unpacked)
+        elif opcode == _DATA_END:
+            return
+        elif whole:
+            yield opcode, content
+        if not whole:
+            break
+    raise EOFError
+
+
+def _of_ros1(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> Iterator[Logged]:
+    """By the format 2.0 of bags: http://wiki.ros.org/Bags/Format/2.0."""
+    topics: dict[int, tuple[str, str]] = {}
+
+    def records(part: IO[bytes]) -> Iterator[Logged]:
+        while len(head := part.read(4)) == 4:
+            of_record = _ros1_fields(_whole(part, _number("<I", head)))
+            length = _number("<I", _whole(part, 4))
+            data = _read(part, length)
+            opcode = of_record[b"op"][0]
+            if opcode == _ROS1_CHUNK:
+                yield from records(io.BytesIO(unpacked(of_record[b"compression"].decode(), data)))
+            if len(data) < length:
+                raise EOFError
+            if opcode == _ROS1_CONNECTION:
+                kind = _ros1_fields(data)[b"type"].decode()
+                topics[_number("<I", of_record[b"conn"])] = of_record[b"topic"].decode(), kind
+            elif opcode == _ROS1_MESSAGE:
+                topic, kind = topics.get(_number("<I", of_record[b"conn"]), ("", ""))
+                seconds, nanoseconds = struct.unpack("<II", of_record[b"time"])
+                if kind in kinds:
+                    yield Logged(topic, kind, 10**9 * seconds + nanoseconds, data, ros1=True)
+
+    stream.seek(len(_ROS1))
+    yield from records(stream)
+
+
+def _ros1_fields(header: bytes) -> dict[bytes, bytes]:
+    """The fields of a record's header, each its length, its name, "=" and its value."""
+    fields, at = {}, 0
+    while at < len(header):
+        end = at + 4 + _number("<I", header, at)
+        name, _, value = header[at + 4 : end].partition(b"=")
+        fields[name], at = value, end
+    return fields
+
+
+def _of_sqlite(stream: IO[bytes], kinds: Collection[str], _: _Unpacked) -> Iterator[Logged]:
+    """rosbag2's tables topics (id, name, type, ..) and messages (id, topic_id, timestamp, data)."""
+    path = Path(stream.name).absolute()
+    # Of a recorder that was killed, some may be in its log still.
+    how = "mode=ro" if Path(f"{path}-wal").is_file() else "immutable=1"
+    with contextlib.closing(sqlite3.connect(f"{path.as_uri()}?{how}", uri=True)) as tables:
+        tables.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST)
+        rows = tables.execute("SELECT id, name, type FROM topics")
+        topics = {key: (str(name), str(kind).replace("/msg/", "/")) for key, name, kind in rows}
+        for key, time_ns, data in tables.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id"):
+            topic, kind = topics.get(key, ("", ""))
+            if kind in kinds:
+                yield Logged(topic, kind, int(time_ns), bytes(data))
+
+
+def _read(stream: IO[bytes], length: int) -> bytes:
+    """So many bytes, fewer at the end; ValueError where no record is so long."""
+    if length > _LARGEST:
+        raise ValueError(f"a record of {length} bytes")
+    return stream.read(length)
+
+
+def _whole(stream: IO[bytes], length: int) -> bytes:
+    """So many bytes; EOFError where there are fewer."""
+    data = _read(stream, length)
+    if len(data) < length:
+        raise EOFError
+    return data
+
+
+def _number(layout: str, data: bytes, at: int = 0) -> int:
+    return int(struct.unpack_from(layout, data, at)[0])
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    """The text that stands there after its length, and where it ends."""
+    end = at + 4 + _number("<I", data, at)
+    return data[at + 4 : end].decode(), end
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    """The files of a bag in a folder, in the order of the numbers in their names."""
+    found = [one for one in folder.iterdir() if one.is_file() and _is_named(one)]
+    parts = {one: re.split(r"([0-9]+)", one.name) for one in found}  # every other one is a number
+    return sorted(found, key=lambda one: [int(part) if k % 2 else part for k, part in enumerate(parts[one])])
+
+
+def _is_named(path: Path) -> bool:
+    name = path.with_suffix("") if path.suffix in _PACKED else path
+    return name.suffix in SUFFIXES
+
+
+def _there(path: Path) -> Path | None:
+    """A file, or what a recorder made of it that packs whole files."""
+    return next((one for one in (path, *(Path(f"{path}{end}") for end in _PACKED)) if one.is_file()), None)

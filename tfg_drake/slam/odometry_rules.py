@@ -1,0 +1,115 @@
+"""Rules of motion: what of wheel odometry can be believed, live and recorded, message by message.
+
+A base drives and turns at most so fast, and leaps no farther than its stamps and its lost messages explain. Where a
+message breaks that, the base was started anew, its wheels slipped or messages are missing: the odometry goes on where
+it was, by its last velocity, and its way there is unknown. Plain numbers: who drives a robot must not wait for kernels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tfg_drake.messages import FloatArray, Odometry, message, replace
+from tfg_drake.notes import Note
+
+# What no ground robot's velocity exceeds, m/s and rad/s.
+FASTEST, FASTEST_TURN = 5.0, 20.0
+# A base drives at most so fast, m/s and rad/s, or this many times as fast as it says itself.
+USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
+# And so far beyond that, m and rad: stamps are late and messages get lost.
+LEAP, LEAP_TURN = 0.5, 0.5
+# Odometry cannot be reckoned over a silence longer than this, s; the last velocity is believed for so long at most.
+SILENCE, HELD = 2.0, 1.0
+
+
+@message
+class WatchedOdometry:
+    """The newest odometry as it was told and as it was passed on; X_OR (3,): the pose in the odometry frame of the
+    frame in which it is told. beyond: (2,) m and rad, how far the robot is ahead of what the speed limits explain."""
+
+    told: Odometry | None = None
+    believed: Odometry | None = None
+    X_OR: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    beyond: tuple[float, float] = (0.0, 0.0)
+
+
+def watch(
+    state: WatchedOdometry, told: Odometry, silence: float = SILENCE, leap: float = LEAP
+) -> tuple[WatchedOdometry, Odometry | None, Note | None]:
+    """The state after a message; the message as far as it is believed, itself where all of it is, None where it is not
+    newer than the last or not finite; and a note of what is not believed.
+
+    silence: s without a message, after which the way between is unknown if the robot has moved by more than leap, m.
+    """
+    before, believed = state.told, state.believed
+    if not all(math.isfinite(value) for value in (told.stamp, *told.X_OB)):
+        return state, None, Note("odometry", told.stamp, "odometry is no number; it is left out")
+    if before is not None and told.stamp <= before.stamp:
+        return state, None, None
+    dt = told.stamp - (told if before is None else before).stamp
+    step = np.zeros(3) if before is None else _between(before.X_OB, told.X_OB)
+    passed, note = told, None
+    if not (abs(told.V_B[0]) <= FASTEST and abs(told.V_B[1]) <= FASTEST_TURN):
+        text = f"odometry tells {told.V_B[0]:g} m/s and {told.V_B[1]:g} rad/s; the way between its poses serves"
+        note = Note("speed", told.stamp, text)
+        passed = replace(told, V_B=velocity(step, dt))
+    if before is None or believed is None:
+        return WatchedOdometry(told, passed), passed, note
+    far, turned = math.hypot(step[0], step[1]), abs(step[2])
+    fastest, fastest_turn = (TWIST_SHARE * max(abs(u), abs(v)) for u, v in zip(believed.V_B, told.V_B, strict=True))
+    beyond = (
+        max(0.0, state.beyond[0] + far - min(max(USUAL, fastest), FASTEST) * dt),
+        max(0.0, state.beyond[1] + turned - min(max(USUAL_TURN, fastest_turn), FASTEST_TURN) * dt),
+    )
+    X_OR, unknown = state.X_OR, False
+    if beyond[0] > LEAP or beyond[1] > LEAP_TURN:
+        X_OB = _driven(believed, min(dt, HELD))
+        x, y, _ = _composed((0.0, 0.0, X_OB[2] - told.X_OB[2]), told.X_OB)
+        X_OR, beyond, unknown = (X_OB[0] - x, X_OB[1] - y, X_OB[2] - told.X_OB[2]), state.beyond, True
+        passed = replace(passed, V_B=believed.V_B)
+        text = f"odometry jumps by {far:.1f} m and {math.degrees(turned):.0f} degrees"
+        note = Note("jump", told.stamp, text)
+    elif dt > silence and (far > leap or turned > LEAP_TURN):
+        unknown = True
+        note = Note("silence", told.stamp, f"no odometry for {dt:.1f} s while the robot moves")
+    if X_OR != (0.0, 0.0, 0.0):
+        passed = replace(passed, X_OB=np.array(_composed(X_OR, told.X_OB)))
+    if breaks := believed.breaks + unknown:
+        passed = replace(passed, breaks=breaks, at_rest=passed.at_rest and not unknown)
+    return WatchedOdometry(told, passed, X_OR, beyond), passed, note
+
+
+def velocity(step: FloatArray, dt: float) -> FloatArray:
+    """V_B (2,), within what is plausible, of a step (3,) in the frame where it began, dt s long."""
+    middle = 0.5 * step[2]
+    ahead = math.copysign(math.hypot(step[0], step[1]), math.cos(middle) * step[0] + math.sin(middle) * step[1])
+    most = np.array([FASTEST, FASTEST_TURN])
+    return np.clip(np.array([ahead, step[2]]) / max(dt, 1e-3), -most, most)
+
+
+def _driven(odometry: Odometry, dt: float) -> tuple[float, float, float]:
+    """X_OB after dt s more at its velocity."""
+    ahead, turn = float(odometry.V_B[0]) * dt, float(odometry.V_B[1]) * dt
+    chord = (ahead * math.cos(0.5 * turn), ahead * math.sin(0.5 * turn), turn)
+    return _composed(odometry.X_OB, chord)
+
+
+def _between(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
+    """X_BC."""
+    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
+    dx, dy, turn = (float(value) for value in X_AC - X_AB)
+    return np.array([c * dx + s * dy, -s * dx + c * dy, math.remainder(turn, 2.0 * math.pi)])
+
+
+def _composed(X_AB: Sequence[float] | FloatArray, X_BC: Sequence[float] | FloatArray) -> tuple[float, float, float]:
+    """X_AC."""
+    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
+    theta = math.pi - (math.pi - X_AB[2] - X_BC[2]) % (2.0 * math.pi)
+    return (
+        float(X_AB[0] + c * X_BC[0] - s * X_BC[1]),
+        float(X_AB[1] + s * X_BC[0] + c * X_BC[1]),
+        float(theta),
+    )

@@ -1,0 +1,494 @@
+"""Scans matched with each other, and odometry held against that: whether it turns and travels as the scans do.
+
+Two scans tell by themselves how the robot came from one to the other: the points of one lie on the surfaces that the
+other saw. Wheels tell so, too. Where the two differ by a factor, a lag of the clocks or the angle of the mount all
+along, that can be corrected; where one turns against the other, nobody can tell which is right.
+"""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, message, replace
+from tfg_drake.notes import Note
+from tfg_drake.slam.scan_matching_kernels import fitting, normals, searched
+
+# Rays that count, of a finer scan; so few are too few.
+RAYS, FEWEST = 360, 20
+# Share of the rays that fit, of those that are in view of both, and that so many deviations away as many fit.
+SHARE, RIVAL, DISTINCT = 0.5, 0.93, 6.0
+# A fit is believed to so many of its rays' variances, for neighbours have errors in common; to no less than this, m and
+# rad, and where nothing tells to no more than this, m.
+COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
+
+# Where the turn is known no better, rad, what is known of the way is no Gaussian.
+MOST_DEVIATION = 0.1
+
+# Two scans that are compared are so far apart, s.
+APART, TOO_FAR = 0.35, 2.0
+# Clocks are compared up to so much before or after each other, s.
+MOST_LAG, LAG_STEP = 1.2, 0.04
+# Of so many pairs at most their lag is looked for.
+MOST_PAIRS = 1000
+# Errors of a turn (rad) and of a way (m) of odometry within APART, and as a share of it.
+TURN_ERROR, WAY_ERROR, SHARE_ERROR = 0.006, 0.008, 0.02
+# Errors of more than so many deviations count less and less.
+ROBUST = 2.5
+# What is known of the way's factor and of the scanner's lever, some 0.2 m, beforehand: information.
+LEVER_PRIOR = np.array([1e-6, 1e-6, 0.2**-2, 0.2**-2])
+# What moves, m and rad, in APART. By so many deviations something is sure.
+MOVES, SURELY = (0.05, 0.05), 5.0
+# A pair contradicts the odometry from this on, m and rad.
+CONTRADICTS = (0.1, 0.1)
+# What contradicts it again so soon, s, does so all the time.
+ONE_STRETCH = 1.0
+# So many pairs that move tell something; where fewer than this share are explained nothing explains them.
+PAIRS, EXPLAINED = 12, 0.5
+# Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
+LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
+AGAINST = "scans turn against the odometry"
+
+# While a robot drives its scans are held against the odometry so often, s; and what contradicts it so many times in a
+# row is told. So many messages of odometry are kept for it.
+EVERY, LONG, KEPT = 2.0, 4, 128
+
+
+@message
+class Matched:
+    """X: (3,) the pose of the body at the second scan in the body at the first. covariance: (3, 3) of it, wide in
+    directions that the scans do not tell. share: of the rays in view of both, those that fit."""
+
+    X: FloatArray
+    covariance: FloatArray
+    share: float
+
+
+def match(before: LaserScan, after: LaserScan, X_guess: FloatArray | None = None) -> Matched | None:
+    """How the body came from one scan to the other: the points of `after` on the surfaces of `before`, from the guess
+    (3,), which may be off by half a metre and a radian. None where too few rays fit, or as many do elsewhere."""
+    return _matched(surface(before), surface(after), np.zeros(3) if X_guess is None else X_guess)
+
+
+def surface(scan: LaserScan) -> FloatArray:
+    """The rays (n, 6) of a scan that met a surface, see `tfg_drake.slam.scan_matching_kernels`."""
+    met = (scan.ranges > 0.0) & (scan.ranges < np.inf)
+    r = scan.ranges[met]
+    bend = float(np.median(np.abs(np.diff(r, 2)))) / 1.65 if len(r) > FEWEST else 0.0
+    sigma = min(max(bend, scan.sigma, 0.003), 0.05)
+    return np.asarray(normals(scan.angles[met], r, sigma, max(1, math.ceil(len(r) / RAYS))))
+
+
+def _matched(before: FloatArray, after: FloatArray, X_guess: FloatArray) -> Matched | None:
+    if min(len(before), len(after)) < FEWEST:
+        return None
+    X, score, H, F, X_rival, rival, share = searched(before, after, np.array(X_guess, dtype=float))
+    values, vectors = np.linalg.eigh(H - 2.0 * F)
+    covariance = (vectors / np.maximum(values / COMMON, MOST**-2)) @ vectors.T + np.diag(np.square(LEAST))
+    apart = X_rival - X
+    apart[2] = se2.wrap_angle(apart[2])
+    is_distinct = apart @ np.linalg.solve(covariance, apart) > DISTINCT**2
+    if share < SHARE or (rival > RIVAL * score and is_distinct):
+        return None
+    return Matched(X, covariance, float(share))
+
+
+@message
+class Comparison:
+    """Odometry held against scans, over n pairs of scans one after the other.
+
+    begin, end: (n,) s, of the scans' clock. X: (n, 3) the way from one to the other by the scans and covariance:
+    (n, 3, 3), nan where they do not match. turn, travel: how many times as far the scans turn and travel as odometry
+    says. lag: s, how far the scans' clock is ahead of the odometry's. yaw: rad, how far to the left of where its
+    bearings say the scanner looks. deviations: (4,) of turn, travel, lag and yaw, inf where they are not told.
+    contradicts: (n,) the pairs that the odometry contradicts nevertheless. turning, travelling: (2,) each, how many
+    pairs turn or travel, by either, and how many of these are explained. stands: whether the odometry does, all along.
+    """
+
+    begin: FloatArray
+    end: FloatArray
+    X: FloatArray
+    covariance: FloatArray
+    contradicts: BoolArray
+    mount_known: bool
+    turn: float = 1.0
+    travel: float = 1.0
+    lag: float = 0.0
+    yaw: float = 0.0
+    deviations: FloatArray = dataclasses.field(default_factory=lambda: np.full(4, np.inf))
+    turning: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    travelling: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    stands: bool = False
+
+
+@message
+class Verdict:
+    """What to correct: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
+    bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or "".
+    against: it is that the scans turn the other way."""
+
+    turn: float = 1.0
+    travel: float = 1.0
+    lag: float = 0.0
+    yaw: float = 0.0
+    notes: tuple[Note, ...] = ()
+    refusal: str = ""
+    against: bool = False
+
+    @property
+    def lines(self) -> list[str]:
+        """What somebody can mend, a line each."""
+        return [self.refusal] if self.refusal else [note.text for note in self.notes]
+
+
+class _Way:
+    """Odometry as a way to read at any time."""
+
+    def __init__(self, odometry: Sequence[Odometry]) -> None:
+        self.stamps = np.array([one.stamp for one in odometry])
+        X = np.array([one.X_OB for one in odometry])
+        self._p, self._heading = X[:, 0] + 1j * X[:, 1], np.unwrap(X[:, 2])
+        unknown = np.flatnonzero(np.diff([one.breaks for one in odometry]))
+        self._lost, self._found = self.stamps[unknown], self.stamps[unknown + 1]
+
+    def tells(self, begin: FloatArray, end: FloatArray) -> BoolArray:
+        """Whether it is known from begin to end, each (n,), s."""
+        lost = np.searchsorted(self._lost, end) > np.searchsorted(self._found, begin, "right")
+        return np.asarray((self.stamps[0] <= begin) & (end <= self.stamps[-1]) & ~lost)
+
+    def moved(self, begin: FloatArray, end: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
+        """How far it comes from begin to end, each (n,), s: chord (n,), m, ahead and i times to the left as seen from
+        half the turn, and turn (n,), rad."""
+        (p, q), (before, after) = (
+            [np.interp(at, self.stamps, value) for at in (begin, end)] for value in (self._p, self._heading)
+        )
+        return (q - p) * np.exp(-0.5j * (before + after)), np.asarray(after - before, dtype=float)
+
+
+@message
+class _Robust:
+    """Least squares with outliers: x (k,), information (k, k), off (n,) deviations, cost."""
+
+    x: FloatArray
+    information: FloatArray
+    off: FloatArray
+    cost: float
+
+
+def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
+    """Of A (n, d, k), y (n, d), in deviations, and the prior's information on each of x (k,), which is 0 by it."""
+    weight = np.ones(len(y))
+    for bound in (8.0, 4.0, ROBUST, ROBUST, ROBUST, ROBUST):
+        information = np.einsum("n,nda,ndb->ab", weight, A, A) + np.diag(prior)
+        x = np.linalg.solve(information, np.einsum("n,nda,nd->a", weight, A, y))
+        off = np.sqrt(((y - A @ x) ** 2).sum(axis=1))
+        weight = 1.0 / (1.0 + (off / bound) ** 2)
+    return _Robust(x, information, off, float(ROBUST**2 * np.log1p((off / ROBUST) ** 2).sum()))
+
+
+@message
+class _Pairs:
+    """Pairs of scans that match (n,), as of Comparison, ready to be held against a way of odometry."""
+
+    begin: FloatArray
+    end: FloatArray
+    X: FloatArray
+    covariance: FloatArray
+
+    def of(self, which: NDArray[np.integer]) -> _Pairs:
+        """Some of them."""
+        return _Pairs(self.begin[which], self.end[which], self.X[which], self.covariance[which])
+
+    def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust, FloatArray]:
+        """How turns, and how ways are explained if the scans' clock is ahead by the lag, s: x is the factor (1,) of the
+        turn; and (4,) real and imaginary part of the way's factor and of the lever by which the scanner sits off, m.
+        And X (n, 3) as it should be by that."""
+        chord, turned = way.moved(self.begin - lag, self.end - lag)
+        turn = self.X[:, 2]
+        scale = 1.0 / np.sqrt(self.covariance[:, 2, 2] + TURN_ERROR**2 + (SHARE_ERROR * turn) ** 2)
+        of_turn = _robust((turned * scale)[:, None, None], (turn * scale)[:, None], np.array([1e-6]))
+        p, q = chord * np.exp(0.5j * turn), np.exp(1j * turn) - 1.0
+        A = np.array([[p.real, -p.imag, q.real, -q.imag], [p.imag, p.real, q.imag, q.real]]).transpose(2, 0, 1)
+        square = WAY_ERROR**2 + SHARE_ERROR**2 * (self.X[:, :2] ** 2).sum(axis=1)
+        spread = self.covariance[:, :2, :2] + square[:, None, None] * np.eye(2)
+        whitened = np.linalg.inv(np.linalg.cholesky(spread))
+        of_way = _robust(whitened @ A, (whitened @ self.X[:, :2, None])[:, :, 0], LEVER_PRIOR)
+        return of_turn, of_way, np.column_stack([A @ of_way.x, turned * of_turn.x[0]])
+
+    def cost(self, way: _Way, lag: float) -> float:
+        """Of all of them by a lag, s."""
+        return sum(fit.cost for fit in self.fits(way, lag)[:2])
+
+    def lag(self, way: _Way) -> tuple[float, float]:
+        """The lag that explains them best, and its deviation, s."""
+        lag, step = 0.0, LAG_STEP
+        for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
+            lags = lag + step * np.arange(-reach, reach + 1)
+            lag = float(lags[int(np.argmin([self.cost(way, one) for one in lags]))])
+            step *= 0.25
+        h = 1.5 * LAG_STEP
+        bend = (self.cost(way, lag - h) - 2.0 * self.cost(way, lag) + self.cost(way, lag + h)) / h**2
+        return lag, math.sqrt(2.0 / bend) if bend > 0.0 else math.inf
+
+
+def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
+    """What scans say of the odometry; both in the order of their stamps. mount_known: whether the bearings of the scans
+    are those in the body frame; else they may be the scanner's own."""
+    chosen = list(scans[:1])
+    for scan in scans[1:]:
+        if scan.stamp - chosen[-1].stamp >= APART:
+            chosen.append(scan)
+    every = _ways(chosen)
+    contradicts = np.zeros(len(every.begin), dtype=np.bool_)
+    nothing = Comparison(every.begin, every.end, every.X, every.covariance, contradicts, mount_known)
+    matched = every.covariance[:, 2, 2] < MOST_DEVIATION**2
+    if len(odometry) < 2 or matched.sum() < PAIRS:
+        return nothing
+    way = _Way(odometry)
+    used = np.flatnonzero(matched & way.tells(every.begin - MOST_LAG, every.end + MOST_LAG))
+    if len(used) < PAIRS:
+        return nothing
+    lag, of_lag = every.of(used[:: math.ceil(len(used) / MOST_PAIRS)]).lag(way)
+    told = np.flatnonzero(matched & way.tells(every.begin - lag, every.end - lag))
+    pairs = every.of(told)
+    of_turn, of_way, predicted = pairs.fits(way, lag)
+    # Of the medians of one and of two normal numbers.
+    scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
+    a, b = of_way.x[:2]
+    travel = max(math.hypot(a, b), 1e-6)
+    radial = np.array([[a, b], [-b, a]]) / travel
+    of_travel, of_yaw = np.sqrt(np.diagonal(radial @ np.linalg.inv(of_way.information)[:2, :2] @ radial.T))
+    of_scale = float(of_turn.information[0, 0]) ** -0.5
+    for k, predict in zip(told, predicted, strict=True):
+        contradicts[k] = _contradicted(chosen[k], chosen[k + 1], every.X[k], every.covariance[k], predict)
+    chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
+    sigma = np.sqrt(np.diagonal(pairs.covariance, axis1=1, axis2=2)).reshape(-1, 3)
+    lengths, turns = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
+    travels = (np.maximum(lengths, np.abs(chord)) > MOVES[0]) & (np.maximum(sigma[:, 0], sigma[:, 1]) < 0.2 * MOVES[0])
+    turning = (np.maximum(turns, np.abs(turned)) > MOVES[1]) & (sigma[:, 2] < 0.2 * MOVES[1])
+    return replace(
+        nothing,
+        turn=float(of_turn.x[0]),
+        travel=travel,
+        lag=lag,
+        yaw=-math.atan2(b, a),
+        deviations=scatter * np.array([of_scale, of_travel, of_lag, of_yaw / travel]),
+        contradicts=contradicts,
+        turning=np.array([turning.sum(), (turning & (of_turn.off < SURELY)).sum()], dtype=float),
+        travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
+        stands=bool(np.abs(chord).sum() < 0.1 * lengths.sum() and np.abs(turned).sum() < 0.1 * turns.sum()),
+    )
+
+
+def _contradicted(
+    before: LaserScan, after: LaserScan, X: FloatArray, covariance: FloatArray, predicted: FloatArray
+) -> bool:
+    """Whether the scans, which match at X (3,), cannot be so far apart as was predicted (3,)."""
+    off = X - predicted
+    off[2] = se2.wrap_angle(off[2])
+    way, turn = math.hypot(off[0], off[1]), abs(off[2])
+    if way < CONTRADICTS[0] and turn < CONTRADICTS[1]:
+        return False
+    errors = np.array([WAY_ERROR, WAY_ERROR, TURN_ERROR]) ** 2 + (SHARE_ERROR * X) ** 2
+    if off @ np.linalg.solve(covariance + np.diag(errors), off) < SURELY**2:
+        return False
+    # There as much may fit.
+    seen = surface(before), surface(after)
+    return bool(fitting(*seen, predicted.copy()) < RIVAL * fitting(*seen, X.copy()))
+
+
+def _ways(scans: Sequence[LaserScan]) -> _Pairs:
+    """Each of the scans matched with the next, without any odometry; nan where they do not match."""
+    n = max(len(scans) - 1, 0)
+    stamps = np.array([one.stamp for one in scans])
+    X, covariance, speed = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(3)
+    seen = surface(scans[0]) if n else np.zeros((0, 6))
+    for k, scan in enumerate(scans[1:]):
+        was, seen, duration = seen, surface(scan), stamps[k + 1] - stamps[k]
+        # It may have begun or ceased to turn.
+        one = _matched(was, seen, speed * duration * [1.0, 1.0, 0.5]) if duration < TOO_FAR else None
+        speed = np.zeros(3) if one is None else one.X / duration
+        if one is not None:
+            X[k], covariance[k] = one.X, one.covariance
+    return _Pairs(stamps[:-1], stamps[1:], X, covariance)
+
+
+def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
+    """What of it is beyond doubt, and more than is learnt with the map anyway; a lag is from least_lag, s, on."""
+    turn, travel, lag, yaw = found.turn, found.travel, found.lag, found.yaw
+    refusal = _refusal(found)
+    if refusal:
+        return Verdict(refusal=refusal, against=refusal.startswith(AGAINST))
+    time = float(found.begin[0]) if len(found.begin) else 0.0
+    turns, travels = found.turning[1] >= PAIRS, found.travelling[1] >= PAIRS
+    sure = SURELY * found.deviations
+    verdict, told = Verdict(), {}
+    if turns and abs(turn - 1.0) > max(LEAST_SCALE, sure[0]):
+        verdict = replace(verdict, turn=turn)
+        told["turn_scale"] = (
+            f"scans turn {turn:.3g} times as far as the odometry: see its gyro, or its wheels' distance"
+        )
+    if travels and abs(travel - 1.0) > max(LEAST_SCALE, sure[1]):
+        verdict = replace(verdict, travel=travel)
+        told["travel_scale"] = f"scans travel {travel:.3g} times as far as the odometry: see its wheels' radius"
+    if (turns or travels) and abs(lag) > max(least_lag, sure[2]):
+        verdict = replace(verdict, lag=lag)
+        way = "ahead of" if lag > 0.0 else "behind"
+        told["lag"] = f"the scans' clock is {abs(lag):.2f} s {way} the odometry's: see how both are stamped"
+    if travels and abs(yaw) > max(LEAST_YAW, sure[3]):
+        verdict = replace(verdict, yaw=yaw)
+        degrees = math.degrees(yaw)
+        told["mount_yaw"] = f"the scanner looks {degrees:.1f} degrees farther to the left than was said: see its mount"
+    return replace(verdict, notes=tuple(Note(kind, time, text) for kind, text in told.items()))
+
+
+def _refusal(found: Comparison) -> str:
+    """Why nothing can be made of odometry and scans, "" where something can."""
+    (turning, turns), (travelling, travels) = found.turning, found.travelling
+    sure = SURELY * found.deviations
+    if max(turning, travelling) >= PAIRS and found.stands:
+        return "the odometry stands while the scans move: it tells nothing of the way; record odometry that moves"
+    if turning >= PAIRS and turns >= EXPLAINED * turning:
+        if found.turn + sure[0] < -0.1:
+            return (
+                f"{AGAINST} ({found.turn:.2f} times as far): the scanner is mounted upside down or mirrored, or the "
+                "wheels are; --set hardware.scanner.flip=true if it is the scanner"
+            )
+        if abs(found.turn) + sure[0] < 0.15:
+            return (
+                "the scans do not turn while the odometry does: see whether the scanner is frozen, or the wheels slip"
+            )
+        if found.turn - sure[0] > MOST_SCALE:
+            return f"scans turn {found.turn:.2g} times as far as the odometry: see its unit, rad"
+    if travelling >= PAIRS and travels >= EXPLAINED * travelling:
+        if found.travel + sure[1] < 0.15:
+            return f"scans travel {found.travel:.2g} times as far as the odometry: see its unit, m; or its wheels slip"
+        if found.travel - sure[1] > MOST_SCALE:
+            return f"scans travel {found.travel:.2g} times as far as the odometry: see its unit, m"
+        if found.mount_known and abs(found.yaw) - sure[3] > 2.5:
+            return (
+                "scans travel backwards where the odometry travels ahead: the scanner looks back, or the wheels are "
+                "mirrored; --set hardware.scanner.yaw=3.1416 if it is the scanner"
+            )
+    for name, moves, explained in (("turns", turning, turns), ("moves", travelling, travels)):
+        if moves >= PAIRS and explained < EXPLAINED * moves:
+            return (
+                f"scans and odometry contradict each other: by any scale, clock and mount {explained:.0f} of "
+                f"{moves:.0f} {name} agree; see whether both are of one drive"
+            )
+    return ""
+
+
+def corrected(
+    odometry: Sequence[Odometry], scans: Sequence[LaserScan], verdict: Verdict
+) -> tuple[tuple[Odometry, ...], tuple[LaserScan, ...]]:
+    """Both with what a verdict corrects; the same objects where it corrects nothing of them."""
+    odometry, scans = tuple(odometry), tuple(scans)
+    if (verdict.turn, verdict.travel) != (1.0, 1.0) and odometry:
+        X = np.array([one.X_OB for one in odometry])
+        heading = np.unwrap(X[:, 2])
+        steps = np.diff(X[:, 0] + 1j * X[:, 1]) * np.exp(-0.5j * (heading[1:] + heading[:-1]))
+        heading = heading[0] + verdict.turn * (heading - heading[0])
+        p = np.cumsum(verdict.travel * steps * np.exp(0.5j * (heading[1:] + heading[:-1])))
+        X[1:, 0], X[1:, 1], X[:, 2] = X[0, 0] + p.real, X[0, 1] + p.imag, se2.wrap_angle(heading)
+        speeds = np.array([verdict.travel, verdict.turn])
+        odometry = tuple(replace(one, X_OB=x, V_B=speeds * one.V_B) for one, x in zip(odometry, X, strict=True))
+    if verdict.yaw or verdict.lag:
+        scans = tuple(_turned(replace(one, stamp=one.stamp - verdict.lag), verdict.yaw) for one in scans)
+    return odometry, scans
+
+
+def _turned(scan: LaserScan, yaw: float) -> LaserScan:
+    if not yaw:
+        return scan
+    angles = se2.wrap_angle(scan.angles + yaw)
+    order = np.argsort(angles, kind="stable")
+    return replace(scan, angles=angles[order], ranges=scan.ranges[order])
+
+
+def contradictions(found: Comparison) -> FloatArray:
+    """Stretches (k, 2) of time, s by the scans' clock, in which the odometry contradicts the scans."""
+    begin, end = found.begin[found.contradicts], found.end[found.contradicts]
+    if not len(begin):
+        return np.zeros((0, 2))
+    apart = begin[1:] > end[:-1] + ONE_STRETCH
+    return np.column_stack([begin[np.append(True, apart)], end[np.append(apart, True)]])
+
+
+def bridged(
+    scans: Sequence[LaserScan], begin: float, end: float, X_guess: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """The way from begin to end, s, by scans one after the other: stamps (k,) from begin to end, poses (k, 3) in that
+    at begin, and the covariance (3, 3) of the last. X_guess: (3,) what the whole way is guessed to be. None where the
+    scans do not tell it."""
+    stamps = [one.stamp for one in scans]
+    first, last = bisect.bisect_right(stamps, begin) - 1, bisect.bisect_left(stamps, end)
+    if first < 0 or last >= len(scans) or end <= begin:
+        return None
+    near = scans[first : last + 1]
+    X, covariance, poses = np.zeros(3), np.zeros((3, 3)), [np.zeros(3)]
+    velocity = X_guess / (end - begin)
+    for before, after in itertools.pairwise(near):
+        duration = after.stamp - before.stamp
+        one = match(before, after, velocity * duration) if duration < TOO_FAR else None
+        if one is None:
+            return None
+        velocity = one.X / duration
+        covariance = _composed(X, covariance, one)
+        X = se2.compose(X, one.X)
+        poses.append(X)
+    if np.sqrt(np.diagonal(covariance)).max() > 0.15:
+        return None
+    known = np.array([one.stamp for one in near])
+    at = np.concatenate([[begin], known[(known > begin) & (known < end)], [end]])
+    heading = np.unwrap([pose[2] for pose in poses])
+    values = (np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), heading)
+    way = np.column_stack([np.interp(at, known, value) for value in values])
+    return at, se2.between(way[0], way), covariance
+
+
+def _composed(X: FloatArray, covariance: FloatArray, step: Matched) -> FloatArray:
+    """The covariance (3, 3) of X composed with a step."""
+    c, s = math.cos(X[2]), math.sin(X[2])
+    on_X = np.eye(3)
+    on_X[:2, 2] = -s * step.X[0] - c * step.X[1], c * step.X[0] - s * step.X[1]
+    on_step = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(on_X @ covariance @ on_X.T + on_step @ step.covariance @ on_step.T)
+
+
+@message
+class Watch:
+    """The scans of a robot that drives, held against its odometry now and then. way: the newest odometry. before: the
+    scan that the next match begins with, done: whether that was made. doubts: how many in a row contradict."""
+
+    way: tuple[Odometry, ...] = ()
+    before: LaserScan | None = None
+    done: bool = False
+    doubts: int = 0
+
+
+def watched(watch: Watch, odometry: Odometry, scan: LaserScan) -> tuple[Watch, bool]:
+    """The watch with the newest messages, and whether the two have contradicted each other for long: that is told once,
+    and anew when they have agreed."""
+    way, before, doubts = watch.way, watch.before, watch.doubts
+    if not way or odometry.stamp > way[-1].stamp:
+        way = (*way, odometry)[-KEPT:]
+    after = 0.0 if before is None else scan.stamp - before.stamp
+    if before is None or after > (EVERY if watch.done else TOO_FAR):
+        return replace(watch, way=way, before=scan, done=False), False
+    if watch.done or after < APART or len(way) < 2 or way[-1].stamp < scan.stamp or way[0].stamp > before.stamp:
+        return replace(watch, way=way), False
+    one = match(before, scan)
+    if one is not None and one.covariance[2, 2] < MOST_DEVIATION**2:
+        chord, turned = (value[0] for value in _Way(way).moved(np.array([before.stamp]), np.array([scan.stamp])))
+        chord *= np.exp(0.5j * turned)
+        predicted = np.array([chord.real, chord.imag, turned])
+        doubts = doubts + 1 if _contradicted(before, scan, one.X, one.covariance, predicted) else 0
+    return replace(watch, way=way, done=True, doubts=doubts), doubts == LONG and doubts > watch.doubts
