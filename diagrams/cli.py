@@ -172,7 +172,7 @@ def explore(
         str | None,
         typer.Option(
             metavar="SOURCE",
-            help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT or camera:/dev/video0.",
+            help="A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
         ),
     ] = None,
     scan: Annotated[

@@ -245,7 +245,7 @@ def progress_line(progress: Progress) -> str:
         return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
+    return f"{where}{progress.landmarks:>9} {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
 
 
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
@@ -271,6 +271,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         "time": f"{summary['sim_time_s']:.1f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
         "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
         "tags": "-",
+        "walls": f"{summary['walls_mapped']} mapped",
         "map": "-",
         "pose error": "-",
         "coverage": "-",
@@ -308,4 +309,8 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
         caused = f"{summary['contacts']} by the robot, {summary['contacts_received']} by others"
         rows["safety"] = f"contacts: {caused}; least clearance {clearance} m"
+    if not summary["walls_mapped"]:
+        del rows["walls"]
+    elif not (mapped or present or summary["landmarks_doubtful"]):
+        del rows["tags"]
     return list(rows.items())

@@ -25,7 +25,16 @@ from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    GridMap,
+    MapEstimate,
+    MissionStatus,
+    PoseEstimate,
+    TfgMap,
+    is_tag,
+)
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.notes import Note
 from tfg_drake.pictures import scene
@@ -316,6 +325,12 @@ class Mission:
         """The newest map with the walls that are landmarks, in the end the final one; None of a method without one."""
         state = self.estimator_state()
         return state.map if state is not None else None
+
+    @property
+    def walls(self) -> int:
+        """How many walls are landmarks of the newest map."""
+        landmarks = self.landmarks
+        return 0 if landmarks is None else int(np.count_nonzero(~is_tag(landmarks.ids))) // 2
 
     @property
     def world_then(self) -> World | None:

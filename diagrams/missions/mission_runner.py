@@ -41,15 +41,15 @@ _log = logging.getLogger("tfg_drake.run")
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map, area seen
-    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
-    what else is done meanwhile."""
+    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map as they are
+    told, such as "3 tags", area seen (m^2), error of the estimated position (m), nan where the truth is not known;
+    outcome: "" until it has ended; word: what else is done meanwhile."""
 
     time: float
     wall_time: float
     phase: str
     stage: int
-    landmarks: int
+    landmarks: str
     area: float
     position_error: float
     outcome: str = ""
@@ -194,20 +194,26 @@ class MissionRunner:
         mission, wall_time = self._mission, time.monotonic() - self._mission.wall_start
         if mission.outcome or wall_time >= self._next_area:
             self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
-        status, landmarks = mission.status, len(mission.map.ids) if mission.map is not None else 0
+        status = mission.status
         self._on_progress(
             Progress(
                 mission.end_time,
                 wall_time,
                 status.phase,
                 status.stage,
-                landmarks,
+                _landmarks(mission),
                 self._area,
                 mission.position_error(),
                 mission.outcome,
                 mission.word,
             )
         )
+
+
+def _landmarks(mission: Mission) -> str:
+    """The tags in the map or, where there is none, the walls."""
+    tags = len(mission.map.ids) if mission.map is not None else 0
+    return f"{tags} tags" if tags or not mission.walls else f"{mission.walls} walls"
 
 
 def _seen_area(mission: Mission) -> float:

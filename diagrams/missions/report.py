@@ -143,6 +143,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "landmarks_mapped": None if mission.grid is not None else int(np.count_nonzero(sure)),
         "landmarks_doubtful": None if mission.grid is not None else doubtful.tolist(),
         "landmarks_extra": None,
+        "walls_mapped": None if mission.grid is not None else mission.walls,
         "landmark_rmse_m": None,
         "landmark_error_max_m": None,
         "landmark_rmse_aligned_m": None,
@@ -231,8 +232,8 @@ def _title(summary: dict[str, Any]) -> str:
             f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
-    elif mapped:
-        parts.append(f"{mapped} landmarks")
+    elif mapped or summary["walls_mapped"]:
+        parts.append(f"{mapped} landmarks" if mapped else f"{summary['walls_mapped']} walls as landmarks")
     if summary["contacts"] is not None:
         parts.append(
             f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"

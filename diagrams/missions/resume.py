@@ -32,13 +32,16 @@ class CutShort:
 
 
 def cut_short(run: Path, out: Path | None = None) -> CutShort:
-    """A mission that was cut short, from its folder. out: where it goes on instead, a copy; it need not be there yet.
+    """A mission that was cut short, from its folder, or the checkpoint in it.
+
+    out: where it goes on instead, a copy; it need not be there yet.
 
     Raises:
         CheckpointError: the folder holds none, or it cannot be gone on with.
         OSError: it cannot be copied.
     """
     told, state = read_checkpoint(run)
+    run = run.parent if run.is_file() else run
     if out is not None and out.resolve() != run.resolve():
         out.mkdir(parents=True, exist_ok=True)
         for name in _FILES:

@@ -33,7 +33,7 @@ from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import AreasOutside, MakeWorld, Scenario
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
@@ -68,6 +68,7 @@ TOLD_AT_THE_END = (
     "stages",
     "landmarks_mapped",
     "landmarks_reachable",
+    "walls_mapped",
     "landmark_rmse_m",
     "landmark_rmse_aligned_m",
     "position_error_m",
@@ -146,7 +147,7 @@ def run_mission(
         scenario = _with_map_kept(scenario, folder.path)
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
-            for line in odd_tags(MakeWorld(scenario.world)):
+            for line in (*odd_tags(MakeWorld(scenario.world)), *AreasOutside(scenario)):
                 _of_world.warning(line)
         title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:

@@ -43,6 +43,13 @@ def test_what_is_no_run_is_told(call, tmp_path):
     assert (code, complaint) == (2, f"tfg-drake: no such map: {tmp_path / 'x.npz'}\n")
 
 
+def test_the_checkpoint_stands_for_its_folder(call, cut):
+    said = call("explore", "--resume", cut, "--headless")
+    assert said[0] == 2
+    assert f"{cut / 'scenario.yaml'}: no such file" in said[2]
+    assert call("explore", "--resume", cut / "checkpoint.bin", "--headless") == said
+
+
 def test_a_mission_goes_on_and_the_next_one_begins_with_its_map(call, room, tmp_path):
     half, whole = tmp_path / "half", tmp_path / "whole"
     arguments = ["--headless", "--json"]
