@@ -24,7 +24,8 @@ from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
-from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.mapfile.message_arrays import to_arrays
+from tfg_drake.mapfile.saved_map import REGISTRY, SavedMap, whole_map
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.pictures import scene
@@ -239,6 +240,8 @@ class Mission:
         self.wall_start -= wall_time
         self._cpu_start -= cpu_time
         vars(self).update({name: before.take(name, hint) for name, hint in STATE.items()})
+        if (known := self.newest_map()) is not None:
+            whole_map(to_arrays(known, REGISTRY))
         self.resumed = [*self.resumed, self.time]
         _log.info("goes on from %.2f s", self.time)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from tfg_drake import __version__
-from tfg_drake.io.files import FileError, of_run, read_bytes, write_atomic
+from tfg_drake.io.files import FileError, of_run, reading, write_atomic
 from tfg_drake.messages import FloatArray
-from tfg_drake.storage.serialization import MOST_ARRAYS, MOST_TEXT, Packed, pack
+from tfg_drake.storage.serialization import Packed, pack
 
 FILE_NAME = "checkpoint.bin"
 MAGIC = b"tfg_drake checkpoint 2\n"
@@ -35,7 +35,10 @@ TOLD: Mapping[str, Any] = {
     "X_WB": FloatArray,
     "contacts": int | None,
 }
+# Bytes that are read at most: those of an hour in a large building are 40 MB.
+LARGEST = 256 * 2**20
 _CHECKSUM = struct.Struct("<I")
+_MEND = "copy it again from where it was written, or begin a mission with the run's map: --map"
 
 
 class CheckpointError(FileError):
@@ -105,8 +108,7 @@ def read_told(path: Path) -> dict[str, Any]:
 
 def _damaged(path: Path, error: BaseException) -> CheckpointError:
     first_line = next(iter(str(error).splitlines()), type(error).__name__)
-    mend = "copy it again from where it was written, or begin a mission with the run's map: --map"
-    return CheckpointError(f"{path}: is damaged ({first_line}); {mend}")
+    return CheckpointError(f"{path}: is damaged ({first_line}); {_MEND}")
 
 
 def _opened(path: Path) -> tuple[dict[str, Any], bytes, int]:
@@ -117,12 +119,12 @@ def _opened(path: Path) -> tuple[dict[str, Any], bytes, int]:
         if (run / "summary.json").is_file():
             raise CheckpointError(f"{run}: that mission has ended; begin another one with its map: --map {run}")
         raise CheckpointError(f"{run}: holds no mission to go on with; name the folder of one that was cut short")
-    try:
-        data = read_bytes(path, 2 * (MOST_TEXT + MOST_ARRAYS))
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read: {error.strerror}; name a file that can be") from None
+    with reading(path, CheckpointError):
+        if path.stat().st_size > LARGEST:
+            raise CheckpointError(f"{path}: has more than {LARGEST // 2**20} MiB; {_MEND}")
+        data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise CheckpointError(f"{path}: is no checkpoint of this version; begin a mission with the run's map: --map")
+        raise CheckpointError(f"{path}: is no checkpoint of this version; {_MEND}")
     try:
         start = len(MAGIC) + _CHECKSUM.size
         if zlib.crc32(memoryview(data)[start:]) != _CHECKSUM.unpack_from(data, len(MAGIC))[0]:

@@ -38,8 +38,10 @@ from tfg_drake.slam import noise, turn
 
 # Types of an array's entries.
 DTYPES = ("<f8", "<i8", "|b1", "<f4", "<i4", "|i1", "|u1")
-# Bytes of a block's JSON and of its arrays at most: JSON of lists may take twenty times as many in memory.
-MOST_TEXT, MOST_ARRAYS = 16 * 2**20, 256 * 2**20
+# Bytes of a block's JSON at most: in memory lists take twenty times as many.
+MOST_TEXT = 16 * 2**20
+# The longest side of an array of no entries, which is no longer than all entries otherwise.
+WIDEST = 2**12
 # An integer is less, as in an array.
 _MOST = 2**63
 # What stands where no more is known than a protocol.
@@ -114,13 +116,13 @@ class Packed:
         text, size = _LENGTHS.unpack_from(data, start)
         start += _LENGTHS.size
         self.end = start + text + size
-        if text > MOST_TEXT or size > MOST_ARRAYS or self.end > len(data):
+        if text > MOST_TEXT or self.end > len(data):
             raise ValueError("it is not whole")
         self._roots, self._rows, shapes = json.loads(data[start : start + text])
         start += text
         self._data, self._arrays, self._made = data, list[Any](), dict[int, Any]()
         for code, *shape in shapes:
-            if code not in DTYPES or any(type(length) is not int or not 0 <= length <= size for length in shape):
+            if code not in DTYPES or any(type(side) is not int or not 0 <= side <= size + WIDEST for side in shape):
                 raise ValueError("an array has no such shape")
             length = math.prod(shape) * np.dtype(code).itemsize
             self._arrays.append((code, shape, start, start + length))
