@@ -128,7 +128,7 @@ def test_what_cannot_be_read_again_is_not_written(hint, value, problem):
     ],
 )
 def test_what_does_not_fit_its_annotation_is_refused(data, hint):
-    with pytest.raises(ValueError, match="^it"):
+    with pytest.raises(ValueError, match=r"^it"):
         Packed(data).take("it", hint)
 
 
