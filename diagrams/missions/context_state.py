@@ -24,25 +24,19 @@ def kinds_of(diagram: Diagram, root: Context, under: str) -> dict[str, Any]:
     """
     found = {}
     for path, system in _systems(diagram):
-        if isinstance(system, RandomSource) or not path.startswith(under):
-            continue
-        context = system.GetMyContextFromRoot(root)
-        kinds = [FloatArray] * context.num_discrete_state_groups()
-        kinds += [type(context.get_abstract_state(i).get_value()) for i in range(context.num_abstract_states())]
-        if kinds:
-            found[path] = tuple[tuple(kinds)]  # type: ignore[misc]
+        vectors, messages = _values(system.GetMyContextFromRoot(root))
+        if path.startswith(under) and (vectors or messages) and not isinstance(system, RandomSource):
+            found[path] = tuple[tuple([FloatArray] * len(vectors) + [type(one) for one in messages])]  # type: ignore[misc]
     return found
 
 
-def state_of(diagram: Diagram, root: Context, kinds: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """The state of the systems that have `kinds`, by path."""
+def state_of(diagram: Diagram, root: Context, kinds: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Annotation and state of the systems that have `kinds`, by path."""
     found = {}
     for path, system in _systems(diagram):
         if path in kinds:
-            context = system.GetMyContextFromRoot(root)
-            vectors = [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
-            messages = [context.get_abstract_state(i).get_value() for i in range(context.num_abstract_states())]
-            found[path] = (*vectors, *messages)
+            vectors, messages = _values(system.GetMyContextFromRoot(root))
+            found[path] = kinds[path], (*vectors, *messages)
     return found
 
 
@@ -70,6 +64,11 @@ def restore_state(
             for i in range(context.num_abstract_states()):
                 context.get_mutable_abstract_state(i).set_value(next(parts))
     root.SetTime(time)
+
+
+def _values(context: Context) -> tuple[list[FloatArray], list[Any]]:
+    vectors = [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
+    return vectors, [context.get_abstract_state(i).get_value() for i in range(context.num_abstract_states())]
 
 
 def _systems(part: System, path: str = "") -> Iterator[tuple[str, System]]:

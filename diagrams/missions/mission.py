@@ -34,8 +34,9 @@ from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import random_walks
 from tfg_drake.slam.shared import Shared, exactly_known
-from tfg_drake.storage.checkpoint import CheckpointError, State
+from tfg_drake.storage.checkpoint import CheckpointError
 from tfg_drake.storage.port_recording import GOAL, PortWriter
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import CpuMeter
@@ -146,7 +147,7 @@ class Mission:
         writer: PortWriter | None = None,
         timeline: TimelineWriter | None = None,
         cockpit: Cockpit | None = None,
-        before: State | None = None,
+        before: Packed | None = None,
     ) -> None:
         """writer: where the station's ports are recorded, timeline: where the picture is. before: the `state` of a
         mission to go on with. See `explore` for the others."""
@@ -202,24 +203,23 @@ class Mission:
         except CheckpointError:
             raise
         except (Exception, SystemExit) as error:  # Anything may come of values that are not what they should be.
-            raise self._before.damaged(error) from error
+            raise self._before.complaint(error) from error
 
     def state(self) -> dict[str, tuple[Any, Any]]:
         """All that a mission needs to go on from here, between two instants: annotation and value of each part."""
         assert self._context is not None
         self.account()
         logs = [(log.sample_times(), log.data()) for log in self._find_logs(self._context)]
-        systems = state_of(self.simulator.get_system(), self._context, self._kinds)
         return {
             "time": (float, self.time),
-            **{path: (kind, systems[path]) for path, kind in self._kinds.items()},
+            **state_of(self.simulator.get_system(), self._context, self._kinds),
             "logs": (_LOGS, [(times[times < self.time], data[:, times < self.time]) for times, data in logs]),
             "spent": (dict[str, float], self.meter.spent),
             **{name: (float, getattr(self, name)) for name in _COSTS},
             **{name: (hint, getattr(self, name)) for name, hint in STATE.items()},
         }
 
-    def _go_on(self, before: State) -> None:
+    def _go_on(self, before: Packed) -> None:
         """Puts everything back; of a real robot, which may be elsewhere now, what explores, and it looks round.
 
         Raises ValueError or what Drake raises where something is not what it should be.
@@ -228,7 +228,7 @@ class Mission:
         time, logs = before.take("time", float), before.take("logs", _LOGS)
         if not 0.0 <= time <= ODOMETRY_PERIOD * len(logs[-2][0]):
             raise ValueError("time does not fit the logs")
-        systems = {path: before.take(path, kind) for path, kind in self._kinds.items() if path in before.names()}
+        systems = {path: before.take(path, kind) for path, kind in self._kinds.items() if path in before.names}
         if self.robot.real:
             systems = _looking_round(systems, time)
         restore_state(self.simulator.get_system(), self._context, systems, time, self._under)

@@ -14,8 +14,9 @@ from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.run_folder import RESULTS
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
-from tfg_drake.storage.checkpoint import CheckpointError, State, read_checkpoint
+from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME as PORTS
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
 # The map that a mission began with, in its folder.
@@ -36,7 +37,7 @@ class CutShort:
     robot: str
     method: str
     own: bool
-    state: State
+    state: Packed
 
 
 def cut_short(run: Path, out: Path | None = None) -> CutShort:

@@ -42,8 +42,9 @@ from tfg_drake.mission.interruption import Interruption
 from tfg_drake.storage import port_recording
 from tfg_drake.storage import timeline as timeline_file
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
-from tfg_drake.storage.checkpoint import State, write_checkpoint
+from tfg_drake.storage.checkpoint import write_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
@@ -110,7 +111,7 @@ def run_mission(
     record: bool = True,
     warm_up: WarmUp | None = None,
     fork: Fork | None = None,
-    before: State | None = None,
+    before: Packed | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 

@@ -53,7 +53,7 @@ def test_a_checkpoint_is_read_as_it_was_written(file):
         ("status", FloatArray, "status: there is none of that number"),
         ("time", MissionStatus, "time: there is none of that number"),
         ("time", str, "time: must be str, not float"),
-        ("x", float, "x is missing"),
+        ("x", float, "x: must be float, not NoneType"),
     ],
 )
 def test_a_part_that_does_not_fit_is_told(file, name, hint, problem):

@@ -47,6 +47,10 @@ def tree(below=None):
     return Tree(leaf, (leaf, Leaf(leaf.points, 0)), {4: pair}, status, None, status, (1.0, -math.inf), notes, below)
 
 
+def same(error):
+    return error
+
+
 def packed(hint, value):
     return b"".join(pack({"it": (hint, value)}))
 
@@ -59,7 +63,7 @@ def block(roots, rows=(), shapes=(), arrays=b""):
 
 def test_a_tree_is_read_as_it_was_written():
     wanted = tree(tree())
-    found = Packed(packed(Tree, wanted)).take("it", Tree)
+    found = Packed(packed(Tree, wanted), 0, same).take("it", Tree)
     for one, other in ((found, wanted), (found.below, wanted.below)):
         assert one.leaf.points.tobytes() == other.leaf.points.tobytes()
         assert (one.leaf.count, one.drive, one.newest) == (2**40, (1.0, -math.inf), None)
@@ -70,7 +74,7 @@ def test_a_tree_is_read_as_it_was_written():
 
 
 def test_what_was_one_object_is_one_still():
-    found = Packed(packed(Tree, tree())).take("it", Tree)
+    found = Packed(packed(Tree, tree()), 0, same).take("it", Tree)
     assert found.leaves[0] is found.leaf
     assert found.leaves[1].points is found.leaf.points
     assert found.any_message is found.either
@@ -82,7 +86,7 @@ def test_arrays_of_any_shape_and_order(dtype, shape):
     kind = np.ndarray[tuple[Any, ...], np.dtype[np.dtype(dtype).type]]
     array = np.arange(math.prod(shape)).reshape(shape).astype(dtype)
     for one in (array, np.asarray(array, order="F")):
-        found = Packed(packed(kind, one)).take("it", kind)
+        found = Packed(packed(kind, one), 0, same).take("it", kind)
         np.testing.assert_array_equal(found, array, strict=True)
         assert not found.flags.writeable
 
@@ -129,7 +133,7 @@ def test_what_cannot_be_read_again_is_not_written(hint, value, problem):
 )
 def test_what_does_not_fit_its_annotation_is_refused(data, hint):
     with pytest.raises(ValueError, match=r"^it"):
-        Packed(data).take("it", hint)
+        Packed(data, 0, same).take("it", hint)
 
 
 @pytest.mark.parametrize(
@@ -151,14 +155,14 @@ def test_what_does_not_fit_its_annotation_is_refused(data, hint):
 )
 def test_sizes_are_looked_at_before_anything_is_made(data):
     with pytest.raises((ValueError, TypeError, struct.error, RecursionError)):
-        Packed(data)
+        Packed(data, 0, same)
 
 
 def test_any_bytes_are_read_or_refused():
     good, refused = packed(Tree, tree(tree())), 0
     for data in mutations(good, 2000, 3):
         try:
-            Packed(data).take("it", Tree)
+            Packed(data, 0, same).take("it", Tree)
         except (ValueError, TypeError, struct.error):  # what who opens a file expects
             refused += 1
     assert 500 < refused < 2000

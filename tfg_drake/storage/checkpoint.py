@@ -6,6 +6,7 @@ the mission, and its state, which is read by the version that wrote it.
 
 from __future__ import annotations
 
+import functools
 import struct
 import zlib
 from collections.abc import Mapping
@@ -45,29 +46,6 @@ class CheckpointError(FileError):
     """A mission that cannot be gone on with; the message is one line: which, why and how to mend it."""
 
 
-class State(Packed):
-    """The state of a mission that was cut short, out of its checkpoint."""
-
-    def __init__(self, path: Path, data: bytes, start: int) -> None:
-        """path: of the checkpoint. Raises CheckpointError."""
-        self._path = path
-        try:
-            super().__init__(data, start)
-        except Exception as error:  # Anything may come of bytes that are not what they should be.
-            raise self.damaged(error) from error
-
-    def take(self, name: str, hint: Any) -> Any:
-        """A part of it. Raises CheckpointError where it is missing or not what its annotation says."""
-        try:
-            return super().take(name, hint)
-        except ValueError as error:
-            raise self.damaged(error) from error
-
-    def damaged(self, error: BaseException) -> CheckpointError:
-        """The complaint about a state of which nothing can be made."""
-        return _damaged(self._path, error)
-
-
 def write_checkpoint(path: Path, told: Mapping[str, Any], state: Mapping[str, tuple[Any, Any]]) -> None:
     """Write a mission.
 
@@ -88,17 +66,17 @@ def write_checkpoint(path: Path, told: Mapping[str, Any], state: Mapping[str, tu
     write_atomic(path, b"".join([MAGIC, _CHECKSUM.pack(checksum), *pieces]), durable=False)
 
 
-def read_checkpoint(path: Path) -> tuple[dict[str, Any], State]:
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], Packed]:
     """What is told of a mission, and its state. path: the file, or the run's folder with it.
 
     Raises:
-        CheckpointError: there is none, it is damaged, or another version wrote it.
+        CheckpointError: there is none, it is damaged, or another version wrote it. So does the state's `take`.
     """
-    told, data, end = _opened(path)
+    told, state = _opened(path)
     if told["version"] != __version__:
         mend = f"go on with that version, or begin a mission with its map: --map {path}"
         raise CheckpointError(f"{path}: was written by version {told['version']}, this is {__version__}; {mend}")
-    return told, State(of_run(path, FILE_NAME), data, end)
+    return told, state
 
 
 def read_told(path: Path) -> dict[str, Any]:
@@ -106,13 +84,7 @@ def read_told(path: Path) -> dict[str, Any]:
     return _opened(path)[0]
 
 
-def _damaged(path: Path, error: BaseException) -> CheckpointError:
-    first_line = next(iter(str(error).splitlines()), type(error).__name__)
-    return CheckpointError(f"{path}: is damaged ({first_line}); {_MEND}")
-
-
-def _opened(path: Path) -> tuple[dict[str, Any], bytes, int]:
-    """What is told, the file's bytes, and where those of the state begin."""
+def _opened(path: Path) -> tuple[dict[str, Any], Packed]:
     path = of_run(path, FILE_NAME)
     if not path.is_file():
         run = path.parent
@@ -125,16 +97,24 @@ def _opened(path: Path) -> tuple[dict[str, Any], bytes, int]:
         data = path.read_bytes()
     if not data.startswith(MAGIC):
         raise CheckpointError(f"{path}: is no checkpoint of this version; {_MEND}")
+    damaged = functools.partial(_damaged, path)
     try:
         start = len(MAGIC) + _CHECKSUM.size
         if zlib.crc32(memoryview(data)[start:]) != _CHECKSUM.unpack_from(data, len(MAGIC))[0]:
             raise ValueError("its checksum is wrong")
-        block = Packed(data, start)
+        block = Packed(data, start, damaged)
         told = {name: block.take(name, hint) for name, hint in TOLD.items()}
         if any(isinstance(value, str) and not value.isprintable() for value in told.values()):
             raise ValueError("it tells of what is no line of text")
         if told["X_WB"].shape != (*told["stamps"].shape, 3):
             raise ValueError("stamps do not fit the poses")
+        return told, Packed(data, block.end, damaged)
+    except CheckpointError:
+        raise
     except Exception as error:  # Anything may come of bytes that are not what they should be.
-        raise _damaged(path, error) from error
-    return told, data, block.end
+        raise damaged(error) from error
+
+
+def _damaged(path: Path, error: BaseException) -> CheckpointError:
+    first_line = next(iter(str(error).splitlines()), type(error).__name__)
+    return CheckpointError(f"{path}: is damaged ({first_line}); {_MEND}")

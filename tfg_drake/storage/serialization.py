@@ -9,8 +9,7 @@ Data name no class. Which one stands where follows from the annotations on both 
 | a message or other dataclass | its number in the table of messages, there a list of its fields' values |
 | `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, a NamedTuple | a list |
 | `dict[K, V]` | a list of pairs |
-| `X or None` | null or X |
-| any other union | [which of them, value] |
+| a union | [which of them, value] |
 | `Any` | one of the messages of `tfg_drake.messages`, as of a union |
 
 A block is two lengths (uint64), so many bytes of JSON, [roots, messages, arrays], and so many of the arrays, one behind
@@ -21,12 +20,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import json
 import math
 import struct
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,40 +61,25 @@ class _Codec(NamedTuple):
 
 
 class Packer:
-    """Collects the messages and arrays of some trees."""
+    """Collects the messages, as lists of their fields, and the arrays of some trees."""
 
     def __init__(self) -> None:
-        self._rows: list[Any] = []
-        self._arrays: list[NDArray[Any]] = []
-        self._numbers: dict[int, int] = {}  # of messages and arrays, by where they are in memory
+        self.rows: list[Any] = []
+        self.arrays: list[NDArray[Any]] = []
+        self._numbers: dict[int, int] = {}  # by where an object is in memory
 
-    def message(self, value: Any, write: Callable[[Any], list[Any]]) -> int:
-        """The number of a message; write: gives its fields' values."""
+    def number(self, value: Any, table: list[Any], entry: Callable[[Any], Any]) -> int:
+        """The number of an object in its table, where it stands once."""
         number = self._numbers.get(id(value))
         if number is None:
-            number = self._numbers[id(value)] = len(self._rows)
-            self._rows.append(None)
-            self._rows[number] = write(value)
+            number = self._numbers[id(value)] = len(table)
+            table.append(None)
+            table[number] = entry(value)
         return number
-
-    def array(self, value: NDArray[Any]) -> int:
-        """The number of an array."""
-        number = self._numbers.get(id(value))
-        if number is None:
-            number = self._numbers[id(value)] = len(self._arrays)
-            self._arrays.append(value)
-        return number
-
-    def packed(self, roots: Mapping[str, Any]) -> list[bytes | memoryview]:
-        """A block, piece by piece. roots: plain values by name."""
-        shapes = [[array.dtype.str, *array.shape] for array in self._arrays]
-        text = json.dumps([roots, self._rows, shapes], separators=(",", ":")).encode()
-        arrays = [np.ascontiguousarray(array).data for array in self._arrays]
-        return [_LENGTHS.pack(len(text), sum(array.nbytes for array in arrays)), text, *arrays]
 
 
 def pack(trees: Mapping[str, tuple[Any, Any]]) -> list[bytes | memoryview]:
-    """A block of trees, piece by piece; each has a name, an annotation and a value, which must live until then.
+    """A block of trees, piece by piece; each has a name, an annotation and a value.
 
     Raises:
         TypeError: a value is not what its annotation says, or that cannot be written.
@@ -105,14 +90,19 @@ def pack(trees: Mapping[str, tuple[Any, Any]]) -> list[bytes | memoryview]:
             roots[name] = codec_of(hint).write(value, packer)
         except (TypeError, ValueError) as error:
             raise TypeError(f"{name}: {error}") from None
-    return packer.packed(roots)
+    shapes = [[array.dtype.str, *array.shape] for array in packer.arrays]
+    text = json.dumps([roots, packer.rows, shapes], separators=(",", ":")).encode()
+    arrays = [np.ascontiguousarray(array).data for array in packer.arrays]
+    return [_LENGTHS.pack(len(text), sum(array.nbytes for array in arrays)), text, *arrays]
 
 
 class Packed:
-    """A block of trees that was read; `take` makes one of it. end: where the block ends in the data."""
+    """A block of trees that was read; `take` makes one of it. end: where it ends in the data. complaint: makes the
+    error that a user is told of any other."""
 
-    def __init__(self, data: bytes, start: int = 0) -> None:
-        """Raises ValueError or TypeError where the data are no block, before anything large is made of them."""
+    def __init__(self, data: bytes, start: int, complaint: Callable[[BaseException], Exception]) -> None:
+        """Raises anything where the data are no block, before anything large is made of them."""
+        self.complaint = complaint
         text, size = _LENGTHS.unpack_from(data, start)
         start += _LENGTHS.size
         self.end = start + text + size
@@ -120,47 +110,40 @@ class Packed:
             raise ValueError("it is not whole")
         self._roots, self._rows, shapes = json.loads(data[start : start + text])
         start += text
+        self.names = set(self._roots)
         self._data, self._arrays, self._made = data, list[Any](), dict[int, Any]()
         for code, *shape in shapes:
             if code not in DTYPES or any(type(side) is not int or not 0 <= side <= size + WIDEST for side in shape):
                 raise ValueError("an array has no such shape")
-            length = math.prod(shape) * np.dtype(code).itemsize
-            self._arrays.append((code, shape, start, start + length))
-            start += length
+            end = start + math.prod(shape) * np.dtype(code).itemsize
+            self._arrays.append((code, shape, start, end))
+            start = end
         if start != self.end:
             raise ValueError("its arrays do not fit")
 
     def take(self, name: str, hint: Any) -> Any:
-        """The tree of a name. Raises ValueError where it is missing or not what its annotation says."""
+        """The tree of a name. Raises the complaint where it is missing or not what its annotation says."""
         try:
-            return codec_of(hint).read(self._roots[name], self)
+            return codec_of(hint).read(self._roots.get(name), self)
         except Exception as error:  # Anything may come of values that are not what they should be.
-            raise ValueError(f"{name} is missing" if isinstance(error, KeyError) else f"{name}: {error}") from error
+            raise self.complaint(ValueError(f"{name}: {error or type(error).__name__}")) from error
 
-    def names(self) -> set[str]:
-        """Those of the trees."""
-        return set(self._roots)
-
-    def message(self, number: Any, kind: type, read: Callable[[list[Any]], Any]) -> Any:
+    def message(self, number: Any, kind: type, read: Callable[[Any], Any]) -> Any:
         """The message of a number. read: makes it of its fields' values."""
         number = _whole(number, len(self._rows))
         if number not in self._made:
             row, self._rows[number] = self._rows[number], None  # so one that is part of itself is none
-            self._made[number] = read(_list(row))
-        if type(self._made[number]) is not kind:
-            raise ValueError(f"something else is {kind.__name__}, too")
-        return self._made[number]
+            self._made[number] = read(_of(list, row))
+        return _of(kind, self._made[number])
 
-    def array(self, number: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    def array(self, number: Any, dtype: np.dtype[Any]) -> Any:
         """The array of a number, read-only and over bytes of its own."""
         number = _whole(number, len(self._arrays))
         found = self._arrays[number]
         if isinstance(found, tuple):
             code, shape, start, end = found
             found = self._arrays[number] = np.ndarray(shape, code, self._data[start:end])
-        if found.dtype != dtype:
-            raise ValueError(f"an array of {found.dtype} is not of {dtype}")
-        return typing.cast(NDArray[Any], found)
+        return _of_dtype(dtype, found)
 
 
 @functools.cache
@@ -171,34 +154,39 @@ def codec_of(hint: Any) -> _Codec:
     if hint in (float, int, bool, str, type(None)):
         return _scalar(hint)
     if (dtype := dtype_of(hint)) is not None and dtype.str in DTYPES:
-        return _array(dtype)
+        return _Codec(
+            lambda value, out: out.number(_of_dtype(dtype, value), out.arrays, lambda one: one),
+            lambda plain, data: data.array(plain, dtype),
+        )
     if dataclasses.is_dataclass(hint):
         return _dataclass(hint)
     if hint is Any or origin in (types.UnionType, typing.Union):
         return _union(_MESSAGES if hint is Any else parts)
     if origin is list or (origin is tuple and parts[1:] == (Ellipsis,)):
-        return _sequence(origin, codec_of(parts[0]))
-    if origin is tuple and Ellipsis not in parts:
-        return _fixed(tuple, parts)
-    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
-        return _fixed(hint, tuple(typing.get_type_hints(hint).values()))
+        return _parts(origin, origin, itertools.repeat(codec_of(parts[0])), strict=False)
+    if origin is tuple:
+        return _parts(tuple, tuple, [codec_of(part) for part in parts], strict=True)
+    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_make"):
+        return _parts(hint, hint._make, [codec_of(part) for part in typing.get_type_hints(hint).values()], strict=True)
     if origin is dict:
-        pairs = _sequence(list, _fixed(tuple, parts))
+        pairs = codec_of(list[tuple[parts]])  # type: ignore[valid-type]
         return _Codec(
-            lambda value, out: pairs.write(list(_of(dict, value).items()), out),
+            lambda value, out: pairs.write([*_of(dict, value).items()], out),
             lambda plain, data: dict(pairs.read(plain, data)),
         )
     raise TypeError(f"{getattr(hint, '__name__', hint)} cannot be kept: make it a dataclass with annotated fields")
 
 
-def _of(kind: type, value: Any) -> Any:
+def _of(kind: Any, value: Any) -> Any:
     if not isinstance(value, kind):
-        raise TypeError(f"must be {kind.__name__}, not {type(value).__name__}")
+        raise TypeError(f"must be {getattr(kind, '__name__', 'float')}, not {type(value).__name__}")
     return value
 
 
-def _list(plain: Any) -> list[Any]:
-    return typing.cast(list[Any], _of(list, plain))
+def _of_dtype(dtype: np.dtype[Any], value: Any) -> Any:
+    if _of(np.ndarray, value).dtype != dtype:
+        raise TypeError(f"must be an array of {dtype}, not of {value.dtype}")
+    return value
 
 
 def _whole(plain: Any, end: int) -> int:
@@ -208,28 +196,19 @@ def _whole(plain: Any, end: int) -> int:
 
 
 def _scalar(kind: type) -> _Codec:
-    allowed = (int, float) if kind is float else kind
-
-    def write(value: Any, _out: Packer) -> Any:
-        return _of(allowed, value.item() if isinstance(value, np.generic) else value)  # type: ignore[arg-type]
+    allowed = _allowed(kind)
 
     def read(plain: Any, _data: Packed) -> Any:
-        if not isinstance(plain, allowed) or (isinstance(plain, bool) and kind is not bool):
-            raise TypeError(f"must be {kind.__name__}, not {type(plain).__name__}")
-        if isinstance(plain, int) and not -_MOST <= plain < _MOST:
-            raise ValueError("a number is too large")
-        return plain
+        if isinstance(plain, bool) != (kind is bool) or (isinstance(plain, int) and not -_MOST <= plain < _MOST):
+            raise ValueError(f"{plain!s:.20} is no {kind.__name__}")
+        return _of(allowed, plain)
 
-    return _Codec(write, read)
+    return _Codec(lambda value, _: _of(allowed, value.item() if isinstance(value, np.generic) else value), read)
 
 
-def _array(dtype: np.dtype[Any]) -> _Codec:
-    def write(value: Any, out: Packer) -> int:
-        if _of(np.ndarray, value).dtype != dtype:
-            raise TypeError(f"must be an array of {dtype}, not of {value.dtype}")
-        return out.array(value)
-
-    return _Codec(write, lambda plain, data: data.array(plain, dtype))
+def _allowed(hint: Any) -> Any:
+    """The class or classes of the values with an annotation."""
+    return (int, float) if hint is float else typing.get_origin(hint) or hint
 
 
 def _dataclass(kind: Any) -> _Codec:
@@ -239,9 +218,10 @@ def _dataclass(kind: Any) -> _Codec:
         return [(field.name, codec_of(hints[field.name])) for field in dataclasses.fields(kind)]
 
     def write(value: Any, out: Packer) -> int:
-        if type(value) is not kind:
+        if type(value) is not kind:  # of a derived class the rest would be lost
             raise TypeError(f"must be {kind.__name__}, not {type(value).__name__}")
-        return out.message(value, lambda one: [field.write(getattr(one, name), out) for name, field in fields()])
+        row = lambda one: [field.write(getattr(one, name), out) for name, field in fields()]  # noqa: E731
+        return out.number(value, out.rows, row)
 
     def made(row: list[Any], data: Packed) -> Any:
         values = zip(fields(), row, strict=True)
@@ -251,13 +231,7 @@ def _dataclass(kind: Any) -> _Codec:
 
 
 def _union(kinds: Sequence[Any]) -> _Codec:
-    if len(kinds) == 2 and type(None) in kinds:
-        one = codec_of(next(kind for kind in kinds if kind is not type(None)))
-        return _Codec(
-            lambda value, out: None if value is None else one.write(value, out),
-            lambda plain, data: None if plain is None else one.read(plain, data),
-        )
-    codecs = [(typing.get_origin(kind) or kind, codec_of(kind)) for kind in kinds]
+    codecs = [(_allowed(kind), codec_of(kind)) for kind in kinds]
 
     def write(value: Any, out: Packer) -> list[Any]:
         for number, (kind, codec) in enumerate(codecs):
@@ -266,27 +240,14 @@ def _union(kinds: Sequence[Any]) -> _Codec:
         raise TypeError(f"must not be {type(value).__name__}")
 
     def read(plain: Any, data: Packed) -> Any:
-        number, value = _list(plain)
+        number, value = _of(list, plain)
         return codecs[_whole(number, len(codecs))][1].read(value, data)
 
     return _Codec(write, read)
 
 
-def _sequence(kind: Any, one: _Codec) -> _Codec:
+def _parts(kind: Any, make: Callable[[Iterable[Any]], Any], codecs: Iterable[_Codec], *, strict: bool) -> _Codec:
     return _Codec(
-        lambda value, out: [one.write(part, out) for part in _of(kind, value)],
-        lambda plain, data: kind([one.read(part, data) for part in _list(plain)]),
+        lambda value, out: [one.write(part, out) for one, part in zip(codecs, _of(kind, value), strict=strict)],
+        lambda plain, data: make([one.read(part, data) for one, part in zip(codecs, _of(list, plain), strict=strict)]),
     )
-
-
-def _fixed(kind: Any, hints: Sequence[Any]) -> _Codec:
-    codecs = [codec_of(hint) for hint in hints]
-
-    def write(value: Any, out: Packer) -> list[Any]:
-        return [codec.write(part, out) for codec, part in zip(codecs, _of(kind, value), strict=True)]
-
-    def read(plain: Any, data: Packed) -> Any:
-        parts = [codec.read(part, data) for codec, part in zip(codecs, _list(plain), strict=True)]
-        return tuple(parts) if kind is tuple else kind(*parts)
-
-    return _Codec(write, read)
