@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
@@ -68,7 +69,14 @@ def restore_state(
 
 def _values(context: Context) -> tuple[list[FloatArray], list[Any]]:
     vectors = [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
-    return vectors, [context.get_abstract_state(i).get_value() for i in range(context.num_abstract_states())]
+    return vectors, [_value(context.get_abstract_state(i)) for i in range(context.num_abstract_states())]
+
+
+def _value(state: AbstractValue) -> Any:
+    try:
+        return state.get_value()
+    except RuntimeError:  # It is one of C++ alone.
+        return state
 
 
 def _systems(part: System, path: str = "") -> Iterator[tuple[str, System]]:
