@@ -230,8 +230,10 @@ class PortWriter:
             self.write(port, time, kind(*told))
 
     def close(self) -> None:
-        """Writes what is left, and the index."""
+        """Writes what is left, and the index. What was told is let go: Drake keeps the systems that hold the writer."""
         self._write_waiting()
+        self._newest.clear()
+        self._last_data.clear()
         if self._writer is None:
             return
         try:

@@ -187,8 +187,9 @@ class TimelineWriter:
             self._end(error)
 
     def close(self) -> None:
-        """Write the rest."""
+        """Write the rest, and let go of it: Drake keeps the systems that hold the writer."""
         self.flush()
+        self._rows = {}
         if self._file is not None:
             self._file.close()
             self._file = None
