@@ -104,3 +104,28 @@ def test_a_ray_that_falls_half_on_either_of_two_surfaces_is_left_out():
     for ranges, kept in ((corner, np.arange(201) != 100), (aslant, np.full(201, True))):
         panorama = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.zeros(1), np.zeros((1, 3)))
         np.testing.assert_array_equal(panorama.looked_at(angles), kept)
+
+
+def test_a_coarse_scan_leaves_no_gaps_between_its_rays():
+    """A scanner of one ray a degree amid a square room of 4 m sees all of it."""
+    angles = np.radians(np.arange(-179.0, 181.0))
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ranges[10:40] = np.inf
+    coarse = LaserScan(0.0, angles, ranges, 10.0, 0.01)
+    seen = build_panorama([coarse], np.array([0.0]), np.zeros((1, 3)))
+    assert not np.isnan(seen.ranges).any()
+    bearing = (seen.angles + np.pi) % (2.0 * np.pi) - np.pi
+    free = (bearing > angles[10]) & (bearing < angles[39])
+    assert np.isinf(seen.ranges[free]).all()
+    walls = np.isfinite(seen.ranges)
+    expected = 2.0 / np.maximum(np.abs(np.cos(seen.angles)), np.abs(np.sin(seen.angles)))
+    np.testing.assert_allclose(seen.ranges[walls], expected[walls], atol=0.03)
+    assert np.count_nonzero(~walls) >= 58
+
+
+def test_a_coarse_scan_knows_nothing_beside_a_ray_that_says_nothing():
+    angles = np.radians(np.arange(-179.0, 181.0, 2.0))
+    ranges = np.full(180, 3.0)
+    ranges[90] = np.nan
+    seen = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.array([0.0]), np.zeros((1, 3)))
+    assert 4 <= np.count_nonzero(np.isnan(seen.ranges)) <= 8
