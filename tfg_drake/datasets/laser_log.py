@@ -92,8 +92,12 @@ def load_carmen(
     told = np.array([one.stamp for one in log.scans])
     stamps, untrue = _in_time(told, poses)
     scans = []
+    rays: dict[tuple[int, float, float], tuple[FloatArray, IntArray]] = {}
     for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
-        angles, order = _seen(_angles(path, one, said), said, X_BS[2])
+        kind = len(one.ranges), one.first, one.step
+        if kind not in rays:
+            rays[kind] = _seen(_angles(path, one, said), said, X_BS[2])
+        angles, order = rays[kind]
         ranges = one.ranges[order]
         met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
         farthest = min(range_max, one.range_max)
