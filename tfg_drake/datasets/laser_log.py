@@ -66,8 +66,9 @@ ROVER_SIGMA = 0.03
 # What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
 SCANS_LATE = 0.17
 ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
-# Of another scanner in such a log, m; rays that met something farther off are free so far.
+# Of another scanner in such a log, m: rays that met something farther off are free so far. Nobody knows its clock.
 OTHER_RANGE_MAX = 20.0
+OTHER_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05, clock_deviation=0.1)
 # Rays at either end that see the rover itself.
 _OWN = 70
 _FIRST = 24
@@ -279,7 +280,7 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
     stamps = 1e-6 * (table[:, 0] - table[0, 0])
     if other:
         counted, own, late, range_max = _spanning(columns - _FIRST, said), 0, 0.0, OTHER_RANGE_MAX
-        place, believed = (said.get("x", 0.0), said.get("y", 0.0)), UNPLACED_SCANNER
+        place, believed = (said.get("x", 0.0), said.get("y", 0.0)), OTHER_SCANNER
     else:
         counted, own = ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * FIELD_OF_VIEW, _OWN
         late, range_max = SCANS_LATE, RANGE_MAX
