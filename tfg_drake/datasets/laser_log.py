@@ -22,7 +22,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, said_of_scanner
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
@@ -87,7 +87,7 @@ def load_carmen(
         DatasetError: the file cannot be read, a line is broken, there are fewer than two scans in it, or what they span
             is neither told nor a half circle.
     """
-    rows, said = Rows(path), scanner or {}
+    said, rows = said_of_scanner(path, scanner), Rows(path)
     log = read_carmen(path, rows)
     raw, poses, X_BS = _way(path, log)
     told = np.array([one.stamp for one in log.scans])
@@ -256,7 +256,7 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
         DatasetError: the file cannot be read, a line is broken, two scans are at one time, there is but one, or the
             scanner is another and nobody said what it spans.
     """
-    rows, said = Rows(path), scanner or {}
+    said, rows = said_of_scanner(path, scanner), Rows(path)
     other = said.get("field_of_view", 0.0) > 0.0
     columns = len(rows.first()[1]) if other else _FIRST + RAYS
 
