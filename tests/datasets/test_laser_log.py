@@ -290,7 +290,8 @@ def test_a_rover_log_of_another_scanner(tmp_path):
     (tmp_path / "r.dat.bz2").write_bytes(bz2.compress(text.encode()))
     log = load_dataset(tmp_path / "r.dat.bz2", scanner={"field_of_view": 4.0, "x": 0.3})
     assert [one.stamp for one in log.scans] == [0.0, 1.0, 2.0]
-    np.testing.assert_allclose(log.scans[0].angles, [-2.0, -1.0, 0.0, 2.0])
+    x, y = (log.scans[0].ranges * one(log.scans[0].angles) for one in (np.cos, np.sin))
+    np.testing.assert_allclose(np.arctan2(y, x - 0.3), [-2.0, -1.0, 0.0, 2.0])
     np.testing.assert_allclose(log.scans[0].ranges, [1.0, 2.0, 3.0, math.inf])
     assert log.X_BS[0] == 0.3
     assert not log.mount_known
@@ -318,7 +319,7 @@ def test_a_rover_log_of_a_wider_scanner_sees_what_the_good_one_saw():
     path = RECORDINGS / "J-breezy-1081" / "utm1081.dat.gz"
     with pytest.raises(DatasetError, match="706 columns expected, 24 and 682 rays, 1105 found"):
         load_dataset(path)
-    log = load_dataset(path, scanner={"field_of_view": math.radians(270.0)})
+    log = load_dataset(path, scanner={"field_of_view": math.radians(270.0), "x": SCANNER_AHEAD})
     good = load_dataset(RECORDINGS / "0-good" / "good.dat.gz")
     for one, other in zip(log.scans[1::40], good.scans[::40], strict=True):
         assert np.median(np.abs(np.interp(other.angles, one.angles, one.ranges) - other.ranges)) < 0.1

@@ -148,8 +148,9 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
-    names = [line[:12].strip() for line in out.splitlines()[-11:-1]]
-    assert names == ["outcome", "time", "driven", "tags", "map", "pose error", "coverage", "safety", "files", "page"]
+    names = [line[:12].strip() for line in out.splitlines()[-12:-1]]
+    before, after = ["outcome", "time", "driven", "tags", "walls", "map"], ["coverage", "safety", "files", "page"]
+    assert names == [*before, "pose error", *after]
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
     assert f"\ntags        {mapped} mapped of {reachable} reachable, map error 0.0" in out
     assert "\nsafety      contacts: 0 by the robot, 0 by others; least clearance " in out
@@ -321,7 +322,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
 
 def test_the_progress_line():
     progress = Progress(
-        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
+        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks="63 tags", area=412.4, position_error=0.0213
     )
     expected = " 120.0 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
     assert explore_command.progress_line(progress) == expected

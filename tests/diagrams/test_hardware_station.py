@@ -34,9 +34,11 @@ def port_names(diagram):
 class Station:
     """A hardware station of a fake device that runs as fast as it can."""
 
-    def __init__(self, velocity=(0.2, 0.5), enable=1.0):
+    def __init__(self, velocity=(0.2, 0.5), enable=1.0, *, tags=True):
+        """tags: there is a source of them."""
         self.device = FakeDevice()
-        self.diagram = MakeHardwareStation(Scenario(), RobotDevices(self.device, self.device, self.device, Limits()))
+        devices = RobotDevices(self.device, self.device if tags else None, self.device, Limits())
+        self.diagram = MakeHardwareStation(Scenario(), devices)
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
         self.diagram.GetInputPort("base.velocity_commanded").FixValue(self.context, list(velocity))
@@ -238,6 +240,15 @@ def test_it_stands_while_a_sensor_is_silent(kind, name, patience, caplog):
     assert station.sent()[-1] == (0.0, 0.5)
     assert f"the base stands: no {name} for more than {patience:g} s" in caplog.text
     assert f"{name} again" in caplog.text
+
+
+def test_without_a_source_of_tags_none_is_waited_for():
+    station = Station(velocity=(0.0, 0.5), tags=False)
+    assert port_names(station.diagram) == port_names(Station().diagram)
+    station.run(70.0)
+    assert station.enabled
+    assert station.sent(since=69.0)[-1] == (0.0, 0.5)
+    assert not len(station.read("tags.detections").ids)
 
 
 def test_a_sensor_that_stays_silent_ends_the_run():

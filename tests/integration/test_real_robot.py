@@ -135,6 +135,33 @@ def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
     assert summary["reason"].startswith("The battery is nearly empty, 13.0 V: the robot stands at (")
 
 
+def test_a_robot_with_a_scanner_alone_maps_walls(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 300.0, tags=False)
+        explorer.wait_for("no source of them: walls are the landmarks")
+        _drives(emulator, explorer)
+        explorer.wait_for(" walls ", goes_on=True)
+        explorer.press("q")
+        explorer.wait_for("walls  ")
+        explorer.wait_for("files")
+        assert explorer.process.wait(60.0) == 130
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["walls_mapped"] > summary["landmarks_mapped"] == 0
+    assert LoadScenario(tmp_path / "scenario.yaml").explorer.landmarks == "walls"
+    assert not any(line.startswith("tags  ") for line in explorer.lines[-20:])
+
+
+@pytest.mark.slow
+def test_a_robot_with_a_scanner_alone_explores_the_house(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 1200.0, tags=False)
+        _drives(emulator, explorer)
+        explorer.wait_for("files", goes_on=True)
+        assert explorer.process.wait(60.0) == 0
+        assert emulator.report()["contacts"] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["outcome"] == "complete"
+
+
 def test_its_last_word_to_the_wheels_is_a_stop(mission):
     _, marks, _ = mission
     assert marks["end"][1].speed == 0
