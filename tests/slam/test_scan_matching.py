@@ -287,6 +287,17 @@ def test_where_little_is_told_nothing_is_claimed():
             assert not len(contradictions(found))
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.4, -0.4])
+def test_a_robot_that_turns_on_and_on_does_not_tell_the_clocks(lag):
+    """All lags explain a constant rate; what single errors of the wheels say of the lag is no evidence."""
+    for seed in range(4):
+        rng, stamps = np.random.default_rng(seed), np.arange(0.0, 16.0, 0.1)
+        seen = [scan(ROOMS, np.array([2.0, 2.0, 1.2 * t]), rng, t + lag) for t in stamps]
+        heading = np.cumsum(1.2 * DT + 0.002 * rng.normal(size=320))
+        wheels = [Odometry(k * DT, np.array([0.0, 0.0, h]), np.array([0.0, 1.2])) for k, h in enumerate(heading)]
+        assert vars(judged(compare(wheels, seen, True))) == vars(Verdict())
+
+
 def slipped(odometry, at, jump):
     """The wheels tell a way at once that there was not."""
     first = next(k for k, one in enumerate(odometry) if one.stamp > at)
