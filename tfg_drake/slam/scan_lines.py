@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
+from tfg_drake.slam.odometry_model import wrap
 
 # Least length of a line, m, and number of its rays.
 LENGTH, RAYS = 0.5, 8
@@ -55,6 +56,13 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
         lines[:, 5] = np.hypot(lines[:, 5], math.sqrt(12.0) * off / length)
         lines[:, 6] = np.hypot(lines[:, 6], off)
     return lines
+
+
+@njit(cache=True)
+def bearing_of(line: FloatArray) -> float:
+    """The bearing (rad) of a line's middle, in (-pi, pi] as those of rays: a scanner that sweeps was there then."""
+    c, s = math.cos(line[0]), math.sin(line[0])
+    return math.atan2(s * line[1] + c * line[4], c * line[1] - s * line[4])
 
 
 @njit(cache=True)
@@ -145,6 +153,8 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
     V00, V01, V11 = H11 / det, -H01 / det, H00 / det
     middle = V01 / V00
+    line[0], line[1], line[4] = math.atan2(s, c), offset, middle
+    of_middle = bearing_of(line)
     for i in range(m):
         normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
         if normal < SLANT:
@@ -152,7 +162,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         error = (offset / normal - r[i]) / sigma
         squares += error * error
         used += 1
-        bearing = math.atan2(y[i], x[i])
+        bearing = of_middle + wrap(math.atan2(y[i], x[i]) - of_middle)
         on_line = np.array([-offset * along / (r[i] * normal), 1.0]) / (normal * sigma)
         by_turn -= bearing * along / (normal * sigma) * on_line
         by_way += bearing / (normal * sigma) * on_line
@@ -170,11 +180,10 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     freedoms = used - 2
     if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
         return False
-    line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle
+    line[2], line[3] = begin, end
     line[5] = math.sqrt(V00)
     line[6] = math.sqrt(max(V11 - V01 * V01 / V00, 1e-12))
-    bearing = line[0] + math.atan2(middle, offset)
-    for k, swept, expected in ((7, by_turn, -middle * bearing), (9, by_way, bearing)):
+    for k, swept, expected in ((7, by_turn, -middle * of_middle), (9, by_way, of_middle)):
         line[k] = V00 * swept[0] + V01 * swept[1]
         line[k + 1] = V01 * swept[0] + V11 * swept[1] - middle * line[k] - expected
     return True
