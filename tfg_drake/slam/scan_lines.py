@@ -23,6 +23,9 @@ SPLIT = 4.0
 TRIM = 1
 # Squared errors of the rays and their bend, in deviations, beyond which a stretch is not straight by chance.
 STRAIGHT = 3.5
+# A line is a chord of a curve where the stretch that it is of, so much of its length farther, is smooth but bends by so
+# many deviations, and by more than this, rad, along the line.
+FARTHER, BENDS, BEND = 1.0, 4.0, 0.03
 # Median of what is normal, in deviations.
 NORMAL = 0.6745
 # Least standard deviation of a range, m: no wall is straighter.
@@ -40,7 +43,8 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     deviations of the angle (rad) and of that distance (m), by the noise of the rays alone. And what a scanner that
     sweeps while it turns, so that bearings are larger by a share of themselves, makes of the angle and of the distance
     in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
-    ranges are longer by a length a radian of bearing, makes of both, over that length.
+    ranges are longer by a length a radian of bearing, makes of both, over that length. Chords of curves are none: what
+    is seen of a curve from elsewhere looks another way.
 
     unevenness: m, of real walls, by which neighbouring half metres are off a plane independently: single looks, each at
     other stretches of one, agree no better.
@@ -72,15 +76,16 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
     found, n = np.empty((len(rays) // RAYS + 1, 11)), 0
     # Stretches that are still to be looked at, the first on top.
     begin = len(rays)
-    stack = np.empty((len(rays) + 1, 2), dtype=np.int64)
+    stack = np.empty((len(rays) + 1, 4), dtype=np.int64)
     top, end = 0, len(rays)
     for i in range(len(rays) - 1, -1, -1):
         if i == 0 or _apart(i - 1, i, rays, angles, r, sigma):
-            stack[top, 0], stack[top, 1] = i, end
+            # With what of its surface is seen.
+            stack[top] = np.array([i, end, i, end])
             top, end = top + 1, i
     while top:
         top -= 1
-        begin, end = stack[top]
+        begin, end, first, beyond = stack[top]
         if end - begin < RAYS:
             continue
         last = end - 1
@@ -94,10 +99,21 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
             if off > worst:
                 worst, at = off, i
         if _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
-            n += 1
+            line = found[n]
+            along = -math.sin(line[0]) * x + math.cos(line[0]) * y
+            farther = FARTHER * (line[3] - line[2])
+            left, right = end, begin
+            while left < beyond and along[left] < line[3] + farther:
+                left += 1
+            while right > first and along[right - 1] > line[2] - farther:
+                right -= 1
+            chord = False
+            for i, j in ((right, left), (begin, left), (right, end)):
+                chord = chord or _is_chord(x[i:j], y[i:j], r[i:j], sigma, line)
+            n += not chord
         elif worst > SPLIT and last - begin >= 2:
-            stack[top, 0], stack[top, 1] = at, end
-            stack[top + 1, 0], stack[top + 1, 1] = begin, at + 1
+            stack[top] = np.array([at, end, first, beyond])
+            stack[top + 1] = np.array([begin, at + 1, first, beyond])
             top += 2
     return found[:n].copy()
 
@@ -187,3 +203,29 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         line[k] = V00 * swept[0] + V01 * swept[1]
         line[k + 1] = V01 * swept[0] + V11 * swept[1] - middle * line[k] - expected
     return True
+
+
+@njit(cache=True)
+def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
+    """Whether a line (11,) is a chord of what these rays see: a parabola is fitted to them."""
+    c, s, length = math.cos(line[0]), math.sin(line[0]), line[3] - line[2]
+    H, g, squares, used = np.zeros((3, 3)), np.zeros(3), 0.0, 0
+    for i in range(TRIM, len(x) - TRIM):
+        normal, t = (c * x[i] + s * y[i]) / r[i], (-s * x[i] + c * y[i] - 0.5 * (line[2] + line[3])) / length
+        if normal < SLANT:
+            continue
+        row = np.array([1.0, t, t * t]) / (normal * sigma)
+        off = (c * x[i] + s * y[i] - line[1]) / (normal * sigma)
+        for a in range(3):
+            for b in range(3):
+                H[a, b] += row[a] * row[b]
+            g[a] += row[a] * off
+        squares += off * off
+        used += 1
+    inverse = np.linalg.inv(H + 1e-9 * np.eye(3))
+    by = inverse @ g
+    squares, freedoms = squares - by @ g, used - 3
+    if freedoms < 1 or squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms):
+        return False
+    bend = abs(by[2])
+    return bool(bend > BENDS * math.sqrt(inverse[2, 2]) and 2.0 * bend / length > BEND)
