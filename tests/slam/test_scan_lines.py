@@ -9,7 +9,7 @@ import pytest
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry import se2
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
-from tfg_drake.slam.scan_lines import LENGTH, scan_lines
+from tfg_drake.slam.scan_lines import LENGTH, scan_lines, surface_seen
 
 CONFIG = ScanConfig()
 ANGLES = ray_angles(CONFIG)
@@ -166,3 +166,10 @@ def test_a_wall_between_corners_is_no_chord(length, corner):
     for _ in range(40):
         lines = scan_lines(seen(walls, [0.0, rng.uniform(-0.2, 0.2), 0.0], rng))
         assert np.any(np.abs(lines[:, 0]) < 0.1)
+
+
+def test_the_surface_seen_is_as_long_as_it_is_straight_or_not():
+    rng = np.random.default_rng(14)
+    for walls, length in ((WALLS[1:2], 6.0), (arc(3.0, -1.0, 1.0), 6.0)):
+        assert surface_seen(seen(walls, [0.0, 0.0, 0.0], rng)) == pytest.approx(length, rel=0.05)
+    assert surface_seen(seen(WALLS[1:2], [-8.0, 0.0, 0.0], rng)) == 0.0

@@ -62,6 +62,22 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     return lines
 
 
+def surface_seen(scan: LaserScan) -> float:
+    """Length, m, of the surfaces that a scan sees, straight or not, as far as LENGTH of it or more hangs together."""
+    rays = np.flatnonzero((scan.ranges > 0.0) & (scan.ranges < scan.range_max - 3.0 * scan.sigma))
+    if len(rays) < RAYS:
+        return 0.0
+    r, angle = scan.ranges[rays], scan.angles[rays]
+    most = np.minimum(r[1:], r[:-1]) * np.diff(angle) / SLANT + 4.0 * scan.sigma + STEP
+    apart = np.flatnonzero((np.diff(rays) > 3) | (np.abs(np.diff(r)) > most)) + 1
+    points, total = np.column_stack([r * np.cos(angle), r * np.sin(angle)]), 0.0
+    for stretch in np.split(points, apart):
+        # By every fourth ray: noise makes longer ways of it.
+        length = float(np.hypot(*np.diff(stretch[::4], axis=0).T).sum())
+        total += length if len(stretch) >= RAYS and length >= LENGTH else 0.0
+    return total
+
+
 @njit(cache=True)
 def bearing_of(line: FloatArray) -> float:
     """The bearing (rad) of a line's middle, in (-pi, pi] as those of rays: a scanner that sweeps was there then."""
