@@ -75,6 +75,7 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
+from tfg_drake.slam.reunion import reunited
 from tfg_drake.slam.scan_lines import scan_lines, surface_seen
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
@@ -647,6 +648,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         rejected=rejected,
         sources=sources,
     )
+    state = reunited(state)
     return replace(state, piece=opened(state))
 
 
