@@ -35,7 +35,9 @@ def test_odometry_that_is_no_number_is_told_when_it_comes(turned):
                 else:
                     state = process_detections(state, message)
 
-    with pytest.raises(EstimateLost, match=r"^the estimate is no longer finite at .* its pose is not\); .* stage 1; "):
+    with pytest.raises(
+        EstimateLost, match=r"^the estimate is no longer finite at .* \(its pose is not\); .* stage 1; "
+    ):
         go_on(state)
     assert np.isfinite(state.map.p_ML).all()
 

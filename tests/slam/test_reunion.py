@@ -1,4 +1,4 @@
-"""A robot that maps on though it does not know where it is comes to one map with the one before."""
+"""A robot that maps on though it has lost its place finds the map before again."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
 from tfg_drake.simulation.laser_scanner import scan
-from tfg_drake.slam import estimator
+from tfg_drake.slam import estimator, reunion
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened
 from tfg_drake.slam.walls import known_walls
@@ -43,8 +43,9 @@ class Robot:
         return end_turn(self.drive(begin_turn(state, self.time), 0.0, 0.5, 126), self.time)
 
 
+@pytest.mark.parametrize("late", [False, True], ids=["at once", "a view later"])
 @pytest.mark.parametrize("carried", [0.0, 0.8], ids=["where it was", "carried"])
-def test_walls_mapped_anew_are_those_of_before_and_known_as_well(carried, monkeypatch):
+def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, late, monkeypatch):
     robot = Robot()
     state = process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry())
     state = robot.view(state)
@@ -57,9 +58,15 @@ def test_walls_mapped_anew_are_those_of_before_and_known_as_well(carried, monkey
     offset = np.array([0.0, carried, 0.0])
     robot.X_WB = robot.X_WB + offset
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
+    if late:
+        with monkeypatch.context() as patch:
+            patch.setattr(reunion, "find_place", lambda *_args: (None, 0.0))
+            state = robot.drive(robot.view(state), 0.2, 0.0, 5)
+        assert state.map.covariance[-3, -3] > 1.0
     state = robot.view(state)
-    assert len(known_walls(state.map)[1]) <= len(walls) + 1
-    assert known_walls(state.map)[2].max() < 2.0 * before.max() + 0.02
+    assert np.abs(state.map.covariance[-3:, -3:]).max() < 0.05**2
+    deviation = known_walls(state.map)[2]
+    assert np.sort(deviation.max(axis=1))[len(walls) - 1] < 2.0 * before.max()
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03

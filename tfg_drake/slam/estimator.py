@@ -75,7 +75,7 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
-from tfg_drake.slam.reunion import reunited
+from tfg_drake.slam.reunion import found_again
 from tfg_drake.slam.scan_lines import scan_lines, surface_seen
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
@@ -588,7 +588,8 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
     if state.kidnapped and state.turn is None and state.map is not None:
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
-    before, known = realigned(state.graph, state.map or state.localizer.map, keyframe)
+    before, known, way = found_again(state, way, keyframe)
+    before, known = realigned(before, known, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources: tuple[Source | None, ...] = state.sources
     walls = state.walls
@@ -648,7 +649,6 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         rejected=rejected,
         sources=sources,
     )
-    state = reunited(state)
     return replace(state, piece=opened(state))
 
 

@@ -418,12 +418,14 @@ def _refined(seen: _Seen, X: FloatArray, expected: Expected) -> tuple[FloatArray
     return X, squared, np.minimum(squared, GATE).sum(axis=1) + _distance(X, expected) + MOVED, H
 
 
+def is_unknown(one: Keyframe) -> bool:
+    """Whether a keyframe is the way of a robot that was kidnapped."""
+    return not len(one.ids) and bool(one.information[2, 2] <= OPEN_HEADING**-2)
+
+
 def adrift(graph: KeyframeGraph) -> int:
     """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
-    loose = [
-        j for j, one in enumerate(graph.keyframes) if not len(one.ids) and one.information[2, 2] <= OPEN_HEADING**-2
-    ]
-    return loose[-1] if loose else -1
+    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
 
 
 def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe) -> tuple[KeyframeGraph, MapEstimate]:
