@@ -240,7 +240,7 @@ def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: F
         used += 1
     inverse = np.linalg.inv(H + 1e-9 * np.eye(3))
     by = inverse @ g
-    squares, freedoms = squares - by @ g, used - 3
+    squares, freedoms = squares - float(by @ g), used - 3
     if freedoms < 1 or squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms):
         return False
     bend = abs(by[2])
