@@ -86,6 +86,20 @@ def test_a_ray_or_two_that_are_swallowed_are_no_free_ground():
         np.testing.assert_array_equal(panorama.looked_at(bearings), looked)
 
 
+def test_a_third_of_the_rays_may_be_lost_and_a_wall_is_a_wall():
+    """Seven scans of one, 2 m off; a slit of five bins that two scans in seven do not see through is one."""
+    rng, angles = np.random.default_rng(4), np.arange(-200, 201) * 2.0 * np.pi / BINS
+    scans = []
+    for k in range(7):
+        ranges = np.where(rng.random(len(angles)) < 0.35, np.inf, 2.0)
+        ranges[200:205] = np.inf if k > 1 else 2.0
+        scans.append(LaserScan(0.1 * k, angles, ranges, 10.0, 0.01))
+    free = np.isinf(build_panorama(scans, np.array([0.0, 0.7]), np.zeros((2, 3))).ranges)
+    bearings = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS
+    assert free[(bearings > angles[200]) & (bearings < angles[204])].all()
+    assert free.sum() < 40
+
+
 def test_a_ray_that_is_swallowed_between_bins_without_rays_is_no_free_ground():
     """Rays a degree apart leave every second bin empty."""
     angles = (2.0 * np.arange(-50, 51) + 0.5) * 2.0 * np.pi / BINS

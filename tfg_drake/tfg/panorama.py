@@ -19,6 +19,8 @@ STAMP_TOLERANCE = 1e-3
 SAME_SURFACE = 4.0
 # Where no more rays than this, side by side, meet nothing, between such that meet something, they may have been lost.
 MOST_LOST = 4
+# Where this share of a bin's rays met something, and bins so near on either side as well, the others were lost.
+LEAST_MET, BESIDE = 0.4, 2
 # Both neighbours of a ray differ from it by more than this, m, where it fell half on a near surface, half on a far one,
 # and those, unlike what is seen aslant, from theirs by less than this share of that.
 FLOATS, ASLANT_SHARE = 0.1, 0.4
@@ -101,17 +103,30 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         filled[index[i]] += 1
     angles = np.empty(bins)
     merged = np.full(bins, np.nan)
+    met_by, mostly = np.zeros(bins, dtype=np.int64), np.zeros(bins, dtype=np.bool_)
+    for b in range(bins):
+        count = start[b + 1] - start[b]
+        if count:
+            by_bin[start[b] : start[b + 1]] = _sorted(by_bin[start[b] : start[b + 1]])
+            met_by[b] = np.searchsorted(by_bin[start[b] : start[b + 1]], np.inf)
+            mostly[b] = met_by[b] > (count - 1) // 2
     for b in range(bins):
         rays = order[start[b] : start[b + 1]]
         angles[b] = (b + 0.5) * width
         if len(rays) == 0:
             continue
-        # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
-        # surfaces, and only rays of that surface are averaged: no point floats between the two.
-        median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
-        if median == np.inf:
+        lost = not mostly[b] and met_by[b] >= LEAST_MET * len(rays)
+        for side in (-1, 1):
+            beside = False
+            for k in range(1, BESIDE + 1):
+                beside = beside or mostly[(b + side * k) % bins]
+            lost = lost and beside
+        if not (mostly[b] or lost):
             merged[b] = np.inf
             continue
+        # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
+        # surfaces, and only rays of that surface are averaged: no point floats between the two.
+        median = by_bin[start[b] + ((met_by[b] if lost else len(rays)) - 1) // 2]
         x, y, count = 0.0, 0.0, 0
         for i in rays:
             if abs(ranges[i] - median) <= tolerance:
