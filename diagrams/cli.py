@@ -215,7 +215,7 @@ def explore(
     if resume is not None:
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
         given["--map"] = known_map
-        method, robot = explore_command.resumed(resume, method, robot, given)
+        method = explore_command.resumed(resume, method, robot, given)
     explore_command.check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
@@ -699,7 +699,9 @@ def _tell_at_once(line: str) -> None:
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split())
+    """A message that may quote a file: no terminal takes what is in it for an order."""
+    words = " ".join(message.split())
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
 
 
 def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:

@@ -28,7 +28,7 @@ def load_recording(
         DatasetError: it is none of these, or cannot be used.
     """
     if not is_bag(path):
-        loaded = load_dataset(path, robot, noise, seed)
+        loaded = load_dataset(path, robot, noise, seed, scanner)
         return believed(loaded) if isinstance(loaded, Recording) else loaded
     for option, value in (("--odometry-noise", noise), ("--robot", robot)):
         if value is not None:

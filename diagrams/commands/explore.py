@@ -46,20 +46,24 @@ def replayed_run(robot: str) -> Path | None:
     return folder
 
 
-def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> tuple[str, str]:
-    """Method and robot of a mission that is gone on with. Raises BadInput where there is none, or where something is
-    given that it has already."""
+def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
+    """The method of a mission that is gone on with. Raises BadInput where there is none, where something is given that
+    it has already, or something is not that the run must not say by itself: a real robot, a file that is run."""
     from tfg_drake.storage.checkpoint import read_told
 
     told = read_told(run)
     for option, value in given.items():
         if value is not None:
             bad_input(f"{option}: is that of the run which is resumed; leave it out")
-    if method != "tfg" and method != told["source"]:
-        bad_input(f"--method {method}: the run that is resumed has {told['source']}; leave it out")
-    if robot not in ("sim", told["robot"]):
+    if told["own"] and not method.endswith((".py", ".csv")):
+        bad_input(f"--resume {run}: its method, {told['method']}, is somebody's own; give it again: --method FILE")
+    if not told["own"] and method not in ("tfg", told["method"]):
+        bad_input(f"--method {method}: the run that is resumed has {told['method']}; leave it out")
+    if robot == "sim" != told["robot"]:
+        bad_input(f"--resume {run}: that run drove a real robot; give it again: --robot {told['robot']}")
+    if robot != told["robot"]:
         bad_input(f"--robot {robot}: the run that is resumed drove {told['robot']}; leave it out")
-    return told["source"], told["robot"]
+    return method if told["own"] else str(told["method"])
 
 
 def is_real(robot: str) -> bool:

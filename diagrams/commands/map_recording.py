@@ -16,6 +16,7 @@ from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.evaluation import hits, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.figure import draw_laser_map
 from tfg_drake.datasets.recording import OnProgress, Recording
+from tfg_drake.datasets.relations import read_relations, relation_errors
 from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
@@ -74,6 +75,7 @@ def map_recording(
         OSError: the folder cannot be written at the beginning, or another run is at work in it.
     """
     scenario = RecordedScenario(recording, ApplySettings(Scenario(seed=seed), settings))
+    told = None if relations is None else read_relations(relations)
     way, start, end = WayKeeper(), start_of(recording), length_of(recording)
     result = run_mission(
         scenario,
@@ -99,6 +101,9 @@ def map_recording(
         off = relative_error(X_WB, X_MB)
         of_online = poses_between(recording, online_stamps + start, online)
         figures = dict(zip(_AGAINST_TRUTH, (*off, _rmse(X_WB, X_MB), _rmse(X_WB, of_online)), strict=True))
+    if told is not None:
+        X_MS = se2.compose(X_MB, recording.X_BS)
+        figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))
     state = mission.estimator_state()
     mapped = state is not None and state.map is not None

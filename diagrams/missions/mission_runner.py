@@ -19,6 +19,7 @@ from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mission.interruption import NAMES, Interruption
+from tfg_drake.storage.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
@@ -84,7 +85,7 @@ class MissionRunner:
     ) -> None:
         """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
         keep: called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises
-        ends the mission. warm_up: as for `explore`."""
+        ends the mission. warm_up: as for `explore`. Raises CheckpointError where there is nothing to go on from."""
         keep = keep or (lambda _now: None)
         mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
         try:
@@ -109,6 +110,8 @@ class MissionRunner:
                 mission.observe()
             mission.say(f"{mission.outcome.replace('_', ' ')}: solving the whole map")
             mission.show()
+        except CheckpointError:  # There is no mission.
+            raise
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             first_line = next(iter(str(error).strip().splitlines()), "no message")
             mission.outcome, mission.failure = "fault", error

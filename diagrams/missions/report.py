@@ -70,7 +70,8 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
     if world is not None:
-        known = KnownWorld(world, mission.scenario, None if true_poses is None else true_poses[1][-1])
+        newest = None if true_poses is None or not len(true_poses[1]) else true_poses[1][-1]
+        known = KnownWorld(world, mission.scenario, newest)
         reachable = known.reachable
         summary |= known.map_figures(mission, estimate, tfg)
         unreachable = ", ".join(map(str, world.tag_ids[~reachable].tolist()))

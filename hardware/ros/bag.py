@@ -176,7 +176,6 @@ def _recording(
     seen.check(len(looked))
     for topic in (way, seen):
         notes += topic.notes(recorded[0][0])
-    _check_clocks(path, way.name, seen.name, odometry_messages, scans, first, recorded if is_recorded else None)
     mount_known = is_told or "yaw" in said
     place, yaw = (TOLD if known else UNTOLD for known in (is_told or {"x", "y"} & said.keys(), mount_known))
     believed = ScanConfig(mount_deviation=place.mount_deviation, yaw_deviation=yaw.yaw_deviation)
@@ -205,30 +204,6 @@ def _stamp(message: Any) -> float:
 def _is_clock(stamps: FloatArray) -> bool:
     """Whether stamps (n,) tell the messages apart: those never set, or cut to whole seconds, do not."""
     return len(np.unique(stamps)) * _SHARED > len(stamps)
-
-
-def _check_clocks(
-    path: Path,
-    way: str,
-    seen: str,
-    odometry: list[Odometry],
-    scans: list[LaserScan],
-    first: float,
-    recorded: list[FloatArray] | None,
-) -> None:
-    """Raises DatasetError where no scan is of a time when there is odometry."""
-    spans = [(min(t), max(t)) for t in ([one.stamp for one in odometry], [one.stamp for one in scans])]
-    if spans[0][0] < spans[1][1] and spans[1][0] < spans[0][1]:
-        return
-    (a, b), (c, d) = ((first + begin, first + end) for begin, end in spans)
-    told = f"{way} is stamped {a:.1f} to {b:.1f} s, {seen} {c:.1f} to {d:.1f} s"
-    mend = "record both at once"
-    if recorded is not None and recorded[0][0] < recorded[1][-1] and recorded[1][0] < recorded[0][-1]:
-        ahead = np.median([one.stamp for one in scans]) - np.median(recorded[1])
-        ahead -= np.median([one.stamp for one in odometry]) - np.median(recorded[0])
-        mend = "they have two clocks: record both by one (use_sim_time)"
-        mend += f", or say how far the scanner's is ahead, --set hardware.scanner.clock_offset={ahead:.3f} or near it"
-    raise DatasetError(f"{path}: {told}; {mend}")
 
 
 def _fixed(topics: Iterable[_Topic]) -> Transforms:

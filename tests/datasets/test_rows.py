@@ -54,7 +54,7 @@ def read(tmp_path: Path, text: str) -> tuple[np.ndarray, tuple[str, ...]]:
 def test_the_table_is_the_same_and_one_line_says_what_was_mended(tmp_path, text, note):
     table, notes = read(tmp_path, text)
     np.testing.assert_array_equal(table, TABLE)
-    assert notes == (() if note is None else (f"t.dat: {note}",))
+    assert [one.text for one in notes] == ([] if note is None else [f"t.dat: {note}"])
 
 
 POSES = [(0.5 * k, 0.1 * k, -0.2 * k, 0.25 * k) for k in range(12)]
@@ -79,7 +79,7 @@ def test_columns_are_read_by_their_names(tmp_path, heading, separator, order, no
     table, notes = read_table(tmp_path / "t.csv", *LAYOUTS)
     np.testing.assert_allclose(table, POSES)
     assert len(notes) == (note is not None)
-    assert all(line.startswith(f"t.csv: {note}") for line in notes)
+    assert all(one.text.startswith(f"t.csv: {note}") for one in notes)
 
 
 def test_other_columns_are_left_alone_and_decimal_commas_read(tmp_path):
@@ -88,7 +88,7 @@ def test_other_columns_are_left_alone_and_decimal_commas_read(tmp_path):
     table, notes = read_table(tmp_path / "t.csv", *LAYOUTS)
     np.testing.assert_allclose(table[:, :3], np.array(POSES)[:, :3])
     assert table[:, 3:].tolist() == [[0.0, 1.0]] * len(POSES)
-    assert notes[0].startswith("t.csv: decimal commas read as points; columns read as frame, time, y, x, qz, qw")
+    assert notes[0].text.startswith("t.csv: decimal commas read as points; columns read as frame, time, y, x, qz, qw")
 
 
 @pytest.mark.parametrize("name", ["yaw_deg", "yaw [deg]", "angle"])
@@ -139,7 +139,7 @@ def test_a_graph_without_its_end_and_with_edges_twice(tmp_path):
         path.write_text("\r\n".join([*edges, edges[1], end]))
         graph = read_g2o(path)
         assert graph.edges.tolist() == [[0, 1], [1, 2], [2, 3]]
-        assert graph.notes[0].endswith("the last row cut off, left out; 1 row twice, left out")
+        assert graph.notes[0].text.endswith("the last row cut off, left out; 1 row twice, left out")
     path.write_text("\n".join([edges[0], "EDGE_SE2 3", edges[1]]))
     with pytest.raises(DatasetError, match="line 2: EDGE_SE2 takes 11 numbers, 1 found; mend the line"):
         read_g2o(path)
@@ -147,14 +147,14 @@ def test_a_graph_without_its_end_and_with_edges_twice(tmp_path):
 
 def test_scan_logs_that_were_cut_off(tmp_path):
     path = tmp_path / "a.log"
-    carmen = [f"FLASER 2 1.0 2.0 {k} 0 0 {k} 0 0 {k}.5 host {k}.5\n" for k in range(3)]
+    carmen = [f"FLASER 2 1.0 2.0 {k} 0 0 {k} 0 0 {3 * k}.5 host {3 * k}.5\n" for k in range(3)]
     path.write_text("".join([*carmen, carmen[2], carmen[1][:20]]))
-    log = load_carmen(path, OdometryConfig(), 0)
+    log = load_carmen(path, OdometryConfig(), 0, scanner={"field_of_view": 1.0})
     assert log.truth.X_WB[:, 0].tolist() == [0.0, 1.0, 2.0]
-    assert log.notes == ("a.log: the last row cut off, left out; 1 row twice, left out",)
+    assert [one.text for one in log.notes] == ["a.log: the last row cut off, left out; 1 row twice, left out"]
 
     rover = [" ".join(map(str, [k * 1000, 0, k, k, *[0] * 20, *[1500] * RAYS])) + "\n" for k in range(3)]
     path.write_text("".join([rover[0], rover[2], rover[1], rover[1][:900]]))
     log = load_breezyslam(path)
     np.testing.assert_allclose([one.stamp for one in log.odometry], [0.0, 1e-3, 2e-3])
-    assert log.notes == ("a.log: the last row cut off, left out; 1 row out of order, sorted",)
+    assert [one.text for one in log.notes] == ["a.log: the last row cut off, left out; 1 row out of order, sorted"]

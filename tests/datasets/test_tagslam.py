@@ -110,7 +110,9 @@ def test_a_jump_of_the_odometry_is_taken_out_and_named(folder):
         lines[i] = ",".join([words[0], str(float(words[1]) + 0.4), *words[2:]])
     file.write_text("\n".join(lines) + "\n")
     run = load_tagslam(folder)
-    assert run.notes == ("the odometry jumps at 1.0 s: there the motion before the jump was put in its place",)
+    (note,) = run.notes
+    assert (note.kind, note.time_s) == ("jump", 1.0)
+    assert note.text == "the odometry jumps at 1.0 s: there the motion before the jump was put in its place"
     np.testing.assert_allclose(run.odometry[-1].X_OB, clean.odometry[-1].X_OB, atol=0.01)
 
 
@@ -124,8 +126,10 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
     np.testing.assert_array_equal([one.X_OB for one in run.odometry], [one.X_OB for one in clean.odometry])
     np.testing.assert_array_equal([one.range for one in run.detections], [one.range for one in clean.detections])
     mended = "the last row cut off, left out; 1 row twice, left out; 5 rows out of order, sorted"
-    assert [note.split("; ", 2)[2] for note in run.notes] == [mended, mended]
-    assert run.notes[0].startswith("vio_odometry.csv: line ends CRLF, read as such; no header, columns read as stamp_s")
+    assert [note.text.split("; ", 2)[2] for note in run.notes] == [mended, mended]
+    assert run.notes[0].text.startswith(
+        "vio_odometry.csv: line ends CRLF, read as such; no header, columns read as stamp_s"
+    )
 
 
 @pytest.mark.parametrize(
@@ -194,7 +198,7 @@ def test_what_cannot_be_used_is_named(folder, file, change, complaint):
 @pytest.mark.skipif(not REAL.is_dir(), reason="the TagSLAM data are not at hand")
 def test_the_real_ranges_agree_with_survey_and_reference():
     run = load_tagslam(REAL)
-    assert run.notes[0].startswith("the odometry jumps at 57.4, ")
+    assert run.notes[0].text.startswith("the odometry jumps at 57.4, ")
     at = np.array([frame.stamp for frame in run.detections])
     X_WB = run.truth.X_WB[np.searchsorted(run.truth.stamps, at)]
     errors = []

@@ -19,7 +19,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.mission.sequence import NOT_ENABLED
 from tfg_drake.safety.velocity_filter import PRESSED
 
@@ -166,6 +166,27 @@ def test_the_first_odometry_is_where_the_base_stands():
     station = Station()
     assert station.read("base.odometry").stamp == 0.0
     assert station.read("base.odometry").X_OB[0] == pytest.approx(0.07)
+
+
+def test_scans_that_stand_while_the_odometry_drives_are_noted_once(caplog):
+    """The fake robot's odometry drives by 0.5 m/s whatever it is told; its scans here are of a room that stands."""
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = 3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ranges[(angles > 1.0) & (angles < 1.3)] = 1.5
+    with caplog.at_level(logging.WARNING, "tfg_drake"):
+        station = Station()
+        message = station.device.message
+
+        def of_a_room(kind, number):
+            said = message(kind, number)
+            return replace(said, ranges=ranges, range_max=10.0) if kind is LaserScan else said
+
+        station.device.message = of_a_room
+        station.run(16.0)
+    notes = [record.note for record in caplog.records if hasattr(record, "note")]
+    assert [note.kind for note in notes] == ["contradiction"]
+    assert 6.0 < notes[0].time_s < 12.0
+    assert "see whether the wheels slip, the scanner is frozen" in notes[0].text
 
 
 def test_a_stop_by_the_operator_locks_the_device():

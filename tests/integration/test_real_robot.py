@@ -177,13 +177,13 @@ def test_a_mirrored_scan_stops_it_in_the_first_turn_until_somebody_enables_it_an
         explorer = Explorer(emulator, tmp_path, 300.0)
         explorer.wait_for("answer, none is pressed")
         _drives(emulator, explorer)
-        explorer.wait_for("the base stands until it is enabled anew: the scan turns against the robot: is the scanner")
+        explorer.wait_for("the base stands until it is enabled anew: scans turn against the odometry")
         over = stands(emulator, time.monotonic())
         explorer.press("e")
         moves(emulator, over)
         explorer.press("q")
         explorer.wait_for("files")
-    assert sum("enabled anew: the scan turns against" in line for line in explorer.lines) == 1
+    assert sum("enabled anew: scans turn against" in line for line in explorer.lines) == 1
 
 
 def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
@@ -199,7 +199,7 @@ def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
         explorer.wait_for("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn")
         _drives(emulator, explorer)
         # The estimator says so when the turn is over.
-        explorer.wait_for("the scan turns against the robot")
+        explorer.wait_for("scans turn against the odometry")
         explorer.press("q")
         explorer.wait_for("files")
-    assert not any("enabled anew: the scan turns against" in line for line in explorer.lines)
+    assert not any("enabled anew: scans turn against" in line for line in explorer.lines)

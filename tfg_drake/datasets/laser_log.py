@@ -1,8 +1,8 @@
 """Logs of robots with a laser scanner and no tags, as two collections keep them.
 
-The Radish repository has logs of the CARMEN toolkit, corrected by SLAM. One message a line: FLASER n r1..rn x y theta
-and seven fields more, the fourth a time stamp, ranges in metres over the half plane ahead. The poses are the scanner's,
-corrected: they serve as the truth, and odometry is made from them with errors drawn by a seed.
+The Radish repository has logs of the CARMEN toolkit (`carmen_lines`). Some are raw: the wheels' own way. Others were
+corrected by SLAM: their poses, which are the scanner's, serve as the truth, and odometry is made from them with errors
+drawn by a seed.
 
 CoreSLAM and BreezySLAM have logs of the MinesRover: wheel encoders and a Hokuyo URG-04LX, no truth.
 B. Steux and O. El Hamzaoui, "tinySLAM: a SLAM algorithm in less than 200 lines C-language program", ICARCV 2010. One
@@ -14,17 +14,21 @@ The scans are told later than the counts: their headings agree best with those o
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
+from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import Sweep, scan_of
-from tfg_drake.messages import FloatArray, LaserScan, Odometry
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry
+from tfg_drake.notes import Note
 from tfg_drake.simulation import odometry
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
@@ -33,10 +37,20 @@ NO_RETURN = 49.9
 CARMEN_SIGMA = 0.02
 # The poses are the scanner's own.
 EXACT_SCANNER = ScanConfig(yaw_deviation=0.0, mount_deviation=0.0, clock_deviation=0.0, sweep_deviation=0.0)
-# Stamps that stand still or run backwards are moved on by this, s: the order of the lines is right.
-LEAST_STEP = 1e-3
-# x y theta, the odometry's x y theta, its stamp, host, the logger's stamp.
-_TAIL = 9
+_SAY_SPAN = "say what it spans, rad, by --set hardware.scanner.field_of_view=RAD"
+# Half circles, by their numbers of rays.
+HALF_CIRCLES = (180, 181, 360, 361, 720, 721)
+# A raw log's scanner and its body stay together, and its scans' odometry is that of the odometry's own lines, to this,
+# m and rad.
+_TOGETHER = 0.01
+# What is believed of a raw log's scanner, m and rad, where its place is told, and where it is left at 0.
+WHEELED_SCANNER = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02)
+UNPLACED_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
+# A robot that moves faster between two scans, m/s and rad/s, or whose scans are nearer or farther in time, s, has not
+# the stamps that it had. Where more than this share is so, none is believed.
+FASTEST, FASTEST_TURN, LEAST_STEP, LONGEST_STEP, OFTEN = 5.0, 20.0, 1e-3, 3600.0, 0.02
+# Time by motion: the usual speed, m/s and rad/s, and what a scan takes, s.
+USUAL, USUAL_TURN, SCAN_TIME = 0.4, 0.6, 0.05
 
 # The rover: metres a count, half the distance between the wheels, m, and the scanner's place ahead of the axle, m.
 METRES_PER_COUNT = 2.0 * math.pi * 0.077 / 2000.0
@@ -51,58 +65,161 @@ ROVER_SIGMA = 0.03
 # What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
 SCANS_LATE = 0.17
 ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
+# Of another scanner in such a log, m; rays that met something farther off are free so far.
+OTHER_RANGE_MAX = 20.0
 # Rays at either end that see the rover itself.
 _OWN = 70
 _FIRST = 24
 
 
-def load_carmen(path: Path, model: OdometryConfig, seed: int, range_max: float = 20.0) -> Recording:
-    """The run in a file, which may be gzipped.
+def load_carmen(
+    path: Path, model: OdometryConfig, seed: int, range_max: float = 20.0, scanner: Mapping[str, Any] | None = None
+) -> Recording:
+    """The run in a file, which may be packed (.gz, .bz2).
 
-    model: errors of the odometry that is made from the corrected poses. seed: of their draws. range_max: m; rays that
-    met something farther off are free so far and tell no more, rays without a return are left out.
+    model: errors of the odometry that is made from corrected poses. seed: of their draws. range_max: m; rays that met
+    something farther off are free so far and tell no more, rays without a return are left out. scanner: fields of
+    `RobotScannerConfig` that somebody has said; they win over what the log says.
 
     Raises:
-        DatasetError: the file cannot be read, a line is broken, or there are fewer than two scans in it.
+        DatasetError: the file cannot be read, a line is broken, there are fewer than two scans in it, or what they span
+            is neither told nor a half circle.
     """
-    rows = Rows(path)
-    read = rows.read(lambda number, words: _scan_line(path, number, words) if words[0] == "FLASER" else None)
-    stamps: list[float] = []
-    poses, scans = [], []
-    for numbers in rows.once(read):
-        values = np.array(numbers)
-        ranges, stamp = values[:-4], float(values[-1])
-        stamps.append(max(stamp, stamps[-1] + LEAST_STEP) if stamps else stamp)
-        poses.append(values[-4:-1])
-        angles = (np.arange(len(ranges)) / len(ranges) - 0.5) * math.pi
-        met = (ranges > 0.0) & (ranges < NO_RETURN)
-        within = np.where(ranges[met] <= range_max, ranges[met], math.inf)
-        scans.append(LaserScan(stamps[-1], angles[met], within, range_max, CARMEN_SIGMA))
-    if len(scans) < 2:
-        raise DatasetError(f"{path}: fewer than two FLASER lines in it; is it a CARMEN log?")
-    X_WB = np.array(poses)
-    nothing = np.empty(0, dtype=np.int64)
+    rows, said = Rows(path), scanner or {}
+    log = read_carmen(path, rows)
+    raw, poses, X_BS = _way(path, log)
+    told = np.array([one.stamp for one in log.scans])
+    stamps, untrue = _in_time(told, poses)
+    scans = []
+    for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
+        angles, order = _seen(_angles(path, one, said), said, X_BS[2])
+        ranges = one.ranges[order]
+        met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
+        farthest = min(range_max, one.range_max)
+        within = np.where(ranges[met] <= farthest, ranges[met], math.inf)
+        scans.append(LaserScan(float(stamp), angles[met], within, farthest, CARMEN_SIGMA))
+    place = np.array([said.get("x", X_BS[0]), said.get("y", X_BS[1])]) if raw else np.zeros(2)
+    believed = (WHEELED_SCANNER if place.any() else UNPLACED_SCANNER) if raw else EXACT_SCANNER
+    model = odometry_model() if raw else model
+    logged = np.array([one.logged for one in log.scans])
+    arrivals = logged if raw and not untrue and (np.diff(logged) >= 0.0).all() else np.empty(0)
     return Recording(
         name=path.name.split(".")[0],
-        odometry=_noisy_odometry(np.array(stamps), X_WB, model, seed),
-        scans=tuple(scans),
+        odometry=_told_odometry(stamps, poses) if raw else _noisy_odometry(stamps, poses, model, seed),
+        scans=tuple(_from_body(one, place) for one in scans),
         model=model,
-        truth=GroundTruth(np.array(stamps), X_WB, nothing, np.empty((0, 2))),
-        notes=rows.notes,
+        truth=None if raw else GroundTruth(stamps, poses, np.empty(0, dtype=np.int64), np.empty((0, 2))),
+        notes=rows.notes + untrue,
         detections=(),
-        scanner=EXACT_SCANNER,
+        scanner=believed,
+        X_BS=np.append(place, 0.0),
+        odometry_arrivals=arrivals,
+        scan_arrivals=arrivals,
+        told_stamps=np.column_stack([told, stamps]) if untrue else np.empty((0, 2)),
     )
 
 
-def _scan_line(path: Path, number: int, words: list[str]) -> tuple[float, ...]:
-    """Ranges, pose and stamp of a FLASER line."""
-    count = len(words) - 2 - _TAIL
-    if count < 1 or words[1] != str(count):
-        # Three digits more than any scanner has rays.
-        told = int(words[1]) if len(words) > 1 and words[1].isdecimal() and len(words[1]) < 8 else count
-        kind = ShortRowError if len(words) < 3 or count < told else DatasetError
-        raise kind(f"{path}, line {number}: not a whole FLASER line; copy the file again")
-    return tuple(parse_numbers(path, number, [*words[2 : 2 + count + 3], words[2 + count + 6]]))
+def _way(path: Path, log: CarmenLog) -> tuple[bool, FloatArray, FloatArray]:
+    """Whether a log is raw; the poses (n, 3) at its scans, of a raw one the body's by its wheels, else the scanner's;
+    the scanner's pose X_BS (3,) in what has these poses.
+
+    Where SLAM corrected the poses of scans they leave those of the odometry's own lines, or there are none of these.
+    """
+    X_WS, X_OB, before = (np.array(poses) for poses in zip(*(one[6:9] for one in log.scans), strict=True))
+    if not len(log.stamps):
+        if np.isnan(X_WS).any():
+            raise DatasetError(f"{path}: scans without poses and no ODOM lines; record odometry, too")
+        return False, X_WS, np.zeros(3)
+    order = np.argsort(log.stamps, kind="stable")
+    lines = np.column_stack([log.X_OB[:, :2], np.unwrap(log.X_OB[:, 2])])[order].T
+    between = np.column_stack([np.interp([one.stamp for one in log.scans], log.stamps[order], one) for one in lines])
+    if np.isnan(X_OB).any():
+        return True, between, np.zeros(3)
+    off = np.min([_apart(X_OB, between), _apart(X_OB, np.where(np.isnan(before), between, before))], axis=0)
+    X_BS = se2.between(X_OB, X_WS)
+    together = _apart(X_BS, X_BS[:1]).max() < _TOGETHER
+    moved = np.append(False, _apart(X_OB[1:], X_OB[:-1]) > _TOGETHER)
+    raw = bool(together and (not moved.any() or np.median(off[moved]) < _TOGETHER))
+    return (True, X_OB, X_BS[0]) if raw else (False, X_WS, np.zeros(3))
+
+
+def _apart(some: FloatArray, others: FloatArray) -> FloatArray:
+    """(n,) m or rad, the greatest difference between poses (n, 3)."""
+    step = some - others
+    step[:, 2] = se2.wrap_angle(step[:, 2])
+    return np.asarray(np.abs(step).max(axis=1))
+
+
+def _in_time(stamps: FloatArray, poses: FloatArray) -> tuple[FloatArray, tuple[Note, ...]]:
+    """Stamps (n,), s, of scans at poses (n, 3) in the order of the log, those that cannot be true by motion, and a note
+    on these."""
+    step, dt = np.abs(np.diff(poses, axis=0)), np.diff(stamps)
+    length, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(se2.wrap_angle(step[:, 2]))
+    least = np.maximum(np.maximum(length / FASTEST, turn / FASTEST_TURN), LEAST_STEP)
+    usual = np.maximum(length / USUAL, turn / USUAL_TURN) + SCAN_TIME
+    untrue = (dt < least) | (dt > LONGEST_STEP)
+    if not untrue.any():
+        return stamps, ()
+    if np.mean(untrue) > OFTEN:
+        times = stamps[0] + np.append(0.0, np.cumsum(usual))
+        what = "none is believed"
+    else:
+        times, later = stamps.copy(), 0.0
+        for k in range(1, len(stamps)):
+            later += dt[k - 1] - usual[k - 1] if dt[k - 1] > LONGEST_STEP else 0.0
+            at = stamps[k] - later
+            times[k] = at if at - times[k - 1] >= least[k - 1] else times[k - 1] + usual[k - 1]
+        what = "the others are believed"
+    count, first = int(np.count_nonzero(untrue)), float(times[np.argmax(untrue)])
+    cannot = f"{count} of {len(stamps)} stamps cannot be true: they stand still, run back, or leave no time for the way"
+    text = f"{cannot} or hours; {what}; time is by motion instead, {USUAL:g} m/s and {USUAL_TURN:g} rad/s"
+    return times, (Note("stamps", first, text),)
+
+
+def _angles(path: Path, scan: CarmenScan, said: Mapping[str, Any]) -> FloatArray:
+    """The angles (m,) of a scan's rays as the scanner counts them, rad."""
+    n = len(scan.ranges)
+    if said.get("field_of_view", 0.0) > 0.0:
+        return _spanning(n, said)
+    if scan.step > 0.0:
+        return np.asarray(scan.first + scan.step * np.arange(n))
+    if n in HALF_CIRCLES:
+        return np.asarray((np.arange(n) / (n - n % 2) - 0.5) * math.pi)
+    half = ", ".join(map(str, HALF_CIRCLES))
+    raise DatasetError(f"{path}: scans of {n} rays, and only {half} are half a circle; {_SAY_SPAN}")
+
+
+def _spanning(n: int, said: Mapping[str, Any]) -> FloatArray:
+    return np.linspace(-0.5, 0.5, n) * float(said["field_of_view"])
+
+
+def _seen(angles: FloatArray, said: Mapping[str, Any], yaw: float) -> tuple[FloatArray, IntArray]:
+    """The angles (m,) of rays from the body's x axis, increasing in (-pi, pi], and which of (n,) these are that the
+    scanner counts as `angles`, rad. yaw: where it looks, rad, unless somebody has said that."""
+    angles = -angles if said.get("flip", False) != said.get("clockwise", False) else angles
+    angles = angles + said.get("yaw", yaw)
+    if angles.min() <= -math.pi or angles.max() > math.pi:
+        angles = se2.wrap_angle(angles)
+    order = np.argsort(angles, kind="stable")
+    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    return angles[order], order
+
+
+def _from_body(scan: LaserScan, place: FloatArray) -> LaserScan:
+    """A scan taken at a place (2,), m in B, as it is seen from the body's origin."""
+    if not place.any():
+        return scan
+    at_once, (x, y) = np.zeros(len(scan.angles)), place.tolist()
+    return scan_of(Sweep(scan.stamp, scan.angles, scan.ranges, at_once, x, y, scan.range_max, scan.sigma), np.zeros(2))
+
+
+def _told_odometry(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
+    """What wheels have said at stamps (n,): poses (n, 3)."""
+    steps = np.vstack([np.zeros((1, 3)), se2.between(X_OB[:-1], X_OB[1:])])
+    steps[:, 2] = se2.wrap_angle(steps[:, 2])
+    V_B = steps[:, [0, 2]] / np.append(1.0, np.diff(stamps))[:, None]
+    told = zip(stamps, X_OB, V_B, (steps == 0.0).all(axis=1), strict=True)
+    return tuple(Odometry(float(stamp), X, V, bool(still)) for stamp, X, V, still in told)
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:
@@ -125,19 +242,29 @@ def odometry_model() -> OdometryConfig:
     return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.05, gyro_bias=0.005, gyro_scale=0.05)
 
 
-def load_breezyslam(path: Path) -> Recording:
-    """The run in a file, which may be gzipped. The body's origin is amid the wheels, its odometry theirs alone.
+def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
+    """The run in a file, which may be packed (.gz, .bz2). The body's origin is amid the wheels, its odometry theirs
+    alone.
+
+    scanner: fields of `RobotScannerConfig` that somebody has said. With field_of_view it is another scanner than the
+    rover's, of any number of rays, whose place is not known unless that is said, too.
 
     Raises:
-        DatasetError: the file cannot be read, a line is broken, two scans are at one time, or there is but one.
+        DatasetError: the file cannot be read, a line is broken, two scans are at one time, there is but one, or the
+            scanner is another and nobody said what it spans.
     """
-    rows = Rows(path)
+    rows, said = Rows(path), scanner or {}
+    other = said.get("field_of_view", 0.0) > 0.0
+    columns = len(rows.first()[1]) if other else _FIRST + RAYS
 
     def parse(number: int, words: list[str]) -> tuple[float, ...]:
-        if len(words) < _FIRST + RAYS:
-            complaint = f"{_FIRST + RAYS} columns expected, {len(words)} found; mend it"
-            raise ShortRowError(f"{path}, line {number}: {complaint}")
-        return tuple(parse_numbers(path, number, [words[0], *words[2:4], *words[_FIRST : _FIRST + RAYS]]))
+        # The rover's own logs may have one column more, of zeros.
+        if len(words) != columns and (other or len(words) != columns + 1):
+            expected = f"{columns} columns expected, {_FIRST} and {columns - _FIRST} rays, {len(words)} found"
+            mend = "mend it" if other else f"mend it, or of another scanner {_SAY_SPAN}"
+            kind = ShortRowError if len(words) < columns else DatasetError
+            raise kind(f"{path}, line {number}: {expected}; {mend}")
+        return tuple(parse_numbers(path, number, [words[0], *words[2:4], *words[_FIRST:columns]]))
 
     read = rows.once(rows.read(parse))
     if len(read) < 2:
@@ -148,15 +275,22 @@ def load_breezyslam(path: Path) -> Recording:
     if len(same):
         raise DatasetError(f"{path}: two different scans at {table[same[0], 0]:.0f} us; leave one of them out")
     stamps = 1e-6 * (table[:, 0] - table[0, 0])
-    seen = slice(_OWN, RAYS - _OWN)
-    angles = ((np.arange(RAYS) + 0.5) / RAYS - 0.5)[seen] * FIELD_OF_VIEW
+    if other:
+        counted, own, late, range_max = _spanning(columns - _FIRST, said), 0, 0.0, OTHER_RANGE_MAX
+        place, believed = (said.get("x", 0.0), said.get("y", 0.0)), UNPLACED_SCANNER
+    else:
+        counted, own = ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * FIELD_OF_VIEW, _OWN
+        late, range_max = SCANS_LATE, RANGE_MAX
+        place, believed = (said.get("x", SCANNER_AHEAD), said.get("y", 0.0)), ROVER_SCANNER
+    angles, order = _seen(counted[own : len(counted) - own], said, 0.0)
     scans = []
-    for stamp, row in zip(stamps, table, strict=True):
-        ranges = 1e-3 * row[3:][seen]
+    for stamp, row in zip(stamps - said.get("clock_offset", late), table, strict=True):
+        ranges = 1e-3 * row[3 + own :][order]
         valid = ranges >= LEAST_RANGE
-        if stamp >= SCANS_LATE:
-            at = float(stamp - SCANS_LATE), angles[valid], ranges[valid], np.zeros(np.count_nonzero(valid))
-            scans.append(scan_of(Sweep(*at, SCANNER_AHEAD, 0.0, RANGE_MAX, ROVER_SIGMA), np.zeros(2)))
+        if stamp >= 0.0:
+            within = np.where(ranges[valid] <= range_max, ranges[valid], math.inf)
+            seen = LaserScan(float(stamp), angles[valid], within, range_max, ROVER_SIGMA)
+            scans.append(_from_body(seen, np.array(place)))
     return Recording(
         name=path.name.split(".")[0],
         odometry=_wheel_odometry(stamps, METRES_PER_COUNT * table[:, 1:3]),
@@ -165,7 +299,9 @@ def load_breezyslam(path: Path) -> Recording:
         truth=None,
         notes=rows.notes,
         detections=(),
-        scanner=ROVER_SCANNER,
+        scanner=believed,
+        X_BS=np.array([*place, 0.0]),
+        mount_known=not other or "yaw" in said,
     )
 
 

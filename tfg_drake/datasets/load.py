@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.g2o import read_g2o
@@ -14,27 +16,38 @@ from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.datasets.tagslam import load_tagslam
 from tfg_drake.datasets.text import found_file
 
+# How laser logs are named, perhaps packed (.gz, .bz2), the last those of BreezySLAM.
+_ROVER = ".dat"
+_LOGS = (".log", ".clf", _ROVER)
 # What a user may have meant.
 _VIDEO = "of a video give --calibration and --tag-size"
 
 
 def load_dataset(
-    path: Path, robot: int | None = None, noise: float | None = None, seed: int | None = None
+    path: Path,
+    robot: int | None = None,
+    noise: float | None = None,
+    seed: int | None = None,
+    scanner: Mapping[str, Any] | None = None,
 ) -> Recording | PoseGraph:
     """An MR.CLAM folder (robot 1 unless another is named), a TagSLAM folder, a g2o file, or a laser log of CARMEN or of
     BreezySLAM.
 
-    noise: errors of the odometry of a CARMEN log, times those of OdometryConfig, 1 if not given; seed: of their draws.
+    noise: errors of the odometry of a corrected CARMEN log, times those of OdometryConfig, 1 if not given; seed: of
+    their draws. scanner: fields of `RobotScannerConfig` that somebody has said of a laser log's.
 
     Raises:
         DatasetError: it is none of these, or cannot be used.
     """
     if not path.exists():
         raise DatasetError(f"{path}: no such file or folder; name a data set")
-    is_carmen = path.name.endswith((".log", ".log.gz"))
-    if not is_carmen and (noise is not None or seed is not None):
-        option = f"--seed {seed}" if noise is None else f"--odometry-noise {noise:g}"
-        raise DatasetError(f"{option}: {path} has odometry of its own, only CARMEN logs have not; leave it out")
+    name = path.name.removesuffix(".gz").removesuffix(".bz2")
+    is_log = name.endswith(_LOGS) and path.is_file()
+    is_carmen = is_log and not name.endswith(_ROVER)
+    if not is_carmen:
+        _check_own_odometry(path, noise, seed)
+    if scanner and not is_log:
+        raise DatasetError(f"--set hardware.scanner.{next(iter(scanner))}: {path} has no laser scanner; leave it out")
     if found_file(path, "Barcodes.dat"):
         return load_mrclam(path, 1 if robot is None else robot)
     if robot is not None:
@@ -42,15 +55,30 @@ def load_dataset(
     if found_file(path, "tag_corners.csv"):
         return load_tagslam(path)
     if path.is_dir():
-        kinds = "neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM)"
+        kinds = "neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM) nor files of a ROS bag"
         raise DatasetError(f"{path}: holds {kinds}; name a folder with one of them, or {_VIDEO}")
     if is_carmen:
         errors = dataclasses.asdict(OdometryConfig())
         times = 1.0 if noise is None else noise
-        return load_carmen(path, OdometryConfig(**{name: times * one for name, one in errors.items()}), seed or 0)
-    if path.name.endswith((".dat", ".dat.gz")):
-        return load_breezyslam(path)
+        model = OdometryConfig(**{name: times * one for name, one in errors.items()})
+        log = load_carmen(path, model, seed or 0, scanner=scanner)
+        if log.truth is None:
+            _check_own_odometry(path, noise, seed)
+        return log
+    if is_log:
+        return load_breezyslam(path, scanner)
     if not path.name.endswith((".g2o", ".g2o.gz")):
-        kinds = "a .g2o file, a laser log (.log, .dat), an MR.CLAM or TagSLAM folder"
+        kinds = (
+            "a .g2o file, a laser log (.log, .clf, .dat), a ROS bag (its folder, .mcap, .db3, .bag), an MR.CLAM or "
+            "TagSLAM folder"
+        )
         raise DatasetError(f"{path}: not a data set; name {kinds}, or {_VIDEO}")
     return read_g2o(path)
+
+
+def _check_own_odometry(path: Path, noise: float | None, seed: int | None) -> None:
+    if noise is not None or seed is not None:
+        option = f"--seed {seed}" if noise is None else f"--odometry-noise {noise:g}"
+        raise DatasetError(
+            f"{option}: {path} has odometry of its own, only corrected CARMEN logs have not; leave it out"
+        )

@@ -43,9 +43,10 @@ class Recording:
     of the data. piece_time: s, after which a piece of the way is mapped, however short it is by the odometry: for one
     that does not tell. scans: a recording with scans has no detections, and as it is read both scans and odometry are
     in the order in which they were recorded, whatever their stamps; poses are the body's, and scans are as seen from
-    there. scanner: what is believed of it. odometry_arrivals, scan_arrivals: (n,), (m,) s,
-    when each message was recorded, by the recorder's clock from the odometry's time 0 on; empty where that is unknown.
-    mount_known: whether where the scanner sits and looks was told, not guessed.
+    there. scanner: what is believed of it, X_BS (3,): where it sits. odometry_arrivals, scan_arrivals: (n,), (m,) s,
+    when each message was recorded, both by one clock, the recorder's; empty where that is unknown.
+    mount_known: whether where the scanner sits and looks was told, not guessed. told_stamps: (k, 2) s, of all scans as
+    the data set has them and as they are here, where some could not be true; else empty.
     """
 
     name: str
@@ -57,9 +58,11 @@ class Recording:
     piece_time: float = math.inf
     scans: tuple[LaserScan, ...] = ()
     scanner: ScanConfig = dataclasses.field(default_factory=ScanConfig)
+    X_BS: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
     odometry_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     scan_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     mount_known: bool = True
+    told_stamps: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
 
 
 def make_frames(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import math
 from pathlib import Path
@@ -36,14 +37,14 @@ def find_file(folder: Path, name: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file, unzipped where its name ends in .gz.
+    """The text of a file, unpacked where its name ends in .gz or .bz2.
 
     Raises:
         DatasetError: the file cannot be read, or is too long.
     """
     try:
         most = min(_LONGEST, max(_ANY, _ZIPPED * path.stat().st_size))
-        data = read_bytes(path, most + 1)
+        data = _unpacked(path, most + 1) if path.suffix == ".bz2" else read_bytes(path, most + 1)
         if len(data) > most:
             raise DatasetError(f"{path}: more than {most / 2**20:.0f} MiB of text; is it what its name says?")
         return data.decode()
@@ -55,12 +56,27 @@ def read_text(path: Path) -> str:
         raise DatasetError(f"{path}: {(error.strerror or str(error)).lower()}") from error
 
 
+def _unpacked(path: Path, most: int) -> bytes:
+    """The first `most` bytes of what a .bz2 holds. Raises OSError; DatasetError where it is no whole one."""
+    with path.open("rb") as packed, bz2.open(packed) as file:
+        try:
+            return file.read(most)
+        except (EOFError, OSError) as error:
+            raise DatasetError(f"{path}: not a whole bzip2 file; copy it again") from error
+
+
 def parse_numbers(path: Path, line: int, words: list[str]) -> list[float]:
     """The words of a line of a file as numbers.
 
     Raises:
         DatasetError: one of them is not a finite number below GREATEST.
     """
+    try:
+        numbers = [float(word) for word in words]
+        if all(-GREATEST < number < GREATEST for number in numbers):
+            return numbers
+    except ValueError:
+        pass  # which it is, is found below
     numbers = []
     for word in words:
         try:

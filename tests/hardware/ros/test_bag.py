@@ -330,20 +330,6 @@ def test_what_is_missing_is_told(tmp_path, messages, complaint):
     assert str(error.value) == f"{tmp_path}/b.mcap: {complaint}"
 
 
-def test_two_clocks_are_named(tmp_path):
-    messages = [one for pair in zip(way(), looks((7.0, 8.0, 9.0)), strict=True) for one in pair]
-    with pytest.raises(DatasetError) as error:
-        load_bag(bag(tmp_path / "b.mcap", messages))
-    assert str(error.value) == (
-        f"{tmp_path}/b.mcap: /odom is stamped 100.0 to 102.0 s, /scan 7.0 to 9.0 s; they have two clocks: record both "
-        "by one (use_sim_time), or say how far the scanner's is ahead, --set hardware.scanner.clock_offset=-93.000 or "
-        "near it"
-    )
-    assert len(load_bag(tmp_path / "b.mcap", {"clock_offset": -93.0}).scans) == 3
-    with pytest.raises(DatasetError, match=r"/scan 7.0 to 8.0 s; record both at once"):
-        load_bag(bag(tmp_path / "b.mcap", [*way(), *looks((7.0, 8.0))]))
-
-
 def test_bad_messages_are_left_out_and_counted(tmp_path):
     messages = [*way(range(100, 110)), *looks(range(101, 108))]
     for at, number in ((0, 0.0), (3, math.nan)):
@@ -478,16 +464,11 @@ def test_what_is_no_bag_is_told(tmp_path):
 
 
 def test_little_that_stands_for_much_is_refused(tmp_path):
-    zeros = zstandard.compress(bytes(LEAST_UNPACKED // 4))
+    zeros = zstandard.compress(bytes(LEAST_UNPACKED + 1))
     text = struct.pack("<I", 4) + b"zstd"
     chunk = struct.pack("<QQQI", 0, 0, len(zeros), 0) + text + struct.pack("<Q", len(zeros)) + zeros
     record = struct.pack("<BQ", 6, len(chunk)) + chunk
-    # Records of zeros are damage, and one such chunk is read as that.
-    begin = b"\x89MCAP0\r\n"
-    (tmp_path / "b.mcap").write_bytes(begin + record)
-    with pytest.raises(DatasetError, match=r"b.mcap is cut off|b.mcap is damaged"):
-        load_bag(tmp_path / "b.mcap")
-    (tmp_path / "b.mcap").write_bytes(begin + 5 * record)
+    (tmp_path / "b.mcap").write_bytes(b"\x89MCAP0\r\n" + record)
     with pytest.raises(DatasetError, match=r"b.mcap: it unpacks to more than 64 MiB; record it again, unpacked"):
         load_bag(tmp_path / "b.mcap")
 
