@@ -63,7 +63,6 @@ class WholeRequestServer(ThreadingHTTPServer):
         if len(self._waiting) >= WAITING:
             for oldest in self._too_many(self._waiting, WAITING - 1 - WAITING // 16):  # some at once, which is cheap
                 self._hang_up(oldest, self._waiting)
-        request.setblocking(False)
         self._waiting[request], self._address[request] = b"", client_address[0]
 
     def service_actions(self) -> None:
@@ -84,7 +83,7 @@ class WholeRequestServer(ThreadingHTTPServer):
         for connection in wait(list(self._waiting), 0.0):
             data = b""
             with contextlib.suppress(OSError):
-                data = connection.recv(_WHOLE)
+                data = connection.recv(_WHOLE, socket.MSG_DONTWAIT)
             said = self._waiting[connection] = self._waiting[connection] + data
             if data and not _is_whole(said):
                 continue
