@@ -3,6 +3,7 @@
     python benchmarks/real_mission.py kobuki --world house --simulated 3
     python benchmarks/real_mission.py ros2 --world house --simulated 3
     python benchmarks/real_mission.py without_ros --world house --simulated 3
+    python benchmarks/real_mission.py without_tags --world house --simulated 0
 
 Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
 the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
@@ -10,6 +11,7 @@ it as a simulated one is by its own truth: the explorer does not know it. Prints
 
 `without_ros` is a Kobuki with an RPLidar and a camera of its own, as docs/first_run.md has it: the camera is calibrated
 and looked through first; on the way its stream ends and comes again, and the scanner's cable is pulled and put back.
+`without_tags` is a Kobuki with a scanner alone: the column `mapped` has its walls.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class Emulator:
             "kobuki": ["kobuki", "emulate", "--world", world],
             "ros2": ["ros2", "emulate", world],
             "without_ros": ["kobuki", "emulate", "--world", world, "--sensors"],
+            "without_tags": ["kobuki", "emulate", "--world", world],
         }[robot]
         self._process = subprocess.Popen([*CLI, *place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
@@ -66,6 +69,8 @@ class Emulator:
         if robot == "kobuki":
             source = f"socket:{lines[1]}"
             self.arguments = ["--port", lines[0], "--tags", source, "--scan", source]
+        if robot == "without_tags":
+            self.arguments = ["--port", lines[0], "--scan", f"socket:{lines[1]}"]
         if robot == "without_ros":
             device, _, scanner, camera, board = lines
             self.arguments = ["--port", device, "--tags", camera, "--scan", scanner, *_calibrated(camera, board, out)]
@@ -117,7 +122,7 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
     """The figures of one mission in real time."""
     out.parent.mkdir(parents=True, exist_ok=True)
     emulator = Emulator(robot, world, out.parent)
-    robot = "kobuki" if robot == "without_ros" else robot
+    robot = "kobuki" if robot.startswith("without") else robot
     arguments = [*emulator.arguments, "--max-time", f"{max_time:g}", "--set", f"hardware.max_speed={speed}"]
     command = [*CLI, "explore", "--robot", robot, *arguments, "--headless", "--out", str(out)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -148,7 +153,7 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         "outcome": summary["outcome"],
         "time": summary["sim_time_s"],
         "distance": emulator.truth[-1]["distance"],
-        "mapped": len(saved.ids),
+        "mapped": len(saved.ids) or summary["walls_mapped"],
         "position": position.mean(),
         "heading": np.abs(heading).mean(),
         "landmarks": metrics.landmark_rmse(p_WL, p_WL_true),
@@ -192,7 +197,7 @@ def line(name: str, figures: dict[str, Any]) -> str:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("robot", choices=("kobuki", "ros2", "without_ros"))
+    parser.add_argument("robot", choices=("kobuki", "ros2", "without_ros", "without_tags"))
     parser.add_argument("--speed", type=float, default=0.3, help="limit of both, m/s")
     parser.add_argument("--world", default="house")
     parser.add_argument("--max-time", type=float, default=3600.0)

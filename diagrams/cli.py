@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake import __version__
-from tfg_drake.bad_input import BadInput
+from tfg_drake.bad_input import BadInput, EstimateLost
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
@@ -172,7 +172,7 @@ def explore(
         str | None,
         typer.Option(
             metavar="SOURCE",
-            help="A real robot's tags: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT or camera:/dev/video0.",
+            help="A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
         ),
     ] = None,
     scan: Annotated[
@@ -215,7 +215,7 @@ def explore(
     if resume is not None:
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
         given["--map"] = known_map
-        method, robot = explore_command.resumed(resume, method, robot, given)
+        method = explore_command.resumed(resume, method, robot, given)
     explore_command.check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
@@ -284,8 +284,10 @@ def explore(
             wait_for_enter()
     if as_json:
         print(json.dumps(result.summary), flush=True)
-    kept = explore_command.is_kept(result.unwritten)
-    raise typer.Exit(EXIT_CODES[result.summary["outcome"]] if kept else explore_command.NOT_WRITTEN)
+    code = EXIT_CODES[result.summary["outcome"]]
+    if isinstance(result.mission.failure, EstimateLost):
+        code = EXIT_CODES["stuck"]
+    raise typer.Exit(code if explore_command.is_kept(result.unwritten) else explore_command.NOT_WRITTEN)
 
 
 def _tell(result: RunResult) -> None:
@@ -297,8 +299,10 @@ def _tell(result: RunResult) -> None:
     for name, value in rows:
         print(f"{name:<12}{value}", flush=True)
     if result.summary["outcome"] == "fault":
-        log = result.folder / "log.txt"
-        print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
+        log = (
+            "" if isinstance(result.mission.failure, EstimateLost) else f"; the traceback is in {result.folder}/log.txt"
+        )
+        print(f"tfg-drake: {_one_line(result.summary['reason'])}{log}", file=sys.stderr)
 
 
 @app.command()
@@ -619,6 +623,9 @@ def main(arguments: list[str] | None = None) -> None:
             code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
     except BadInput as error:
         code = _complain(str(error))
+    except EstimateLost as error:
+        _complain(str(error))
+        code = EXIT_CODES["stuck"]
     except _UsageError as error:
         complaint = _one_line(error.format_message()).rstrip(".")
         command = error.ctx.command_path if error.ctx is not None else "tfg-drake"
@@ -699,7 +706,9 @@ def _tell_at_once(line: str) -> None:
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split())
+    """A message that may quote a file: no terminal takes what is in it for an order."""
+    words = " ".join(message.split())
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
 
 
 def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.commands.command_line import make_kernels_ready
 from tfg_drake.diagrams.commands.explore import check_kept, remarks_on_screen, run_name
 from tfg_drake.diagrams.commands.page import open_page
@@ -93,8 +94,8 @@ def explore(
         page: serve the page that shows and operates it until explore returns; its address is printed.
         map: the file of a map of the building, or the folder of a run: the mission begins with it; its summary's
             `changes` tells what has changed since.
-        resume: the folder of a mission that was cut short, to go on with: its scenario, seed and method are the run's;
-            parts of one's own are given again.
+        resume: the folder of a mission that was cut short, to go on with: its scenario and seed are the run's, and its
+            method by name; a method, parts or a station of one's own are given again.
         out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept. A
             simulated run that is in it is replaced.
         realtime_rate: simulated s per second at most, 0 for as fast as possible.
@@ -126,13 +127,15 @@ def explore(
             check_kept(Path(out))
         before = cut_short(Path(resume), None if out is None else Path(out))
         loaded, name, named = before.scenario, before.name, before.world_name
-        method, out = before.method, before.folder
+        method, out = method if before.own else before.method, before.folder
     else:
         known = [] if map is None else [f"explorer.known_map={Path(map).resolve()}"]
         loaded = PrepareScenario(scenario, [*settings, *known], seed, world, tag_spacing, start)
         name = run_name(named or "mission", None if world is None else Path(world))
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
+    if before is not None and before.own and method == "tfg" and not own:
+        raise BadInput(f"{resume}: its method, {before.method}, is somebody's own; give it or its parts again")
     robot, explorer = SIMULATED, None
     if station is not None:
         made = MakePart("station", station, station, loaded)
@@ -149,6 +152,8 @@ def explore(
     explorer.Check(loaded)
     if plant is not None:
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
+    if before is not None and before.robot != robot.name:
+        raise BadInput(f"{resume}: that run drove {before.robot}, not {robot.name}; give its station= again")
     if out is None and not page and not robot.real:
         mission = Mission(loaded, explorer, meshcat, f"{name}, seed {loaded.seed}", robot)
         mission.begin()

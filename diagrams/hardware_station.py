@@ -9,6 +9,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario, WorldConfig
 from tfg_drake.diagrams.station_ports import MakePorts
 from tfg_drake.hardware.base import HardwareBase
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.sensor import HardwareSensor
 from tfg_drake.simulation.laser_scanner import no_scan
@@ -45,13 +46,18 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
 
 def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
     """The scenario within the limits of the robot, and of what its scanner and camera see, without its world: that is
-    another one, and the frame of the start is W."""
+    another one, and the frame of the start is W. Of a robot without tags walls are the landmarks; raises DeviceError
+    where these are to be tags alone."""
     bounded = copy.deepcopy(scenario)
     bounded.world = WorldConfig()
     bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
     bounded.robot.max_acceleration = devices.limits.acceleration
     bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
     bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
+    if devices.tags is None:
+        if scenario.explorer.landmarks == "tags":
+            raise DeviceError("explorer.landmarks=tags: the robot has no source of tags; give --tags, or leave it out")
+        bounded.explorer.landmarks = "walls"
     if devices.view is not None:
         bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)
         bounded.tags.range = min(scenario.tags.range, devices.view.range)

@@ -47,7 +47,7 @@ from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
-from tfg_drake.world.world import World, WorldError, check_world, wall_distance
+from tfg_drake.world.world import LONGEST, World, WorldError, check_world, wall_distance
 
 
 class ScenarioError(BadInput, ValueError):
@@ -381,19 +381,45 @@ def MakeWorld(config: WorldConfig) -> World:
 def HatchedKeepOut(scenario: Scenario) -> FloatArray:
     """Outlines of the keep-out areas and hatching so dense that the robot fits nowhere in them: segments (k, 4), m in
     W."""
-    polygons = [np.array(corners, dtype=float) for corners in scenario.explorer.keep_out]
-    return hatched(polygons, scenario.robot.radius)
+    return hatched(_Areas(scenario), scenario.robot.radius)
+
+
+def _Areas(scenario: Scenario) -> list[FloatArray]:
+    """Corners (n, 2) of each keep-out area, m in W, without a last one that is the first again, as rings of GeoJSON
+    have it."""
+    areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in scenario.explorer.keep_out]
+    return [p[:-1] if len(p) > 1 and (p[0] == p[-1]).all() else p for p in areas]
+
+
+def AreasOutside(scenario: Scenario) -> list[str]:
+    """A line for each keep-out area that lies outside the building, as far as its walls reach."""
+    corners = np.array(scenario.world.walls, dtype=float).reshape(-1, 2)
+    return [
+        f"explorer.keep_out[{i}]: lies outside the building, so it bars nothing; is this meant?"
+        for i, p in enumerate(_Areas(scenario))
+        if len(corners) and ((p.max(axis=0) < corners.min(axis=0)) | (p.min(axis=0) > corners.max(axis=0))).any()
+    ]
 
 
 def MakeKeepOut(scenario: Scenario) -> FloatArray:
-    """HatchedKeepOut (k, 4), m in M. Raises ScenarioError where the robot starts in such an area."""
-    start, keep_out = np.array(scenario.world.start, dtype=float), HatchedKeepOut(scenario)
+    """HatchedKeepOut (k, 4), m in M. Raises ScenarioError where the robot starts in such an area, or where one reaches
+    farther from the map's origin than any building."""
+    start = np.array(scenario.world.start, dtype=float)
+    X_WM = MapFrame(scenario, start)
+    for i, p in enumerate(_Areas(scenario)):
+        x, y = p[np.argmax(np.abs(p - X_WM[:2]).max(axis=1))]
+        if max(abs(x - X_WM[0]), abs(y - X_WM[1])) > LONGEST:
+            raise ScenarioError(
+                f"explorer.keep_out[{i}]: its corner ({x:g}, {y:g}) is more than {LONGEST:g} m from where the map "
+                "begins; check its unit and that number"
+            )
+    keep_out = HatchedKeepOut(scenario)
     # In a map that it knows the robot may be anywhere.
     near = wall_distance(start[:2], keep_out) < scenario.robot.radius
     if near.any() and not scenario.explorer.known_map:
         where = f"at ({start[0]:g}, {start[1]:g}), or nearer to it than its radius, {scenario.robot.radius:g} m"
         raise ScenarioError(f"explorer.keep_out: the robot starts in it, {where}; move its corners or the start")
-    return transform(inverse(MapFrame(scenario, start)), keep_out.reshape(-1, 2)).reshape(-1, 4)
+    return transform(inverse(X_WM), keep_out.reshape(-1, 2)).reshape(-1, 4)
 
 
 def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
@@ -607,8 +633,8 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
 
 
 def _CheckWorld(scenario: Scenario, source: str) -> None:
-    for i, corners in enumerate(scenario.explorer.keep_out):
-        if told := fault(np.array(corners, dtype=float).reshape(-1, 2)):
+    for i, corners in enumerate(_Areas(scenario)):
+        if told := fault(corners):
             mend = "give the three or more corners [x, y] of a polygon, in their order round it"
             raise ScenarioError(f"{source}: explorer.keep_out[{i}]: {told}; {mend}")
     try:

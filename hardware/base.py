@@ -134,8 +134,10 @@ class HardwareBase(LeafSystem):
         if contradict:
             take_note("contradiction", time, CONTRADICT)
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
-        for line in [*lines, *self.devices.take_remarks()]:
+        for line in lines:
             _log.warning("%.2f s: %s", time, line)
+        for line in self.devices.take_remarks():
+            take_note("sensor", time, line)
         self._state.set(state, replace(now, watch=watch, scans=scans))
         return EventStatus.Succeeded()
 
@@ -176,7 +178,8 @@ class HardwareBase(LeafSystem):
         if wrong:
             self._device.lock(wrong[0])
         else:
-            _log.info("%.2f s: scan, tags and odometry agree on how it turned", context.get_time())
+            seen = "scan" if self.devices.tags is None else "scan, tags"
+            _log.info("%.2f s: %s and odometry agree on how it turned", context.get_time(), seen)
         return replace(before, heard=(), turned=True)
 
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
@@ -187,8 +190,9 @@ class HardwareBase(LeafSystem):
         stamps = {
             "odometry": self._odometry(context).stamp,
             "scan": self._inputs(context, "scan").stamp,
-            "tags": self._inputs(context, "detections").stamp,
         }
+        if self.devices.tags is not None:
+            stamps["tags"] = self._inputs(context, "detections").stamp
         stale = [name for name, stamp in stamps.items() if not now - max(before.begun, stamp) <= STALE[name]]
         if not stale:
             if before.waiting:

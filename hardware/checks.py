@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.device import BaseState, Device, DeviceError
+from tfg_drake.hardware.plausible import made_up
 from tfg_drake.hardware.remarks import battery, where
 from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.sensor import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 
 # How long is listened, s, and how often it is looked whether anything has come.
@@ -28,6 +30,11 @@ BESIDE = 0.02
 # So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
 # or the calibration: one alone may hang over what the scan meets.
 TAGS, AGREE, GREAT = 2, 0.25, 1.5
+# So many rays, and this share of them, meet something before a wall; so many scans that are the same to the last bit
+# are one, for ranges are noisy.
+LEAST_MET, MET_SHARE, SAME_SCANS = 20, 0.1, 5
+# In so few frames each tag may be in one alone.
+FEW_FRAMES = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +59,9 @@ class Heard:
 
 def check(devices: RobotDevices) -> list[Check]:
     """Listens to open devices, and says what of them is as it should be."""
-    sources = {Odometry: devices.base, Hazards: devices.base, LaserScan: devices.scan, TagDetections: devices.tags}
+    sources: dict[Any, Device | Source] = {Odometry: devices.base, Hazards: devices.base, LaserScan: devices.scan}
+    if devices.tags is not None:
+        sources[TagDetections] = devices.tags
     for kind, source in sources.items():
         source.take(kind, time.monotonic())  # What has been waiting.
     heard, end = dict.fromkeys(sources, Heard()), time.monotonic() + LISTENS
@@ -66,18 +75,24 @@ def check(devices: RobotDevices) -> list[Check]:
 
 
 def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool) -> list[Check]:
-    """All checks, in the order in which they are told. state: what the base says of itself. on_ros: its bumper and
-    cliff sensors may have no topic."""
-    scans, frames = heard[LaserScan].messages, heard[TagDetections].messages
-    answers, covered = bool(scans) and (scans[-1].ranges >= 0.0).any(), "see whether something covers the scanner"
-    return [
+    """All checks, in the order in which they are told. heard: by kind, without tags of a robot that has no source of
+    them. state: what the base says of itself. on_ros: its bumper and cliff sensors may have no topic."""
+    scans = heard[LaserScan].messages
+    checks = [
         _battery(state),
         _hazards(heard[Hazards].messages, on_ros),
         _arrives("odometry", heard[Odometry], OLDEST[Odometry], "see the base's driver"),
         _arrives("scan", heard[LaserScan], OLDEST[LaserScan], "see the scanner's driver"),
+        _rays(scans),
+    ]
+    if TagDetections not in heard:
+        return [*checks, Check("tags", "no source of them: walls are the landmarks")]
+    frames = heard[TagDetections].messages
+    return [
+        *checks,
         _arrives("tags", heard[TagDetections], OLDEST[TagDetections], "see the camera and the tags' detector"),
-        Check("rays", "some answer" if answers else "none answers", covered if scans and not answers else ""),
-        _sizes(tag_factors(scans[-1], frames) if answers else np.zeros(0)),
+        _ids(frames),
+        _sizes(tag_factors(scans[-1], frames) if scans and len(scans[-1].ranges) else np.zeros(0)),
     ]
 
 
@@ -109,6 +124,28 @@ def _arrives(name: str, heard: Heard, oldest: float, mend: str) -> Check:
         return Check(name, f"none in {LISTENS:g} s", f"{mend}, and whether its clock is this computer's")
     late = "" if heard.age <= oldest else f"its clock is behind this computer's, or it is slow: {mend}"
     return Check(name, f"{len(heard.messages) / LISTENS:.0f} a second, {heard.age:.2f} s old", late)
+
+
+def _rays(scans: Sequence[LaserScan]) -> Check:
+    if not scans:
+        return Check("rays", "no scan to count them in")
+    rays = len(scans[-1].ranges)
+    met = int(np.median([np.count_nonzero((one.ranges > 0.0) & (one.ranges < np.inf)) for one in scans]))
+    frozen = len(scans) >= SAME_SCANS and len({one.ranges.tobytes() for one in scans}) == 1
+    mend = ""
+    if met < max(LEAST_MET, MET_SHARE * rays):
+        mend = "see whether something covers the scanner, and put the robot a metre or two before a wall"
+    elif frozen:
+        mend = "all scans are the same to the last bit, so they are one: start the scanner's driver anew"
+    return Check("rays", f"{met} of {rays} meet something", mend)
+
+
+def _ids(frames: Sequence[TagDetections]) -> Check:
+    """Whether tags are seen again, as a robot that stands should see them."""
+    ids = [one.ids for one in frames if len(one.ids)]
+    return Check(
+        "tag ids", f"{len({*np.concatenate(ids)}) if ids else 0}", made_up(ids) if len(ids) > FEW_FRAMES else ""
+    )
 
 
 def _sizes(factors: FloatArray) -> Check:

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 # Whose mounts and topics hold where nobody says otherwise.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
-# What a base without ROS may be given.
-_GIVE = {"tags": "camera:/dev/video0, socket:HOST:PORT", "scan": "rplidar:DEVICE, realsense:, socket:HOST:PORT"}
+# As a source of tags: the robot has none, whatever its preset says.
+NO_TAGS = "none"
 
 
 @dataclasses.dataclass(frozen=True)
 class RobotDevices:
-    """base: a device. tags, scan: sources of TagDetections and LaserScan.
+    """base: a device. tags, scan: sources of TagDetections and LaserScan; tags None of a robot that has none.
 
     limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
     and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
@@ -36,7 +36,7 @@ class RobotDevices:
     """
 
     base: Device
-    tags: Source
+    tags: Source | None
     scan: Source
     limits: Limits
     publisher: SensorSource | None = None
@@ -74,6 +74,9 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         raise DeviceError(str(error)) from None
     cameras = _cameras(config)
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
+    if config.tags == NO_TAGS:
+        del specs["tags"]
+        preset = dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, detections=None))
     if cameras:
         specs["tags"] = cameras[0][0]
     parsed = {use: parse_source(spec) for use, spec in specs.items()}
@@ -81,10 +84,9 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     if on_ros:
         limits = _lesser(preset.limits, limits)
         preset = dataclasses.replace(preset, limits=limits)
-    own = {"tags": on_ros and preset.topics.detections is not None, "scan": on_ros}
-    for use in own:
-        if use not in specs and not own[use]:
-            raise DeviceError(f"{config.robot}: no source of {use}; give --{use} {_GIVE[use]} or ros2:/TOPIC")
+    if not on_ros and "scan" not in specs:
+        give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
+        raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
     view = _view(cameras) if cameras else None
     graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
@@ -93,7 +95,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
         sources = open_sources(specs, preset, graph, config)
         opened += sources.values()
-        tags: list[Source] = [sources["tags"]]
+        tags: list[Source] = [sources["tags"]] if "tags" in sources else []
         for text, camera in cameras[1:]:
             further = open_sources({"tags": text}, preset, None, dataclasses.replace(config, camera=camera))["tags"]
             tags.append(further)
@@ -106,7 +108,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     scan: Source = sources["scan"]
     return RobotDevices(
         base,
-        CamerasSource(tags) if len(tags) > 1 else tags[0],
+        CamerasSource(tags) if len(tags) > 1 else next(iter(tags), None),
         SweepSource(scan, base.odometry_near) if scanner == "rplidar" else scan,
         limits,
         sources.get("base"),

@@ -43,17 +43,20 @@ class HardwareSensor(LeafSystem):
     a message still appears at its time.
     """
 
-    def __init__(self, name: str, source: Source, empty: LaserScan | TagDetections, clock: HostClock) -> None:
-        """name: of the port. empty: the message before there is any, stamped -inf."""
+    def __init__(self, name: str, source: Source | None, empty: LaserScan | TagDetections, clock: HostClock) -> None:
+        """name: of the port. source: None of a sensor that the robot does not have. empty: the message before there is
+        any, stamped -inf."""
         super().__init__()
         self._source, self._clock = source, clock
         self._kind: Any = type(empty)
         self._message = MessageState(self, empty)
         self.DeclareStateOutputPort(name, self._message.index)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        if source is not None:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         now = context.get_time()
+        assert self._source is not None
         taken = self._source.take(self._kind, self._clock.host(now))
         if not taken:
             return EventStatus.DidNothing()

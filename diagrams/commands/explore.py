@@ -26,7 +26,17 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "pace", "visualizer", "run_folder", "port_recording", "slam.sensors", "world")
+REMARKING = (
+    "hardware",
+    "notes",
+    "operator",
+    "pace",
+    "port_recording",
+    "run_folder",
+    "slam.sensors",
+    "visualizer",
+    "world",
+)
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -46,20 +56,24 @@ def replayed_run(robot: str) -> Path | None:
     return folder
 
 
-def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> tuple[str, str]:
-    """Method and robot of a mission that is gone on with. Raises BadInput where there is none, or where something is
-    given that it has already."""
+def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
+    """The method of a mission that is gone on with. Raises BadInput where there is none, where something is given that
+    it has already, or something is not that the run must not say by itself: a real robot, a file that is run."""
     from tfg_drake.storage.checkpoint import read_told
 
     told = read_told(run)
     for option, value in given.items():
         if value is not None:
             bad_input(f"{option}: is that of the run which is resumed; leave it out")
-    if method != "tfg" and method != told["source"]:
-        bad_input(f"--method {method}: the run that is resumed has {told['source']}; leave it out")
-    if robot not in ("sim", told["robot"]):
+    if told["own"] and not method.endswith((".py", ".csv")):
+        bad_input(f"--resume {run}: its method, {told['method']}, is somebody's own; give it again: --method FILE")
+    if not told["own"] and method not in ("tfg", told["method"]):
+        bad_input(f"--method {method}: the run that is resumed has {told['method']}; leave it out")
+    if robot == "sim" != told["robot"]:
+        bad_input(f"--resume {run}: that run drove a real robot; give it again: --robot {told['robot']}")
+    if robot != told["robot"]:
         bad_input(f"--robot {robot}: the run that is resumed drove {told['robot']}; leave it out")
-    return told["source"], told["robot"]
+    return method if told["own"] else str(told["method"])
 
 
 def is_real(robot: str) -> bool:
@@ -245,7 +259,7 @@ def progress_line(progress: Progress) -> str:
         return f"{where} {progress.word}"
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return f"{where}{progress.landmarks:4d} tags {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
+    return f"{where}{progress.landmarks:>9} {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
 
 
 def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
@@ -271,6 +285,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         "time": f"{summary['sim_time_s']:.1f} s, {number(summary['real_time_factor'], '{:.1f}')} x real time",
         "driven": f"{number(summary['distance_m'], '{:.1f}')} m, {summary['stages']} stages",
         "tags": "-",
+        "walls": f"{summary['walls_mapped']} mapped",
         "map": "-",
         "pose error": "-",
         "coverage": "-",
@@ -308,4 +323,8 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         clearance = number(summary["min_clearance_m"], "{:.2f}")
         caused = f"{summary['contacts']} by the robot, {summary['contacts_received']} by others"
         rows["safety"] = f"contacts: {caused}; least clearance {clearance} m"
+    if not summary["walls_mapped"]:
+        del rows["walls"]
+    elif not (mapped or present or summary["landmarks_doubtful"]):
+        del rows["tags"]
     return list(rows.items())

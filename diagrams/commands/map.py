@@ -39,6 +39,8 @@ FORMATS = {
 SUFFIXES = tuple(dict.fromkeys(suffix for suffix, _, _ in FORMATS.values()))
 # Of the formats of two files, the suffix of the second.
 BESIDE = {"gtsam": ".values", "map_server": ".pgm"}
+# What says nothing of walls, and what has the poses besides.
+OF_TAGS, OF_GRAPH = ("csv", "tagslam", "apriltag_ros", "wpilib"), ("g2o", "gtsam")
 _NAMED = ", ".join(name if f".{name}" == one[0] else f"{name} ({one[0]})" for name, one in FORMATS.items())
 
 
@@ -111,6 +113,7 @@ def export(
     check_positive("--tag-height", tag_height, "m")
     check_positive("--tag-size", tag_size, "m")
     saved = _load(map_file)
+    _check_not_empty(saved, map_file, name)
     with writing(out):
         if name == "html":
             _write_page(saved, map_file, out)
@@ -125,7 +128,22 @@ def export(
             _write(saved, out, name, arguments)
     files = [out, out.with_suffix(BESIDE[name])] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    print(f"{', '.join(map(str, files))}: {len(saved.ids)} landmarks, {size / 1e3:.0f} kB")
+    walls = (len(saved.graph.ids) - len(saved.ids)) // 2
+    landmarks = f"{len(saved.ids)} landmarks" if len(saved.ids) or not walls else f"{walls} walls"
+    print(f"{', '.join(map(str, files))}: {landmarks}, {size / 1e3:.0f} kB")
+
+
+def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
+    """Raises BadInput where a format has nothing to say of the map."""
+    if name in OF_TAGS:
+        from tfg_drake.mapfile.tag_layout import left_out
+
+        said = len(saved.ids) if name == "csv" else (saved.facing.any(axis=1) & ~saved.is_doubtful).sum()
+        why = "; ".join(["has no tags" if not len(saved.ids) else "has no tag to tell", *left_out(saved)])
+        if not said:
+            bad_input(f"{map_file}: {why}; its walls go to another format, such as .dxf, .geojson, .svg or .yaml")
+    elif name not in OF_GRAPH and not (len(saved.ids) or len(saved.tfg.segments)):
+        bad_input(f"{map_file}: has neither tags nor walls yet, so there is nothing to draw; let the robot see more")
 
 
 def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> None:

@@ -1,47 +1,62 @@
-"""The state of a diagram's Context as plain values, and back."""
+"""The state of a diagram's Context as values with their annotations, and back."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
+from tfg_drake.messages import FloatArray
 
-def state_of(diagram: Diagram, root: Context) -> dict[str, list[Any]]:
-    """Discrete and abstract state of the systems of a diagram that have any, by path, such as "/explorer/follower".
+# A RandomSource is advanced by so many s at a time: between two a signal is heard.
+_STEP = 600.0
+
+
+def kinds_of(diagram: Diagram, root: Context, under: str) -> dict[str, Any]:
+    """The annotations of discrete and abstract state, (FloatArray, ..., kind of the first message, ...), of the systems
+    of a diagram that have any, by path, such as "/explorer/follower"; of those whose path begins with `under`.
 
     A RandomSource is left out: the time says what it has drawn.
     """
     found = {}
     for path, system in _systems(diagram):
-        context = system.GetMyContextFromRoot(root)
-        parts: list[Any] = []
-        if not isinstance(system, RandomSource):
-            parts += [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
-            parts += [context.get_abstract_state(i).get_value() for i in range(context.num_abstract_states())]
-        if parts:
-            found[path] = parts
+        vectors, messages = _values(system.GetMyContextFromRoot(root))
+        if path.startswith(under) and (vectors or messages) and not isinstance(system, RandomSource):
+            found[path] = tuple[tuple([FloatArray] * len(vectors) + [type(one) for one in messages])]  # type: ignore[misc]
     return found
 
 
-def restore_state(diagram: Diagram, root: Context, states: Mapping[str, list[Any]], time: float, under: str) -> None:
-    """Sets the time, s, and the state of the systems whose path begins with `under`.
+def state_of(diagram: Diagram, root: Context, kinds: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Annotation and state of the systems that have `kinds`, by path."""
+    found = {}
+    for path, system in _systems(diagram):
+        if path in kinds:
+            vectors, messages = _values(system.GetMyContextFromRoot(root))
+            found[path] = kinds[path], (*vectors, *messages)
+    return found
 
-    Systems that are new keep their first state. A RandomSource, whose seed the Context has, draws alone up to that
-    time.
+
+def restore_state(
+    diagram: Diagram, root: Context, states: Mapping[str, tuple[Any, ...]], time: float, under: str
+) -> None:
+    """Sets the time, s, and the state of systems by path.
+
+    Systems that are new keep their first state. A RandomSource whose path begins with `under`, and whose seed the
+    Context has, draws alone up to that time. Raises what Drake raises of a vector that has another size.
     """
     for path, system in _systems(diagram):
         context = system.GetMyMutableContextFromRoot(root)
-        if not path.startswith(under):
-            continue
-        if isinstance(system, RandomSource):
+        if isinstance(system, RandomSource) and path.startswith(under):
             alone = Simulator(system)
             alone.get_mutable_context().SetStateAndParametersFrom(context)
             alone.Initialize()
-            alone.AdvanceTo(time)
+            for step in range(math.ceil(time / _STEP)):
+                alone.AdvanceTo(min((step + 1) * _STEP, time))
             context.SetStateAndParametersFrom(alone.get_context())
         elif path in states:
             parts = iter(states[path])
@@ -50,6 +65,18 @@ def restore_state(diagram: Diagram, root: Context, states: Mapping[str, list[Any
             for i in range(context.num_abstract_states()):
                 context.get_mutable_abstract_state(i).set_value(next(parts))
     root.SetTime(time)
+
+
+def _values(context: Context) -> tuple[list[FloatArray], list[Any]]:
+    vectors = [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
+    return vectors, [_value(context.get_abstract_state(i)) for i in range(context.num_abstract_states())]
+
+
+def _value(state: AbstractValue) -> Any:
+    try:
+        return state.get_value()
+    except RuntimeError:  # It is one of C++ alone.
+        return state
 
 
 def _systems(part: System, path: str = "") -> Iterator[tuple[str, System]]:

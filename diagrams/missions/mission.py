@@ -16,16 +16,27 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus, System
 from pydrake.systems.primitives import VectorLog, VectorLogSink
 
+from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
-from tfg_drake.diagrams.missions.context_state import restore_state, state_of
+from tfg_drake.diagrams.missions.context_state import kinds_of, restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
-from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray, GoalChoice, GridMap, MapEstimate, MissionStatus, PoseEstimate, TfgMap
+from tfg_drake.mapfile.message_arrays import to_arrays
+from tfg_drake.mapfile.saved_map import REGISTRY, SavedMap, whole_map
+from tfg_drake.messages import (
+    FloatArray,
+    GoalChoice,
+    GridMap,
+    MapEstimate,
+    MissionStatus,
+    PoseEstimate,
+    TfgMap,
+    is_tag,
+)
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.notes import Note
 from tfg_drake.pictures import scene
@@ -34,10 +45,13 @@ from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import random_walks
 from tfg_drake.slam.shared import Shared, exactly_known
+from tfg_drake.storage.checkpoint import CheckpointError
 from tfg_drake.storage.port_recording import GOAL, PortWriter
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import CpuMeter
+from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.world.changing import world_at
 from tfg_drake.world.world import World
 
@@ -65,8 +79,6 @@ STAGE_FIELDS = (
     "entropy_nats",
     "landmarks",
 )
-# What a mission has noted of itself, besides its Context.
-_STATE = ("stages", "departures", "map", "stage_cpu", "resumed", "_choice", "notes")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -83,7 +95,7 @@ def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     return "".join(json.dumps(record) + "\n" for record in stages)
 
 
-def _looking_round(systems: Mapping[str, list[Any]], time: float) -> dict[str, list[Any]]:
+def _looking_round(systems: Mapping[str, tuple[Any, ...]], time: float) -> dict[str, tuple[Any, ...]]:
     """The state of an explorer whose robot looks for itself in the map from a time on, s; empty where there is none."""
     parts = [part for system in systems.values() for part in system]
     known = next((part.map for part in parts if isinstance(part, EstimatorState)), None)
@@ -95,7 +107,7 @@ def _looking_round(systems: Mapping[str, list[Any]], time: float) -> dict[str, l
             return MissionStatus(phase="observe", stage=known.stage, since=time, path_id=part.path_id)
         return carried(part) if isinstance(part, EstimatorState) else part
 
-    return {path: [changed(part) for part in system] for path, system in systems.items()}
+    return {path: tuple(map(changed, system)) for path, system in systems.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +121,21 @@ class Departure:
     stamp: float
     X_MD: FloatArray
     covariance: FloatArray
+
+
+# What a mission has noted of itself, besides its Context: in a checkpoint, annotated.
+STATE: Mapping[str, Any] = {
+    "stages": list[dict[str, int | float | list[float] | None]],
+    "departures": list[Departure],
+    "map": MapEstimate | None,
+    "stage_cpu": dict[int, float],
+    "resumed": list[float],
+    "_choice": GoalChoice | None,
+    "notes": list[Note],
+}
+# And of what it has cost.
+_COSTS = ("cpu_time", "wall_time")
+_LOGS = list[tuple[FloatArray, FloatArray]]
 
 
 class Mission:
@@ -132,7 +159,7 @@ class Mission:
         writer: PortWriter | None = None,
         timeline: TimelineWriter | None = None,
         cockpit: Cockpit | None = None,
-        before: Mapping[str, Any] | None = None,
+        before: Packed | None = None,
     ) -> None:
         """writer: where the station's ports are recorded, timeline: where the picture is. before: the `state` of a
         mission to go on with. See `explore` for the others."""
@@ -144,7 +171,7 @@ class Mission:
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
         self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
-        self._before = before
+        self._before, self._under = before, "/explorer" if robot.real else ""
         if timeline is not None and before is None:
             self._begin_timeline(timeline, title)
         self._meshcat = meshcat
@@ -175,44 +202,61 @@ class Mission:
         write: Callable[[str], object] = lambda _line: None,
     ) -> None:
         """Build the diagram, to be advanced from then on. monitor: called with its Context after every step. write:
-        takes a line a stage."""
+        takes a line a stage. Raises CheckpointError where it does not fit the state of the mission before."""
         self._write = write
         self._build(monitor)
-        if self._before is not None:
+        if self._before is None:
+            self.simulator.Initialize()
+            self.observe()
+            return
+        try:
             self._go_on(self._before)
-        self.simulator.Initialize()
-        self.observe()
+            self.simulator.Initialize()
+            self.observe()
+        except CheckpointError:
+            raise
+        except (Exception, SystemExit) as error:  # Anything may come of values that are not what they should be.
+            raise self._before.complaint(error) from error
 
-    def state(self) -> dict[str, Any]:
-        """All that a mission needs to go on from here, between two instants."""
+    def state(self) -> dict[str, tuple[Any, Any]]:
+        """All that a mission needs to go on from here, between two instants: annotation and value of each part."""
         assert self._context is not None
         self.account()
         logs = [(log.sample_times(), log.data()) for log in self._find_logs(self._context)]
         return {
-            "time": self.time,
-            "systems": state_of(self.simulator.get_system(), self._context),
-            "logs": [(times[times < self.time], data[:, times < self.time]) for times, data in logs],
-            "spent": self.meter.spent,
-            "cpu_time": self.cpu_time,
-            "wall_time": self.wall_time,
-            "mission": {name: getattr(self, name) for name in _STATE},
+            "time": (float, self.time),
+            **state_of(self.simulator.get_system(), self._context, self._kinds),
+            "logs": (_LOGS, [(times[times < self.time], data[:, times < self.time]) for times, data in logs]),
+            "spent": (dict[str, float], self.meter.spent),
+            **{name: (float, getattr(self, name)) for name in _COSTS},
+            **{name: (hint, getattr(self, name)) for name, hint in STATE.items()},
         }
 
-    def _go_on(self, state: Mapping[str, Any]) -> None:
-        """Puts everything back; of a real robot, which may be elsewhere now, what explores, and it looks round."""
+    def _go_on(self, before: Packed) -> None:
+        """Puts everything back; of a real robot, which may be elsewhere now, what explores, and it looks round.
+
+        Raises ValueError or what Drake raises where something is not what it should be.
+        """
         assert self._context is not None
-        systems, under = state["systems"], "/explorer" if self.robot.real else ""
+        time, logs = before.take("time", float), before.take("logs", _LOGS)
+        if not 0.0 <= time <= ODOMETRY_PERIOD * len(logs[-2][0]):
+            raise ValueError("time does not fit the logs")
+        systems = {path: before.take(path, kind) for path, kind in self._kinds.items() if path in before.names}
         if self.robot.real:
-            systems = _looking_round(systems, state["time"])
-        restore_state(self.simulator.get_system(), self._context, systems, state["time"], under)
-        for log, (times, data) in zip(self._find_logs(self._context), state["logs"], strict=True):
+            systems = _looking_round(systems, time)
+        restore_state(self.simulator.get_system(), self._context, systems, time, self._under)
+        for log, (times, data) in zip(self._find_logs(self._context), logs, strict=True):
             for stamp, column in zip(times, data.T, strict=True):
                 log.AddData(stamp, column)
-        self.meter.spent.update(state["spent"])
-        self.wall_start -= state["wall_time"]
-        self._cpu_start -= state["cpu_time"]
-        self.notes[:0] = state["mission"]["notes"]
-        vars(self).update(state["mission"] | {"notes": self.notes})
+        self.meter.spent.update(before.take("spent", dict[str, float]))
+        cpu_time, wall_time = (before.take(name, float) for name in _COSTS)
+        self.wall_start -= wall_time
+        self._cpu_start -= cpu_time
+        told = {name: before.take(name, hint) for name, hint in STATE.items()}
+        self.notes[:0] = told["notes"]
+        vars(self).update(told | {"notes": self.notes})
+        if (known := self.newest_map()) is not None:
+            whole_map(to_arrays(known, REGISTRY))
         self.resumed = [*self.resumed, self.time]
         _log.info("goes on from %.2f s", self.time)
 
@@ -318,6 +362,12 @@ class Mission:
         return state.map if state is not None else None
 
     @property
+    def walls(self) -> int:
+        """How many walls are landmarks of the newest map."""
+        landmarks = self.landmarks
+        return 0 if landmarks is None else int(np.count_nonzero(~is_tag(landmarks.ids))) // 2
+
+    @property
     def world_then(self) -> World | None:
         """The world as the mission left it, None where it is not known."""
         if self.world is None or not self.scenario.reality.changes:
@@ -365,7 +415,11 @@ class Mission:
         context = self.explorer.GetMyContextFromRoot(self._context)
         state = StateOfExplorer(self.explorer, context)
         # Of an estimator that says no more than its map, that is the final one.
-        self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
+        self._final = state
+        try:
+            self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
+        except EstimateLost as error:
+            self.outcome, self.reason, self.failure = "fault", str(error), error
         return MapOfExplorer(self.explorer, context, self.X_WM, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
@@ -416,6 +470,7 @@ class Mission:
         self.meter.attach(self.explorer)
         self._context = self.simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))
+        self._kinds = kinds_of(diagram, self._context, self._under)
 
     def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
         """What stays as it is: the true world, the robot, and what its sensors reach."""

@@ -14,11 +14,13 @@ import numpy as np
 from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus
 
+from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.missions.mission import STEP, Mission
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mission.interruption import NAMES, Interruption
+from tfg_drake.storage.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
@@ -41,15 +43,15 @@ _log = logging.getLogger("tfg_drake.run")
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map, area seen
-    (m^2), error of the estimated position (m), nan where the truth is not known; outcome: "" until it has ended; word:
-    what else is done meanwhile."""
+    """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map as they are
+    told, such as "3 tags", area seen (m^2), error of the estimated position (m), nan where the truth is not known;
+    outcome: "" until it has ended; word: what else is done meanwhile."""
 
     time: float
     wall_time: float
     phase: str
     stage: int
-    landmarks: int
+    landmarks: str
     area: float
     position_error: float
     outcome: str = ""
@@ -84,7 +86,7 @@ class MissionRunner:
     ) -> None:
         """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
         keep: called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises
-        ends the mission. warm_up: as for `explore`."""
+        ends the mission. warm_up: as for `explore`. Raises CheckpointError where there is nothing to go on from."""
         keep = keep or (lambda _now: None)
         mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
         try:
@@ -109,10 +111,14 @@ class MissionRunner:
                 mission.observe()
             mission.say(f"{mission.outcome.replace('_', ' ')}: solving the whole map")
             mission.show()
+        except CheckpointError:  # There is no mission.
+            raise
         except (Exception, SystemExit) as error:  # Drake's failed assertions come as SystemExit.
             first_line = next(iter(str(error).strip().splitlines()), "no message")
             mission.outcome, mission.failure = "fault", error
             mission.reason = f"{type(error).__name__} at {mission.time:.2f} s: {first_line}"
+            if isinstance(error, EstimateLost):
+                mission.reason = first_line
             _log.exception("the mission failed at %.3f s", mission.time)
         finally:
             mission.robot.close()
@@ -194,20 +200,26 @@ class MissionRunner:
         mission, wall_time = self._mission, time.monotonic() - self._mission.wall_start
         if mission.outcome or wall_time >= self._next_area:
             self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
-        status, landmarks = mission.status, len(mission.map.ids) if mission.map is not None else 0
+        status = mission.status
         self._on_progress(
             Progress(
                 mission.end_time,
                 wall_time,
                 status.phase,
                 status.stage,
-                landmarks,
+                _landmarks(mission),
                 self._area,
                 mission.position_error(),
                 mission.outcome,
                 mission.word,
             )
         )
+
+
+def _landmarks(mission: Mission) -> str:
+    """The tags in the map or, where there is none, the walls."""
+    tags = len(mission.map.ids) if mission.map is not None else 0
+    return f"{tags} tags" if tags or not mission.walls else f"{mission.walls} walls"
 
 
 def _seen_area(mission: Mission) -> float:

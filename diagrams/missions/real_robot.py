@@ -39,11 +39,12 @@ def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Rob
     """
     devices = dataclasses.replace(open_devices(scenario.hardware, scenario.robot), checked=checked)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
+        bounded = Bounded(scenario, devices)
         if checked:
             checks = check(devices)
             print(*checks, sep="\n", flush=True)
             refuse(checks)
-        yield RobotOf(scenario, devices, [keyboard.requests]), Bounded(scenario, devices)
+        yield RobotOf(scenario, devices, [keyboard.requests]), bounded
 
 
 def RobotOf(

@@ -70,7 +70,8 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
     if world is not None:
-        known = KnownWorld(world, mission.scenario, None if true_poses is None else true_poses[1][-1])
+        newest = None if true_poses is None or not len(true_poses[1]) else true_poses[1][-1]
+        known = KnownWorld(world, mission.scenario, newest)
         reachable = known.reachable
         summary |= known.map_figures(mission, estimate, tfg)
         unreachable = ", ".join(map(str, world.tag_ids[~reachable].tolist()))
@@ -143,6 +144,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "landmarks_mapped": None if mission.grid is not None else int(np.count_nonzero(sure)),
         "landmarks_doubtful": None if mission.grid is not None else doubtful.tolist(),
         "landmarks_extra": None,
+        "walls_mapped": None if mission.grid is not None else mission.walls,
         "landmark_rmse_m": None,
         "landmark_error_max_m": None,
         "landmark_rmse_aligned_m": None,
@@ -231,8 +233,8 @@ def _title(summary: dict[str, Any]) -> str:
             f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
             f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
-    elif mapped:
-        parts.append(f"{mapped} landmarks")
+    elif mapped or summary["walls_mapped"]:
+        parts.append(f"{mapped} landmarks" if mapped else f"{summary['walls_mapped']} walls as landmarks")
     if summary["contacts"] is not None:
         parts.append(
             f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"

@@ -1,26 +1,34 @@
-"""A mission that was cut short, to go on with: by a kill, a crash, an empty battery, Ctrl-C or its time limit."""
+"""A mission that was cut short, to go on with: by a kill, a crash, an empty battery, Ctrl-C or its time limit.
+
+Its folder may be somebody else's: it says neither which robot is driven nor which code is run.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import shutil
 from pathlib import Path
-from typing import Any
 
+from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.missions.run_folder import RESULTS
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
-from tfg_drake.storage.checkpoint import read_checkpoint
+from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME as PORTS
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
-# What a mission goes on with.
-_FILES = ("scenario.yaml", CHECKPOINT, PORTS, TIMELINE, "map.npz", "grid.npz", "known_map.npz", "log.txt")
+# The map that a mission began with, in its folder.
+KNOWN_MAP = "known_map.npz"
+# What a mission goes on with; a copy without the last cannot be gone on with.
+_FILES = ("scenario.yaml", KNOWN_MAP, PORTS, TIMELINE, "map.npz", "grid.npz", "log.txt", CHECKPOINT)
 
 
 @dataclasses.dataclass(frozen=True)
 class CutShort:
-    """folder: where it goes on. scenario: all that defines it. name, world_name, robot: what these are called. method:
-    the name or path of what explores. state: see `Mission.state`."""
+    """folder: where it goes on. scenario: all that defines it. name, world_name, robot, method: what these are called.
+    own: the method is a file or has parts of somebody's own. state: see `Mission.state`."""
 
     folder: Path
     scenario: Scenario
@@ -28,23 +36,43 @@ class CutShort:
     world_name: str
     robot: str
     method: str
-    state: dict[str, Any]
+    own: bool
+    state: Packed
 
 
 def cut_short(run: Path, out: Path | None = None) -> CutShort:
-    """A mission that was cut short, from its folder. out: where it goes on instead, a copy; it need not be there yet.
+    """A mission that was cut short, from its folder, or the checkpoint in it.
+
+    out: where it goes on instead, a copy; it need not be there yet.
 
     Raises:
         CheckpointError: the folder holds none, or it cannot be gone on with.
         OSError: it cannot be copied.
     """
     told, state = read_checkpoint(run)
-    if out is not None and out.resolve() != run.resolve():
-        out.mkdir(parents=True, exist_ok=True)
-        for name in _FILES:
-            (out / name).unlink(missing_ok=True)
-            if (run / name).is_file():
-                shutil.copyfile(run / name, out / name)
+    run = run if run.is_dir() else run.parent
+    if not told["own"] and told["method"] not in METHODS:
+        raise CheckpointError(f"{run}: no method is called {told['method']}; begin a mission with its map: --map {run}")
+    for name in _FILES:
+        if (run / name).is_symlink():
+            raise CheckpointError(f"{run / name}: is a link; put the file itself there")
+    if scenario_digest(run) != told["scenario_digest"]:
+        mend = f"put it back as it was, or begin a mission with the run's map: --map {run}"
+        raise CheckpointError(f"{run / 'scenario.yaml'}: it, or the map begun with, is not that of the run; {mend}")
     folder = run if out is None else out
-    names = told["scenario"], told["world"], told["robot"], told["source"]
+    if folder.resolve() != run.resolve():
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in RESULTS:
+            (folder / name).unlink(missing_ok=True)
+        for name in _FILES:
+            if (run / name).is_file():
+                (folder / name).unlink(missing_ok=True)
+                shutil.copyfile(run / name, folder / name)
+    names = told["scenario"], told["world"], told["robot"], told["method"], told["own"]
     return CutShort(folder, LoadScenario(folder / "scenario.yaml"), *names, state)
+
+
+def scenario_digest(run: Path) -> str:
+    """Tells whether what defines a run is what it was: its scenario and the map that it begins with."""
+    files = [run / name for name in ("scenario.yaml", KNOWN_MAP)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()

@@ -17,7 +17,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,21 +28,25 @@ from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.missions.mission import Mission, stage_lines
+from tfg_drake.diagrams.missions.mission import STATE, Mission, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
 from tfg_drake.diagrams.missions.report import write_report
+from tfg_drake.diagrams.missions.resume import KNOWN_MAP, scenario_digest
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.robots import SIMULATED, Robot
-from tfg_drake.diagrams.scenario import MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import AreasOutside, MakeWorld, Scenario
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
 from tfg_drake.notes import Note, NoteKeeper
+from tfg_drake.storage import port_recording
+from tfg_drake.storage import timeline as timeline_file
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
 from tfg_drake.storage.checkpoint import write_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
+from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
@@ -56,8 +60,6 @@ if TYPE_CHECKING:
 # killed a few seconds of work are lost, ten in a large building.
 KEPT_SHARE = 0.01
 CHECKPOINT_SHARE = 0.02
-# The map that a mission began with, in its folder.
-KNOWN_MAP = "known_map.npz"
 
 # What the page's last card says of the summary.
 TOLD_AT_THE_END = (
@@ -68,6 +70,7 @@ TOLD_AT_THE_END = (
     "stages",
     "landmarks_mapped",
     "landmarks_reachable",
+    "walls_mapped",
     "landmark_rmse_m",
     "landmark_rmse_aligned_m",
     "position_error_m",
@@ -111,7 +114,7 @@ def run_mission(
     warm_up: WarmUp | None = None,
     monitor: Callable[[Mission], Callable[[Context], EventStatus]] | None = None,
     notes: Sequence[Note] = (),
-    before: Mapping[str, Any] | None = None,
+    before: Packed | None = None,
 ) -> RunResult:
     """Run one mission to its end and write its folder.
 
@@ -139,14 +142,16 @@ def run_mission(
     Either way what there is gets written.
 
     Raises:
+        FileError: the mission that is in out_dir cannot be gone on with.
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
     with open_run_folder(out_dir, f"{name}-{scenario.seed}", goes_on=before is not None) as folder, folder.logging():
-        scenario = _with_map_kept(scenario, folder.path)
+        if before is None:
+            scenario = _with_map_kept(scenario, folder.path)
         _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
         if record and robot.world_known:
-            for line in odd_tags(MakeWorld(scenario.world)):
+            for line in (*odd_tags(MakeWorld(scenario.world)), *AreasOutside(scenario)):
                 _of_world.warning(line)
         title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
@@ -157,7 +162,8 @@ def run_mission(
             stack.callback(gc.collect)
             writer = timeline = None
             if record:
-                ports, picture = (None, None) if before is None else (before["ports"], before["timeline"])
+                ports = None if before is None else before.take("ports", port_recording.Standing)
+                picture = None if before is None else before.take("timeline", timeline_file.Standing)
                 writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name, ports))
                 watched = (lambda: cockpit.watched) if cockpit is not None else (lambda: False)
                 timeline = stack.enter_context(TimelineWriter(folder.path / TIMELINE, watched, picture))
@@ -171,10 +177,11 @@ def run_mission(
             mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit, before)
             mission.notes += notes
             stack.enter_context(NoteKeeper(mission.notes))
-            rows = [] if before is None else before["mission"]["stages"]
+            rows = [] if before is None else before.take("stages", STATE["stages"])
             folder.attempt("stages.jsonl", lambda path: write_atomic(path, stage_lines(rows)))
             told = {"scenario": name, "world": world_name or name, "seed": scenario.seed, "robot": robot.name}
-            told |= {"method": method.name, "source": method.source or method.name}
+            told |= {"method": method.name, "own": bool(method.source) or method.name not in METHODS}
+            told["scenario_digest"] = scenario_digest(folder.path)
             keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
             runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
             looks_on = monitor(mission) if monitor is not None else None
@@ -243,11 +250,16 @@ class _Keeper:
         mission = self._mission
         if not math.isinf(mission.robot.end_time):
             return False
-        state = {**mission.state(), "ports": self._writer.standing(), "timeline": self._timeline.standing()}
+        state = mission.state()
+        state["ports"] = port_recording.Standing, self._writer.standing()
+        state["timeline"] = timeline_file.Standing, self._timeline.standing()
         stamps, X_WB = mission.estimated_poses()
         told = {**self._told, "sim_time_s": mission.time, "stamps": stamps, "X_WB": X_WB}
         told["contacts"] = None if mission.truth is None else mission.truth.contacts
-        self._folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, told, state))
+        try:
+            self._folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, told, state))
+        except TypeError as error:  # A part of somebody's own may keep anything.
+            self._folder.lost(CHECKPOINT, OSError(f"the mission could not be gone on with: {error}"))
         return True
 
     def _keep_map(self) -> bool:

@@ -10,8 +10,12 @@ import os
 import sys
 import tempfile
 import time
+import typing
 from collections.abc import Callable, Iterator
+from io import TextIOWrapper
 from pathlib import Path
+
+from tfg_drake.io.files import open_inside
 
 # What a run leaves in its folder; sweep.json and what belongs to it is a comparison's, which goes on where it ended.
 RESULTS: tuple[str, ...] = (
@@ -172,6 +176,9 @@ class _LogFile(logging.FileHandler):
         super().__init__(folder.path / "log.txt", mode="a", encoding="utf-8")
         self._folder = folder
 
+    def _open(self) -> TextIOWrapper:
+        return typing.cast(TextIOWrapper, open_inside(Path(self.baseFilename), "a", encoding="utf-8"))
+
     def handleError(self, record: logging.LogRecord) -> None:
         error = sys.exc_info()[1]
         if isinstance(error, OSError):
@@ -188,7 +195,7 @@ class _LogFile(logging.FileHandler):
 
 def _append(path: Path, data: bytes) -> None:
     """All of it or nothing, so that a file of lines has no half one."""
-    with path.open("ab", buffering=0) as file:
+    with open_inside(path, "ab", buffering=0) as file:
         size = file.tell()
         try:
             while data:

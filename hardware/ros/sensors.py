@@ -63,15 +63,21 @@ class SensorDriver(GraphDriver):
             ]
             if base:
                 needed.append(("clock", preset.topics.odometry))
-            for _, topic in needed:
-                graph.require(topic)
-            for _, topic in needed:
-                self._find(topic)
+            for key, topic in needed:
+                self._seek(topic, mend="; or give --tags none" if key in ("detections", "camera_info") else "")
             self._listen(needed)
             self._wait({topic.name for _, topic in needed})
         except DeviceError:
             self.close()
             raise
+
+    def _seek(self, topic: Topic, mend: str) -> None:
+        """Waits until somebody publishes a topic of a type that is known here; raises DeviceError, which ends so."""
+        try:
+            self._graph.require(topic)
+            self._find(topic)
+        except DeviceError as error:
+            raise DeviceError(f"{error}{mend}") from None
 
     def _named(self, use: str, name: str) -> Topic:
         """The topic of this name, of the type that the graph has it with; raises DeviceError."""

@@ -15,6 +15,7 @@ import pytest
 
 from tests.cockpit.test_server import ask, get, port, until
 from tfg_drake.cockpit import whole_requests
+from tfg_drake.cockpit.server import Cockpit
 
 HALF = b"POST /request HTTP/1.1\r\nHost: localhost\r\nContent-Length: 19\r\n\r\n" + b'{"request": '
 REST = b'"stop"}'
@@ -58,6 +59,72 @@ def test_the_oldest_that_has_not_said_all_goes(cockpit, few, cut):
     assert halves[7].recv(65536).startswith(b"HTTP/1.0 200 OK")
     assert cockpit.requests() == ["stop"]
     assert ask(cockpit, "stop")[0] == 200
+
+
+def said_from(address, number, data):
+    """Said on a connection from another address of this machine."""
+    connection = socket.create_connection(("127.0.0.1", number), timeout=30, source_address=(address, 0))
+    connection.sendall(data)
+    return connection
+
+
+def test_a_flood_from_one_address_keeps_no_other_out(cockpit, few):
+    """Half a STOP waits for its other half, however many come meanwhile from elsewhere."""
+    half = said(port(cockpit), HALF)
+    floods = [said_from("127.0.0.2", port(cockpit), HALF) for _ in range(10)]
+    until(lambda: sum(map(is_open, floods)) == 2)
+    half.sendall(REST)
+    assert half.recv(65536).startswith(b"HTTP/1.0 200 OK")
+    assert cockpit.requests() == ["stop"]
+
+
+def test_a_stop_comes_before_all_that_is_to_be_read(monkeypatch):
+    """Also before what was said earlier."""
+    handled = []
+
+    class Handler(whole_requests.WholeRequestHandler):
+        def do_POST(self):
+            handled.append("POST")
+
+        def log_message(self, *_):
+            pass
+
+    monkeypatch.setattr(whole_requests, "ANSWERED", 4)
+    server = whole_requests.WholeRequestServer(("127.0.0.1", 0), Handler)
+    monkeypatch.setattr(server, "_begin_answer", lambda request: handled.append(request[0][:3].decode()))
+    number = server.server_address[1]
+    others = [said(number, b"GET / HTTP/1.0\r\n\r\n") for _ in range(6)] + [said(number, HALF + REST)]
+    server.service_actions()
+    # The oldest two are too many.
+    assert handled == ["POST", "GET", "GET", "GET", "GET"]
+    others += [said(number, b"GET / HTTP/1.0\r\n\r\n") for _ in range(3)]
+    begin = lambda request: handled.append("GET") or others.append(said(number, HALF + REST))  # noqa: E731
+    monkeypatch.setattr(server, "_begin_answer", begin)
+    handled.clear()
+    server.service_actions()
+    assert handled == ["GET", "POST", "GET", "POST", "GET", "POST"]
+    server.server_close()
+
+
+def test_threads_that_end_are_waited_for_before_there_are_more(cockpit, few, monkeypatch):
+    begun = []
+    monkeypatch.setattr(cockpit._server, "_begin_answer", begun.append)
+    ending = {object(): None for _ in range(4)}
+    cockpit._server.answered.update(ending)
+    waiting = said(port(cockpit), b"GET /state HTTP/1.0\r\nHost: localhost\r\n\r\n")
+    assert ask(cockpit, "stop")[0] == 200
+    assert begun == []
+    for one in ending:
+        del cockpit._server.answered[one]
+    until(lambda: len(begun) == 1)
+    waiting.close()
+
+
+def test_the_mission_hands_the_interpreter_over_soon_while_a_page_is_served(mission):
+    before = sys.getswitchinterval()
+    with Cockpit("", "robot", timeline=mission):
+        assert sys.getswitchinterval() == pytest.approx(before / 10.0)
+    assert sys.getswitchinterval() == before
 
 
 def test_half_a_request_takes_no_thread(cockpit):

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from tests.diagrams.rooms import ROOM
@@ -20,6 +21,7 @@ from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
 from tfg_drake.mission.interruption import TOGETHER
+from tfg_drake.slam import estimator
 
 
 @pytest.mark.parametrize(
@@ -148,8 +150,9 @@ def test_a_mission_from_the_command_line(call, room, tmp_path):
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["seed"], summary["scenario"]) == ("complete", 5, "room")
     # Before the table, on a slow machine, come lines of progress.
-    names = [line[:12].strip() for line in out.splitlines()[-11:-1]]
-    assert names == ["outcome", "time", "driven", "tags", "map", "pose error", "coverage", "safety", "files", "page"]
+    names = [line[:12].strip() for line in out.splitlines()[-12:-1]]
+    before, after = ["outcome", "time", "driven", "tags", "walls", "map"], ["coverage", "safety", "files", "page"]
+    assert names == [*before, "pose error", *after]
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
     assert f"\ntags        {mapped} mapped of {reachable} reachable, map error 0.0" in out
     assert "\nsafety      contacts: 0 by the robot, 0 by others; least clearance " in out
@@ -289,6 +292,27 @@ def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
 
 
+def test_an_estimate_that_is_lost_ends_with_one_line_and_the_map_before(call, room, tmp_path, monkeypatch):
+    solve, views = estimator.reduced, []
+
+    def fail_at_the_second(*args):
+        views.append(args)
+        if len(views) > 1:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return solve(*args)
+
+    monkeypatch.setattr(estimator, "reduced", fail_at_the_second)
+    code, out, err = call("explore", room, "--headless", "--out", str(tmp_path), "--tag-spacing", "1")
+    assert code == 1
+    assert err.startswith("tfg-drake: the estimate is no longer finite at ")
+    assert err.endswith(
+        "(Singular matrix); the map is kept as it was at stage 1; look at odometry and scans about then\n"
+    )
+    assert err.count("\n") == 1
+    assert "Traceback" not in out
+    assert (tmp_path / "map.npz").exists()
+
+
 def test_a_method_that_makes_no_diagram_is_told_so(call, tmp_path):
     three = tmp_path / "three.py"
     three.write_text("def MakeExplorer(scenario):\n    return 3\n")
@@ -321,7 +345,7 @@ def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, roo
 
 def test_the_progress_line():
     progress = Progress(
-        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks=63, area=412.4, position_error=0.0213
+        time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks="63 tags", area=412.4, position_error=0.0213
     )
     expected = " 120.0 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
     assert explore_command.progress_line(progress) == expected

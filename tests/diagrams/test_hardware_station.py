@@ -19,7 +19,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.emulator import Emulator
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.mission.sequence import NOT_ENABLED
 from tfg_drake.safety.velocity_filter import PRESSED
 
@@ -34,9 +34,11 @@ def port_names(diagram):
 class Station:
     """A hardware station of a fake device that runs as fast as it can."""
 
-    def __init__(self, velocity=(0.2, 0.5), enable=1.0):
+    def __init__(self, velocity=(0.2, 0.5), enable=1.0, *, tags=True):
+        """tags: there is a source of them."""
         self.device = FakeDevice()
-        self.diagram = MakeHardwareStation(Scenario(), RobotDevices(self.device, self.device, self.device, Limits()))
+        devices = RobotDevices(self.device, self.device if tags else None, self.device, Limits())
+        self.diagram = MakeHardwareStation(Scenario(), devices)
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()
         self.diagram.GetInputPort("base.velocity_commanded").FixValue(self.context, list(velocity))
@@ -166,6 +168,27 @@ def test_the_first_odometry_is_where_the_base_stands():
     assert station.read("base.odometry").X_OB[0] == pytest.approx(0.07)
 
 
+def test_scans_that_stand_while_the_odometry_drives_are_noted_once(caplog):
+    """The fake robot's odometry drives by 0.5 m/s whatever it is told; its scans here are of a room that stands."""
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = 3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ranges[(angles > 1.0) & (angles < 1.3)] = 1.5
+    with caplog.at_level(logging.WARNING, "tfg_drake"):
+        station = Station()
+        message = station.device.message
+
+        def of_a_room(kind, number):
+            said = message(kind, number)
+            return replace(said, ranges=ranges, range_max=10.0) if kind is LaserScan else said
+
+        station.device.message = of_a_room
+        station.run(16.0)
+    notes = [record.note for record in caplog.records if hasattr(record, "note")]
+    assert [note.kind for note in notes] == ["contradiction"]
+    assert 6.0 < notes[0].time_s < 12.0
+    assert "see whether the wheels slip, the scanner is frozen" in notes[0].text
+
+
 def test_a_stop_by_the_operator_locks_the_device():
     station = Station().run(1.0)
     station.enable(0.0)
@@ -217,6 +240,15 @@ def test_it_stands_while_a_sensor_is_silent(kind, name, patience, caplog):
     assert station.sent()[-1] == (0.0, 0.5)
     assert f"the base stands: no {name} for more than {patience:g} s" in caplog.text
     assert f"{name} again" in caplog.text
+
+
+def test_without_a_source_of_tags_none_is_waited_for():
+    station = Station(velocity=(0.0, 0.5), tags=False)
+    assert port_names(station.diagram) == port_names(Station().diagram)
+    station.run(70.0)
+    assert station.enabled
+    assert station.sent(since=69.0)[-1] == (0.0, 0.5)
+    assert not len(station.read("tags.detections").ids)
 
 
 def test_a_sensor_that_stays_silent_ends_the_run():

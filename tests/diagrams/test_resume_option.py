@@ -5,9 +5,9 @@ import shutil
 
 import pytest
 
+from tests.storage.test_checkpoint import TOLD
+from tfg_drake.diagrams.missions.resume import scenario_digest
 from tfg_drake.storage.checkpoint import write_checkpoint
-
-TOLD = {"scenario": "room", "world": "room", "seed": 0, "robot": "sim", "method": "tfg", "source": "tfg"}
 
 
 @pytest.fixture
@@ -15,8 +15,12 @@ def cut(tmp_path):
     """The folder of a mission that was cut short, as far as it is looked at before anything is driven."""
     folder = tmp_path / "cut"
     folder.mkdir()
-    write_checkpoint(folder / "checkpoint.bin", TOLD, {})
+    tell(folder)
     return folder
+
+
+def tell(folder, **told):
+    write_checkpoint(folder / "checkpoint.bin", {**TOLD, "scenario_digest": scenario_digest(folder), **told}, {})
 
 
 @pytest.mark.parametrize(
@@ -35,12 +39,64 @@ def test_what_a_run_has_already_is_refused(call, cut, arguments, line):
     assert call("explore", "--resume", cut, "--headless", *arguments) == (2, "", f"tfg-drake: {line}\n")
 
 
+def test_a_run_does_not_say_what_code_is_run(call, cut, tmp_path):
+    mine = tmp_path / "mine.py"
+    mine.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    tell(cut, method="mine", own=True)
+    line = f"--resume {cut}: its method, mine, is somebody's own; give it again: --method FILE"
+    for given in ([], ["--method", "paper"]):
+        assert call("explore", "--resume", cut, "--headless", *given) == (2, "", f"tfg-drake: {line}\n")
+    tell(cut, method=str(mine))
+    code, _, complaint = call("explore", "--resume", cut, "--headless")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert f"no method is called {mine}" in complaint
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_run_does_not_say_that_a_real_robot_is_driven(call, cut):
+    tell(cut, robot="kobuki")
+    line = f"--resume {cut}: that run drove a real robot; give it again: --robot kobuki"
+    assert call("explore", "--resume", cut, "--headless") == (2, "", f"tfg-drake: {line}\n")
+
+
+def test_another_scenario_is_noticed(call, cut):
+    for name in ("scenario.yaml", "known_map.npz"):
+        (cut / name).write_text("base: house\n")
+        code, _, complaint = call("explore", "--resume", cut, "--headless")
+        assert (code, complaint.count("\n")) == (2, 1)
+        assert f"{cut / 'scenario.yaml'}: it, or the map begun with, is not that of the run" in complaint
+        (cut / name).unlink()
+
+
+@pytest.mark.parametrize("name", ["log.txt", "timeline.tfg", "ports.mcap", "scenario.yaml"])
+def test_links_out_of_the_folder_are_not_followed(call, cut, tmp_path, name):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("mine\n")
+    (cut / name).symlink_to(elsewhere)
+    code, _, complaint = call("explore", "--resume", cut, "--headless")
+    assert (code, complaint) == (2, f"tfg-drake: {cut / name}: is a link; put the file itself there\n")
+    assert elsewhere.read_text() == "mine\n"
+
+
+def test_a_terminal_takes_no_orders_from_a_complaint(call, tmp_path):
+    code, _, complaint = call("explore", tmp_path / "\x1b[2J\u202e.yaml", "--headless")
+    assert code == 2
+    assert "\\x1b[2J\\u202e.yaml" in complaint
+
+
 def test_what_is_no_run_is_told(call, tmp_path):
     code, _, complaint = call("explore", "--resume", tmp_path, "--headless")
     assert (code, complaint.count("\n")) == (2, 1)
     assert "holds no mission to go on with" in complaint
     code, _, complaint = call("explore", "house", "--map", tmp_path / "x.npz", "--headless")
     assert (code, complaint) == (2, f"tfg-drake: no such map: {tmp_path / 'x.npz'}\n")
+
+
+def test_the_checkpoint_stands_for_its_folder(call, cut):
+    said = call("explore", "--resume", cut, "--headless")
+    assert said[0] == 2
+    assert f"{cut / 'scenario.yaml'}: no such file" in said[2]
+    assert call("explore", "--resume", cut / "checkpoint.bin", "--headless") == said
 
 
 def test_a_mission_goes_on_and_the_next_one_begins_with_its_map(call, room, tmp_path):

@@ -20,11 +20,18 @@ SOCKETS = ["--tags", "socket:127.0.0.1:1", "--scan", "socket:127.0.0.1:1"]
         (["--robot", "ros2", "--realtime-rate", "2"], "--realtime-rate: a real robot's time is real; leave it out"),
         (
             ["--robot", "kobuki"],
-            "kobuki: no source of tags; give --tags camera:/dev/video0, socket:HOST:PORT or ros2:/TOPIC",
+            "kobuki: no source of scan, without which no robot drives; give --scan rplidar:DEVICE, realsense:, "
+            "socket:HOST:PORT or ros2:/TOPIC",
         ),
         (
             ["--robot", "kobuki", "--tags", "socket:localhost:5"],
-            "kobuki: no source of scan; give --scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC",
+            "kobuki: no source of scan, without which no robot drives; give --scan rplidar:DEVICE, realsense:, "
+            "socket:HOST:PORT or ros2:/TOPIC",
+        ),
+        (
+            ["--robot", "kobuki", "--scan", "socket:127.0.0.1:1"],
+            "/dev/kobuki: no such device; plug the base in and switch it on, or name the port it has under"
+            " /dev/serial/by-id",
         ),
         (
             ["--robot", "kobuki", "--tags", "serial:x"],

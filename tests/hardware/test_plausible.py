@@ -120,6 +120,38 @@ def test_each_kind_of_reason_is_told_once_and_counted():
     assert judge.refusals.counts == {("tags of /detections", "range"): 3, ("LaserScan", "range_max"): 1}
 
 
+def seen(ids, stamp):
+    """A frame with these tags."""
+    column = np.ones(len(ids))
+    return TagDetections(stamp, np.array(ids, dtype=np.int64), column, 0.0 * column, 0.1 * column, 0.1 * column)
+
+
+def test_tags_that_are_made_up_are_refused_until_they_come_again():
+    """However many true ones are among them; frames without any say nothing of that."""
+    judge = Judge({TagDetections: "tags of /detections"})
+    passed = []
+    for k in range(60):
+        ids = [1, 2, 3, 1000 + k] if k < 40 else [1, 2, 3]
+        passed.append(judge.judged(seen(ids, NOW + 0.1 * k), NOW + 6.0) is not None)
+        assert judge.judged(seen([], NOW + 0.1 * k + 0.05), NOW + 6.0) is not None
+    assert passed == [True] * 19 + [False] * 26 + [True] * 15
+    assert judge.refusals.take() == [
+        "tags of /detections: 20 of 23 tags are in one frame of 20 alone, so they are none: check their family and the "
+        "camera's focus; none is used"
+    ]
+
+
+@pytest.mark.parametrize(("rate", "share"), [(2.0, 0.7), (10.0, 0.5), (10.0, 0.2)])
+def test_a_slow_camera_that_turns_makes_no_tags_up(rate, share):
+    """120 tags all round, of which a camera of 65 degrees finds a share; the robot turns at 1.2 rad/s."""
+    chance, judge = np.random.default_rng(0), Judge({})
+    bearing = np.radians(3.0 * np.arange(120))
+    for k in range(200):
+        ahead = np.abs(np.angle(np.exp(1j * (bearing - 1.2 * k / rate)))) < np.radians(32.5)
+        ids = np.flatnonzero(ahead & (chance.random(120) < share))
+        assert judge.judged(seen(ids, NOW + k / rate), NOW + k / rate) is not None
+
+
 def test_what_a_sensor_says_late_or_twice_is_left_out_without_a_word():
     judge = Judge({})
     assert judge.judged(scan(), NOW) is not None

@@ -36,7 +36,8 @@ def opened(monkeypatch):
 
     def sources(specs, preset, graph, hardware):
         given["specs"], given["sensors"], given["graph"], given["hardware"] = specs, preset, graph, hardware
-        return dict.fromkeys(("tags", "scan") if graph is None else ("tags", "scan", "base"), given["source"])
+        own = [] if graph is None else ["scan", "base", *(["tags"] if preset.topics.detections else [])]
+        return dict.fromkeys((*specs, *own), given["source"])
 
     def base(config, preset, limits, graph):
         given["driven"], given["limits"] = preset, limits
@@ -145,8 +146,23 @@ def test_a_base_without_sources(opened):
     with pytest.raises(DeviceError) as error:
         open_devices(HardwareConfig(robot="kobuki", tags=TAGS), RobotConfig())
     assert str(error.value) == (
-        "kobuki: no source of scan; give --scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
+        "kobuki: no source of scan, without which no robot drives; give --scan rplidar:DEVICE, realsense:, "
+        "socket:HOST:PORT or ros2:/TOPIC"
     )
+
+
+def test_a_robot_without_tags_has_no_source_of_them(opened):
+    """A Kobuki that is given none, and one on ROS whose preset has none, or that is said to have none."""
+    alone = open_devices(HardwareConfig(robot="kobuki", scan=SCAN), RobotConfig())
+    assert (alone.tags, alone.scan, opened["specs"]) == (None, opened["source"], {"scan": SCAN})
+    assert open_devices(HardwareConfig(robot="ros2"), RobotConfig()).tags is opened["source"]
+    assert open_devices(HardwareConfig(robot="ros2", tags="none"), RobotConfig()).tags is None
+    assert opened["specs"] == {}
+    assert opened["sensors"].topics.detections is None
+    with pytest.raises(DeviceError, match=r"^none: is no source; name one as "):
+        open_devices(HardwareConfig(robot="ros2", tags="none", scan="none"), RobotConfig())
+    alone.close()
+    assert opened["source"].closed
 
 
 def test_the_lowest_limit_holds(opened):

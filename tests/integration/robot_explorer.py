@@ -11,10 +11,12 @@ import pytest
 class Explorer:
     """`tfg-drake explore --robot kobuki` in a process, whose lines are awaited and whose keys are pressed."""
 
-    def __init__(self, emulator, folder, max_time, *options):
+    def __init__(self, emulator, folder, max_time, *options, tags=True):
+        """tags: it has a source of them, too."""
         host, port = emulator.sensors
         source = f"socket:{host}:{port}"
-        arguments = ["--port", emulator.device, "--tags", source, "--scan", source, "--out", str(folder)]
+        arguments = ["--port", emulator.device, "--scan", source, "--out", str(folder)]
+        arguments += ["--tags", source] if tags else []
         arguments += ["--headless", "--max-time", str(max_time), *options]
         arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
         self.process = subprocess.Popen(

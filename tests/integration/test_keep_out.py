@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from tests.diagrams.rooms import QUICK_LOOK
+from tfg_drake.diagrams.scenario import AreasOutside, CheckScenario, LoadScenario, MakeKeepOut, Scenario
 
 # A corridor of 12 x 2 m, barred half-way; or a room round a shaft.
 CORRIDOR = "[[0, 0, 12, 0], [12, 0, 12, 2], [12, 2, 0, 2], [0, 2, 0, 0]]"
@@ -64,6 +65,18 @@ def test_the_robot_drives_round_an_area(explore):
             [[[3, 0], [4, 1], [4, 0], [3, 1]]],
             "explorer.keep_out[0]: crosses or touches itself between corners 0 and 1; ",
         ),
+        (
+            [BAR, [[3, 0], [4, 1], [3, 0]]],
+            "explorer.keep_out[1]: has 2 corners; give the three or more corners [x, y] of a poly",
+        ),
+        (
+            [[[50, 0], [50, 1e300], [60, 0]]],
+            "explorer.keep_out[0]: has a corner more than 1e+08 m from the origin; give the three",
+        ),
+        (
+            [BAR, [[50, 0], [20000, 20000], [60, 0]]],
+            "explorer.keep_out[1]: its corner (20000, 20000) is more than 1000 m from where the map begins; check",
+        ),
         ([[[3, 0], [4, float("nan")], [4, 0]]], "explorer.keep_out[0][1][1]: must be finite, is nan"),
         ([[[3, 0], [4, 1, 2], [4, 0]]], "explorer.keep_out[0][1]: expected 2 numbers [x, y], found 3"),
         ([[3, 0], [4, 1], [4, 0]], "explorer.keep_out[0][0]: expected a list, found int (3)"),
@@ -73,3 +86,20 @@ def test_what_is_no_area_or_holds_the_start_is_one_clear_line(explore, keep_out,
     code, err, summary, _ = explore(CORRIDOR, keep_out)
     assert (code, summary, err.count("\n")) == (2, None, 1)
     assert complaint in err
+
+
+def test_a_ring_that_ends_where_it_begins_is_the_same_area():
+    scenario, ring = Scenario(), Scenario()
+    scenario.explorer.keep_out, ring.explorer.keep_out = [SHAFT], [[*SHAFT, SHAFT[0]]]
+    CheckScenario(ring)
+    np.testing.assert_array_equal(MakeKeepOut(ring), MakeKeepOut(scenario))
+
+
+def test_an_area_outside_the_building_is_told():
+    scenario = LoadScenario("house")
+    beyond, across = [[20, 0], [21, 0], [21, 1]], [[-5, -5], [20, -5], [20, 20], [-5, 20]]
+    scenario.explorer.keep_out = [SHAFT, beyond, across, [[0, -9], [1, -9], [1, -8]]]
+    told = "explorer.keep_out[{}]: lies outside the building, so it bars nothing; is this meant?"
+    assert AreasOutside(scenario) == [told.format(1), told.format(3)]
+    scenario.world.walls = []
+    assert AreasOutside(scenario) == []

@@ -135,6 +135,33 @@ def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
     assert summary["reason"].startswith("The battery is nearly empty, 13.0 V: the robot stands at (")
 
 
+def test_a_robot_with_a_scanner_alone_maps_walls(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 300.0, tags=False)
+        explorer.wait_for("no source of them: walls are the landmarks")
+        _drives(emulator, explorer)
+        explorer.wait_for(" walls ", goes_on=True)
+        explorer.press("q")
+        explorer.wait_for("walls  ")
+        explorer.wait_for("files")
+        assert explorer.process.wait(60.0) == 130
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["walls_mapped"] > summary["landmarks_mapped"] == 0
+    assert LoadScenario(tmp_path / "scenario.yaml").explorer.landmarks == "walls"
+    assert not any(line.startswith("tags  ") for line in explorer.lines[-20:])
+
+
+@pytest.mark.slow
+def test_a_robot_with_a_scanner_alone_explores_the_house(tmp_path):
+    with Emulator(WORLD) as emulator:
+        explorer = Explorer(emulator, tmp_path, 1200.0, tags=False)
+        _drives(emulator, explorer)
+        explorer.wait_for("files", goes_on=True)
+        assert explorer.process.wait(60.0) == 0
+        assert emulator.report()["contacts"] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["outcome"] == "complete"
+
+
 def test_its_last_word_to_the_wheels_is_a_stop(mission):
     _, marks, _ = mission
     assert marks["end"][1].speed == 0
@@ -150,13 +177,13 @@ def test_a_mirrored_scan_stops_it_in_the_first_turn_until_somebody_enables_it_an
         explorer = Explorer(emulator, tmp_path, 300.0)
         explorer.wait_for("answer, none is pressed")
         _drives(emulator, explorer)
-        explorer.wait_for("the base stands until it is enabled anew: the scan turns against the robot: is the scanner")
+        explorer.wait_for("the base stands until it is enabled anew: scans turn against the odometry")
         over = stands(emulator, time.monotonic())
         explorer.press("e")
         moves(emulator, over)
         explorer.press("q")
         explorer.wait_for("files")
-    assert sum("enabled anew: the scan turns against" in line for line in explorer.lines) == 1
+    assert sum("enabled anew: scans turn against" in line for line in explorer.lines) == 1
 
 
 def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
@@ -172,7 +199,7 @@ def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
         explorer.wait_for("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn")
         _drives(emulator, explorer)
         # The estimator says so when the turn is over.
-        explorer.wait_for("the scan turns against the robot")
+        explorer.wait_for("scans turn against the odometry")
         explorer.press("q")
         explorer.wait_for("files")
-    assert not any("enabled anew: the scan turns against" in line for line in explorer.lines)
+    assert not any("enabled anew: scans turn against" in line for line in explorer.lines)

@@ -58,7 +58,7 @@ FAULTS = {
     "an endless range": nonsense("scan", "range_max", 1e300),
     "tags too far": nonsense("tags", "range", 1e200),
     "ids of any size": nonsense("tags", "id", 2.0**56),
-    "ids that might be": nonsense("tags", "random", told=False),
+    "ids that might be": Fault(("tags", "random"), anew=False),
     "no tags": Fault(("tags", "silent"), anew=False),
     "dock": Fault("dock", "undock"),
     "overcurrent": Fault("overcurrent both", "overcurrent none"),

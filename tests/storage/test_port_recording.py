@@ -310,3 +310,26 @@ def test_a_mutated_recording_is_refused_or_read(tmp_path):
     path = tmp_path / "ports.mcap"
     record(path, np.arange(50) / 10)
     assert_refused_or_read(path, lambda: read_recording(path), RecordingError, count=100)
+
+
+def test_a_recording_that_goes_on_has_at_once_what_a_checkpoint_counts_on(tmp_path):
+    path = tmp_path / port_recording.FILE_NAME
+    # Neither is closed: their program was killed.
+    first = PortWriter(path, "sim")
+    for k in range(40):
+        first.write("base.odometry", k / 16.0, Odometry(k / 16.0, np.full(3, float(k)), np.zeros(2)))
+    standing = first.standing()
+    assert standing.count == 40
+    first.write("base.odometry", 3.0, Odometry(3.0, np.full(3, 3.0), np.zeros(2)))
+    writers = [PortWriter(path, "sim", standing) for _ in range(2)]
+    assert [writer.standing().count for writer in writers] == [40, 40]
+
+
+def test_what_could_not_be_written_does_not_count(tmp_path, monkeypatch):
+    writer = PortWriter(tmp_path / port_recording.FILE_NAME, "sim")
+    writer.write("base.odometry", 0.0, Odometry(0.0, np.zeros(3), np.zeros(2)))
+    assert writer.standing().count == 1
+    monkeypatch.setattr(writer._writer, "flush", lambda: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    writer.write("base.odometry", 2.0, Odometry(2.0, np.ones(3), np.zeros(2)))
+    assert writer.standing().count == 1
+    assert writer.failure is not None

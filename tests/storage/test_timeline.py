@@ -181,3 +181,16 @@ def test_a_good_block_of_bad_records_is_refused(tmp_path, header):
     block = zlib.compress(len(header).to_bytes(4, "little") + header)
     (tmp_path / FILE_NAME).write_bytes(MAGIC + len(block).to_bytes(4, "little") + block)
     bytes_taken(lambda: read_timeline(tmp_path))
+
+
+def test_a_timeline_that_has_less_than_a_checkpoint_counts_on_is_refused(tmp_path):
+    path = tmp_path / FILE_NAME
+    with TimelineWriter(path) as writer:
+        writer.write("pose", 1.0, {"pose": np.zeros(3)})
+        standing = writer.standing()
+    assert standing.size == path.stat().st_size
+    with TimelineWriter(path, standing=standing):
+        pass
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(TimelineError, match=rf"has {standing.size - 1} of {standing.size} bytes"):
+        TimelineWriter(path, standing=standing)

@@ -176,6 +176,14 @@ def test_transparent_pixels_are_unknown(tmp_path):
     Image.fromarray(pixels).save(tmp_path / "map.png")
     (tmp_path / "map.yaml").write_text("image: map.png\nresolution: 1.0\norigin: [0, 0, 0]\n")
     assert area(load_map_server(tmp_path / "map.yaml").walls) == [20.0]
+    pixels[:, :, 3], pixels[2, :] = 0, [0, 0, 0, 255]  # black lines on nothing
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    with pytest.raises(WorldError) as error:
+        load_map_server(tmp_path / "map.yaml")
+    assert str(error.value) == (
+        f"{tmp_path / 'map.yaml'}: image: {tmp_path / 'map.png'} has no free space, for what is transparent is "
+        "unknown; give it a white ground"
+    )
 
 
 def test_bad_map_server_files_are_refused_in_one_line(tmp_path):

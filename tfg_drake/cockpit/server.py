@@ -14,6 +14,7 @@ import logging
 import math
 import secrets
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -37,6 +38,9 @@ LONGEST = 4096
 # A page that goes on reading after the mission's end is waited for so long, s.
 FAREWELL = 2.0
 
+# After each call to the system the server's thread waits for the interpreter, so long where the mission computes, s. By
+# default it is ten times as long, and of a flood 40 connections a second are heard.
+SWITCH = 5e-4
 # A stick that is pushed is asked about again within so long, s; a page that does not has gone.
 STICK_HELD = 0.6
 NOWHERE = math.nan, math.nan
@@ -124,6 +128,8 @@ class Cockpit:
         secret = f"#token={self.token}" if controls or forks is not None else ""
         self.address = f"http://{shown}:{self._server.server_address[1]}/{secret}"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(INTERVAL,), daemon=True)
+        self._switch_before = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH)
         self._thread.start()
 
     def __enter__(self) -> Cockpit:
@@ -182,6 +188,7 @@ class Cockpit:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+        sys.setswitchinterval(self._switch_before)
 
     # Requests
 

@@ -12,6 +12,8 @@ from tfg_drake.messages import FloatArray
 
 # Edges nearer to each other than this touch, m.
 _TOUCH = 1e-6
+# Farther from the origin a float64 does not tell that, m.
+_FARTHEST = 1e8
 
 
 def outline(corners: FloatArray) -> FloatArray:
@@ -23,6 +25,8 @@ def fault(corners: FloatArray) -> str:
     """What keeps corners from being those of a polygon, "" if nothing does."""
     if len(corners) < 3:
         return f"has {len(corners)} corners"
+    if np.abs(corners).max() > _FARTHEST:
+        return f"has a corner more than {_FARTHEST:g} m from the origin"
     edges, (x, y) = outline(corners), corners.T
     for i in range(len(edges) - 2):
         # The last edge is a neighbour of the first.

@@ -95,6 +95,13 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise gzip.BadGzipFile(str(error)) from None
 
 
+def open_inside(path: Path, mode: str, buffering: int = -1, encoding: str | None = None) -> Any:
+    """Opens a run's file to write it, as `open` does, where the file is one of its folder: a link out of it is not
+    followed, and nobody waits at a pipe. Raises OSError."""
+    odd = os.O_NOFOLLOW | os.O_NONBLOCK
+    return open(path, mode, buffering, encoding, opener=lambda name, flags: os.open(name, flags | odd, 0o666))
+
+
 def write_atomic(path: Path, data: bytes | str, *, durable: bool = True) -> None:
     """Write a file by way of a temporary neighbour and a rename, so that no reader ever meets half of it.
 

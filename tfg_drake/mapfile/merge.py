@@ -45,11 +45,13 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
 
     Raises:
         MapFileError: a file is not a whole map.
-        BadInput: how they lie to each other is not known, or B is too large; one line.
+        BadInput: how they lie to each other is not known, B is too large, or both have a look in common; one line.
     """
     first, second = (one if isinstance(one, SavedMap) else load_map(Path(one)) for one in (a, b))
     if len(second.graph.ids) > MOST_LANDMARKS:
         raise BadInput(f"the second map has {len(second.graph.ids)} landmarks; at most {MOST_LANDMARKS} are taken in")
+    if shared := len(_looks(first) & _looks(second)):
+        raise BadInput(f"{shared} looks are in both maps, and would count twice: merge maps of runs that share none")
     found = by_tags(first, second) or by_walls(standing_in(first), standing_in(second))
     if found is None:
         raise BadInput(
@@ -79,6 +81,11 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
     doubtful = np.unique(np.concatenate([first.doubtful, second.doubtful, wrong]))
     both = replace(first, stage=estimate.stage, stamp=estimate.stamp, graph=graph, walls=walls, evidence=evidence)
     return replace(both, doubtful=doubtful, tfg_graph=tfg_graph, tfg=tfg)
+
+
+def _looks(saved: SavedMap) -> set[bytes]:
+    """What its keyframes measured, but for those of a way without landmarks: no two looks are the same to the bit."""
+    return {one.y_AL.tobytes() + one.information.tobytes() for one in saved.graph.keyframes if len(one.ids)}
 
 
 def _keyframe(told: MapEstimate) -> Keyframe:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import io
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in REGISTRY change.
 SCHEMA = 13
+# Kinds of a TfgMap's segments.
+KINDS_OF_SEGMENTS = 3
 # Fields of the TfgMap that are places.
 PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
 
@@ -271,12 +274,17 @@ def load_map(path: Path) -> SavedMap:
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
         raise MapFileError(f"{path} has map schema {schema}; this version reads schema {SCHEMA}: {mend}")
     try:
-        saved = from_arrays(SavedMap, arrays, REGISTRY)
+        return whole_map(arrays)
     except ArraysError as error:
         raise MapFileError(f"{path} is not a whole map: {error}") from None
+
+
+def whole_map(arrays: Mapping[str, Array]) -> SavedMap:
+    """The map that arrays hold, all its indices within bounds. Raises ArraysError."""
+    saved = from_arrays(SavedMap, arrays, REGISTRY)
     contradiction = _contradiction(saved)
     if contradiction:
-        raise MapFileError(f"{path} is not a whole map: {contradiction}")
+        raise ArraysError(contradiction)
     return saved
 
 
@@ -341,6 +349,15 @@ def _contradiction(saved: SavedMap) -> str:
     for name, view in views.items():
         if np.any((view < 0) | (view >= tfg_graph.stage)):
             return f"tfg_graph.{name} does not fit tfg_graph.stage"
+    if np.any((tfg.segment_kind < 0) | (tfg.segment_kind >= KINDS_OF_SEGMENTS)):
+        return "tfg.segment_kind is no kind"
+    if not all(np.isin(np.hypot(*one.T).round(6), (0.0, 1.0)).all() for one in (tfg.facing, tfg_graph.tag_facing)):
+        return "tfg.facing or tfg_graph.tag_facing is no direction"
+    covariance = graph.landmark_covariance
+    if not (np.isfinite(saved.X_WM).all() and np.isfinite(covariance).all()):
+        return "X_WM or graph.landmark_covariance is not finite"
+    if np.any(np.linalg.eigvalsh(covariance) < -(LEAST_SIGMA**2)):
+        return "graph.landmark_covariance is no covariance"
     ids = {"tfg_graph.tag_ids": tfg_graph.tag_ids, "tfg_graph.surfaces.ids": tfg_graph.surfaces.ids}
     for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():
         if not _within(some[some != -1], known):

@@ -51,7 +51,7 @@ CONTRADICTS = (0.1, 0.1)
 # What contradicts it again so soon, s, does so all the time.
 ONE_STRETCH = 1.0
 # So many pairs that move tell something; where fewer than this share are explained nothing explains them.
-PAIRS, EXPLAINED = 12, 0.5
+PAIRS, EXPLAINED = 8, 0.5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
 AGAINST = "scans turn against the odometry"
@@ -227,12 +227,15 @@ class _Pairs:
         return sum(fit.cost for fit in self.fits(way, lag)[:2])
 
     def lag(self, way: _Way) -> tuple[float, float]:
-        """The lag that explains them best, and its deviation, s."""
+        """The lag that explains them best, 0 where that does as well, and its deviation, s."""
         lag, step = 0.0, LAG_STEP
         for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
             lags = lag + step * np.arange(-reach, reach + 1)
             lag = float(lags[int(np.argmin([self.cost(way, one) for one in lags]))])
             step *= 0.25
+        of_turn, of_way, _ = self.fits(way, lag)
+        if self.cost(way, 0.0) - of_turn.cost - of_way.cost < (SURELY * _scatter(of_turn, of_way)) ** 2:
+            lag = 0.0
         h = 1.5 * LAG_STEP
         bend = (self.cost(way, lag - h) - 2.0 * self.cost(way, lag) + self.cost(way, lag + h)) / h**2
         return lag, math.sqrt(2.0 / bend) if bend > 0.0 else math.inf
@@ -259,8 +262,7 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
     told = np.flatnonzero(matched & way.tells(every.begin - lag, every.end - lag))
     pairs = every.of(told)
     of_turn, of_way, predicted = pairs.fits(way, lag)
-    # Of the medians of one and of two normal numbers.
-    scatter = max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
+    scatter = _scatter(of_turn, of_way)
     a, b = of_way.x[:2]
     travel = max(math.hypot(a, b), 1e-6)
     radial = np.array([[a, b], [-b, a]]) / travel
@@ -285,6 +287,11 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
         travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
         stands=bool(np.abs(chord).sum() < 0.1 * lengths.sum() and np.abs(turned).sum() < 0.1 * turns.sum()),
     )
+
+
+def _scatter(of_turn: _Robust, of_way: _Robust) -> float:
+    """How much larger errors are than they are taken to be, by the medians of one and of two normal numbers."""
+    return max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
 
 
 def _contradicted(

@@ -1,88 +1,120 @@
 """Checkpoint of a mission under way, a file to go on from: written anew every few seconds, whole or not at all.
 
-The file is MAGIC and two pickles: what is told of the mission, and its state. They are read without running anything
-but the making of numpy's arrays and of the program's own dataclasses and tuples, and by the version that wrote them.
+The file is MAGIC, a checksum (uint32) of the rest, and two blocks (`tfg_drake.storage.serialization`): what is told of
+the mission, and its state, which is read by the version that wrote it.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import io
-import pickle
+import functools
+import struct
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tfg_drake import __version__
-from tfg_drake.io.files import FileError, of_run, write_atomic
+from tfg_drake.io.files import FileError, of_run, reading, write_atomic
+from tfg_drake.messages import FloatArray
+from tfg_drake.storage.serialization import Packed, pack
 
 FILE_NAME = "checkpoint.bin"
-MAGIC = b"tfg_drake checkpoint 1\n"
-
-# What makes an array of its bytes.
-_OF_NUMPY = {"_reconstruct", "_frombuffer", "scalar", "ndarray", "dtype"}
-_BUILT_IN = {("builtins", "set"), ("builtins", "frozenset"), ("collections", "deque")}
+MAGIC = b"tfg_drake checkpoint 2\n"
+# What is told: names of scenario, world, robot and method; own: whether the method is a file or has parts of somebody's
+# own; scenario_digest: of what the mission is defined by; stamps (n,) s and X_WB (n, 3): the estimated poses.
+TOLD: Mapping[str, Any] = {
+    "version": str,
+    "scenario": str,
+    "world": str,
+    "seed": int,
+    "robot": str,
+    "method": str,
+    "own": bool,
+    "scenario_digest": str,
+    "sim_time_s": float,
+    "stamps": FloatArray,
+    "X_WB": FloatArray,
+    "contacts": int | None,
+}
+# Bytes that are read at most: those of an hour in a large building are 40 MB.
+LARGEST = 256 * 2**20
+_CHECKSUM = struct.Struct("<I")
+_MEND = "copy it again from where it was written, or begin a mission with the run's map: --map"
 
 
 class CheckpointError(FileError):
     """A mission that cannot be gone on with; the message is one line: which, why and how to mend it."""
 
 
-def write_checkpoint(path: Path, told: dict[str, Any], state: dict[str, Any]) -> None:
-    """Write a mission. told: plain values and arrays, to be read without the state. Raises OSError."""
-    data = MAGIC + pickle.dumps({"version": __version__, **told}, 5) + pickle.dumps(state, 5)
-    write_atomic(path, data, durable=False)
+def write_checkpoint(path: Path, told: Mapping[str, Any], state: Mapping[str, tuple[Any, Any]]) -> None:
+    """Write a mission.
+
+    Args:
+        path: the file.
+        told: values of TOLD but for the version.
+        state: annotation and value of each of its parts.
+
+    Raises:
+        TypeError: a part has no place in it, or is not what its annotation says; the message names it.
+        OSError: it cannot be written.
+    """
+    known = {"version": __version__, **told}
+    pieces = [*pack({name: (hint, known[name]) for name, hint in TOLD.items()}), *pack(state)]
+    checksum = 0
+    for piece in pieces:
+        checksum = zlib.crc32(piece, checksum)
+    write_atomic(path, b"".join([MAGIC, _CHECKSUM.pack(checksum), *pieces]), durable=False)
 
 
-def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], Packed]:
     """What is told of a mission, and its state. path: the file, or the run's folder with it.
 
     Raises:
-        CheckpointError: there is none, it is damaged, or another version wrote it.
+        CheckpointError: there is none, it is damaged, or another version wrote it. So does the state's `take`.
     """
-    file = _opened(path)
-    told = _load(path, file)
+    told, state = _opened(path)
     if told["version"] != __version__:
         mend = f"go on with that version, or begin a mission with its map: --map {path}"
         raise CheckpointError(f"{path}: was written by version {told['version']}, this is {__version__}; {mend}")
-    return told, _load(path, file)
+    return told, state
 
 
 def read_told(path: Path) -> dict[str, Any]:
     """What is told of a mission that was cut short, whichever version wrote it. Raises CheckpointError."""
-    return _load(path, _opened(path))
+    return _opened(path)[0]
 
 
-def _opened(path: Path) -> io.BytesIO:
+def _opened(path: Path) -> tuple[dict[str, Any], Packed]:
     path = of_run(path, FILE_NAME)
     if not path.is_file():
         run = path.parent
         if (run / "summary.json").is_file():
             raise CheckpointError(f"{run}: that mission has ended; begin another one with its map: --map {run}")
         raise CheckpointError(f"{run}: holds no mission to go on with; name the folder of one that was cut short")
-    data = path.read_bytes()
+    with reading(path, CheckpointError):
+        if path.stat().st_size > LARGEST:
+            raise CheckpointError(f"{path}: has more than {LARGEST // 2**20} MiB; {_MEND}")
+        data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise CheckpointError(f"{path}: is no checkpoint of this version; begin a mission with the run's map: --map")
-    file = io.BytesIO(data)
-    file.seek(len(MAGIC))
-    return file
-
-
-def _load(path: Path, file: io.BytesIO) -> dict[str, Any]:
+        raise CheckpointError(f"{path}: is no checkpoint of this version; {_MEND}")
+    damaged = functools.partial(_damaged, path)
     try:
-        found = _Unpickler(file).load()
-        return {**found}
+        start = len(MAGIC) + _CHECKSUM.size
+        if zlib.crc32(memoryview(data)[start:]) != _CHECKSUM.unpack_from(data, len(MAGIC))[0]:
+            raise ValueError("its checksum is wrong")
+        block = Packed(data, start, damaged)
+        told = {name: block.take(name, hint) for name, hint in TOLD.items()}
+        if any(isinstance(value, str) and not value.isprintable() for value in told.values()):
+            raise ValueError("it tells of what is no line of text")
+        if told["X_WB"].shape != (*told["stamps"].shape, 3):
+            raise ValueError("stamps do not fit the poses")
+        return told, Packed(data, block.end, damaged)
+    except CheckpointError:
+        raise
     except Exception as error:  # Anything may come of bytes that are not what they should be.
-        mend = "begin a mission with the run's map: --map"
-        raise CheckpointError(f"{of_run(path, FILE_NAME)}: is damaged ({error}); {mend}") from error
+        raise damaged(error) from error
 
 
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        """Arrays, dataclasses and tuples of the program: no others."""
-        if "." not in name and ((module, name) in _BUILT_IN or module.partition(".")[0] in ("numpy", "tfg_drake")):
-            found = super().find_class(module, name)
-            of_numpy = name in _OF_NUMPY or module == "numpy.dtypes"
-            own = isinstance(found, type) and (dataclasses.is_dataclass(found) or issubclass(found, tuple))
-            if (module, name) in _BUILT_IN or (of_numpy if module.startswith("numpy") else own):
-                return found
-        raise pickle.UnpicklingError(f"{module}.{name} has no place in it")
+def _damaged(path: Path, error: BaseException) -> CheckpointError:
+    first_line = next(iter(str(error).splitlines()), type(error).__name__)
+    return CheckpointError(f"{path}: is damaged ({first_line}); {_MEND}")

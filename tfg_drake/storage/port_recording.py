@@ -31,7 +31,7 @@ from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from tfg_drake.io.files import FileError, most_unpacked, of_run, reading
+from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
 from tfg_drake.messages import (
     FloatArray,
     Hazards,
@@ -66,8 +66,6 @@ _TYPES: Mapping[Any, Any] = {
 }
 # How protobuf's wire format says what follows a field's number.
 _BYTE, _EIGHT_BYTES, _BLOCK = 0, 1, 2
-# What a writer knows of the file that it goes on with.
-_STANDING = ("_bytes", "_stage", "_told", "_last_data", "_waiting", "_flushed", "_count")
 _log = logging.getLogger("tfg_drake.storage.port_recording")
 
 
@@ -84,6 +82,14 @@ class Enabled:
     """enabled: 1.0 while the base may move, else 0.0."""
 
     enabled: float
+
+
+@message
+class Standing:
+    """A file's messages, how many it has, and the stage of the newest map that was shown or might have been."""
+
+    count: int
+    stage: int
 
 
 # What is recorded of a station: a run cannot be played without the messages, but without a command.
@@ -115,14 +121,14 @@ class PortWriter:
     the run; failure: what ended it, None where nothing did.
     """
 
-    def __init__(self, path: Path, robot: str, standing: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, robot: str, standing: Standing | None = None) -> None:
         """robot: what was driven. standing: what `standing` said of a file that is written further. Raises OSError
         where it cannot be, RecordingError where it is not what it was."""
         self._path = path
         self.failure: OSError | None = None
         # The new file is in the place of the old one when it has all that stands there.
         beside = path if standing is None else path.with_name(f".{path.name}")
-        self._file = beside.open("wb")
+        self._file = open_inside(beside, "wb")
         self._writer: Writer | None = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(library="tfg_drake")
         self._writer.add_metadata("run", {"robot": robot})
@@ -134,22 +140,25 @@ class PortWriter:
         self._encoders: dict[str, Callable[[Any], bytes]] = {port: _encoder(kind) for port, kind in PORTS.items()}
         self._encoders[foxglove.POSE] = foxglove.pose_message
         self._encoders |= {foxglove.PATH: foxglove.path_message, foxglove.SURFACES: foxglove.map_message}
-        # Of the ports since a map was shown; the newest map that might have been.
-        self._bytes, self._stage = 0, 0
+        # Bytes of the ports since a map was shown, inf before the first; stage of the newest that might have been.
+        self._bytes, self._stage = math.inf, 0
         self._shown_path: PathMessage | None = None
         self._newest: dict[str, object] = {}
         self._told: dict[str, list[float]] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
-        self._flushed, self._count = -math.inf, 0
+        # Messages that were added, and of these what the operating system has.
+        self._flushed, self._count, self._whole = -math.inf, 0, 0
         if standing is not None:
-            self._copy(path, standing["_count"])
-            vars(self).update(standing)
+            self._copy(path, standing.count)
+            self._stage = standing.stage
+            self._flush()
             beside.replace(path)
 
-    def standing(self) -> dict[str, Any]:
-        """What stands in the file, and what waits to be written."""
-        return {name: getattr(self, name) for name in _STANDING}
+    def standing(self) -> Standing:
+        """Puts all on the disk, and says what stands there."""
+        self._write_waiting()
+        return Standing(self._whole, self._stage)
 
     def _copy(self, path: Path, count: int) -> None:
         """Takes the first messages of another recording."""
@@ -157,12 +166,12 @@ class PortWriter:
         topics: dict[int, str] = {}
         with reading(path, RecordingError):
             for record in _records(path):
+                if self._count >= count:
+                    break
                 if isinstance(record, Channel):
                     topics[record.id] = record.topic
-                elif isinstance(record, Message) and self._count < count:
-                    channel = self._channels[topics[record.channel_id]]
-                    self._writer.add_message(channel, record.log_time, record.data, record.publish_time)
-                    self._count += 1
+                elif isinstance(record, Message):
+                    self._add(topics[record.channel_id], record.log_time, record.data, record.publish_time)
         if self._count < count:
             raise RecordingError(f"{path}: has {self._count} of {count} messages; copy it again from where it was made")
 
@@ -212,10 +221,7 @@ class PortWriter:
 
     def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
         """Records the map at a time, s, to be shown, unless maps would take too much of the file."""
-        size = foxglove.map_size(estimate, tfg)
-        if not self._stage or size <= MAP_SHARE * self._bytes:
-            self._bytes = 0
-            self.write(foxglove.SURFACES, time, foxglove.ShownMap(time, estimate, tfg))
+        self.write(foxglove.SURFACES, time, foxglove.ShownMap(time, estimate, tfg))
         self._stage = tfg.stage
 
     def _write_changed(self, port: str, time: float, kind: type, told: list[float]) -> None:
@@ -224,8 +230,10 @@ class PortWriter:
             self.write(port, time, kind(*told))
 
     def close(self) -> None:
-        """Writes what is left, and the index."""
+        """Writes what is left, and the index. What was told is let go: Drake keeps the systems that hold the writer."""
         self._write_waiting()
+        self._newest.clear()
+        self._last_data.clear()
         if self._writer is None:
             return
         try:
@@ -241,18 +249,30 @@ class PortWriter:
             return
         try:
             for port, time, value in waiting:
+                if port == foxglove.SURFACES and foxglove.map_size(value.estimate, value.tfg) > MAP_SHARE * self._bytes:
+                    continue
                 data = self._encoders[port](value)
                 if data == self._last_data.get(port):
                     continue
-                self._last_data[port] = data
-                self._bytes += len(data) if port in PORTS else 0
                 now, stamp = nanoseconds(time), getattr(value, "stamp", time)
                 published = nanoseconds(stamp) if 0.0 <= stamp < math.inf else now
-                self._writer.add_message(self._channels[port], now, data, published)
-                self._count += 1
-            self._writer.flush()  # type: ignore[no-untyped-call]
+                self._add(port, now, data, published)
+            self._flush()
         except OSError as error:
             self._give_up(error)
+
+    def _add(self, topic: str, log_time: int, data: bytes, publish_time: int) -> None:
+        assert self._writer is not None
+        self._last_data[topic] = data
+        self._bytes = 0 if topic == foxglove.SURFACES else self._bytes + (len(data) if topic in PORTS else 0)
+        self._writer.add_message(self._channels[topic], log_time, data, publish_time)
+        self._count += 1
+
+    def _flush(self) -> None:
+        """Leaves all that was added to the operating system."""
+        assert self._writer is not None
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._whole = self._count
 
     def _give_up(self, error: OSError) -> None:
         _log.error("%s: cannot be written: %s; the run is not recorded any further", self._path, error.strerror)

@@ -50,8 +50,8 @@ class Run:
     map: SavedMap | None
 
     def __repr__(self) -> str:
-        outcome, time = self.summary.get("outcome"), self.summary.get("sim_time_s", 0.0)
-        return f"<run {self.folder}: {outcome} after {time:.0f} s, {len(self.stages)} stages>"
+        outcome, time = self.summary.get("outcome"), self.summary.get("sim_time_s", 0)
+        return f"<run {self.folder}: {outcome} after {time} s, {len(self.stages)} stages>"
 
     @functools.cached_property
     def recording(self) -> PortRecording:

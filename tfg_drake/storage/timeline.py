@@ -31,7 +31,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.io.files import FileError, most_unpacked, of_run, reading
+from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 
 FILE_NAME = "timeline.tfg"
@@ -97,6 +97,15 @@ def _packed(array: NDArray[Any], coarse: bool) -> tuple[str, NDArray[Any]]:
     return "i4", array.astype("<i4")
 
 
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """A file's size, bytes; when each layer may be written again, s; and the rows of the tables in it."""
+
+    size: int
+    due: dict[str, float]
+    rows: dict[str, StandingRows]
+
+
 class TimelineWriter:
     """A timeline being written, a context manager.
 
@@ -105,27 +114,34 @@ class TimelineWriter:
     """
 
     def __init__(
-        self, path: Path, watched: Callable[[], bool] = lambda: False, standing: Mapping[str, Any] | None = None
+        self, path: Path, watched: Callable[[], bool] = lambda: False, standing: Standing | None = None
     ) -> None:
-        """standing: what `standing` said of a file that is written further. Raises OSError where it cannot be."""
+        """standing: what `standing` said of a file that is written further. Raises OSError where it cannot be,
+        TimelineError where it is not what it was."""
         self._path, self.watched = path, watched
         self.failure: OSError | None = None
-        self._file: BinaryIO | None = path.open("wb" if standing is None else "r+b", buffering=0)
+        self._file: BinaryIO | None = open_inside(path, "wb" if standing is None else "r+b", buffering=0)
         self._records: list[bytes] = []
         self._due: dict[str, float] = {}
         self._rows: dict[str, StandingRows] = {}
         self._flushed = time.monotonic()
+        self._size = len(MAGIC)  # of what is whole
         if standing is None:
             self._file.write(MAGIC)
         else:
-            self._file.truncate(standing["size"])
+            self._size, size = standing.size, self._file.seek(0, io.SEEK_END)
+            if not len(MAGIC) <= standing.size <= size:
+                self._file.close()
+                mend = "copy it again from where it was made"
+                raise TimelineError(f"{path}: has {size} of {standing.size} bytes; {mend}")
+            self._file.truncate(standing.size)
             self._file.seek(0, io.SEEK_END)
-            self._due, self._rows = standing["due"], standing["rows"]
+            self._due, self._rows = standing.due, standing.rows
 
-    def standing(self) -> dict[str, Any]:
+    def standing(self) -> Standing:
         """Puts all on the disk, and says what stands there."""
         self.flush()
-        return {"size": self._path.stat().st_size, "due": self._due, "rows": self._rows}
+        return Standing(self._size, self._due, self._rows)
 
     def __enter__(self) -> TimelineWriter:
         return self
@@ -166,12 +182,14 @@ class TimelineWriter:
         try:
             while data:
                 data = data[self._file.write(data) :]
+            self._size += _LENGTH.size + len(block)
         except OSError as error:
             self._end(error)
 
     def close(self) -> None:
-        """Write the rest."""
+        """Write the rest, and let go of it: Drake keeps the systems that hold the writer."""
         self.flush()
+        self._rows = {}
         if self._file is not None:
             self._file.close()
             self._file = None

@@ -146,6 +146,10 @@ def _free_cells(path: Path, tree: dict[str, object], resolution: float) -> tuple
         taken = "free; if it is unknown, set free_thresh: 0.196" if is_free[_UNKNOWN] else "unknown, as savers mean it"
         notes.append(f"grey {_UNKNOWN} is below free_thresh {free_thresh:g}; taken for {taken}")
     free = is_free[level] & known
+    if not free.any() and not known.all():
+        raise WorldError(
+            f"{path}: image: {file} has no free space, for what is transparent is unknown; give it a white ground"
+        )
     occupied = (occupancy > _number(path, tree, "occupied_thresh", 0.65))[level] & known
     labels, count = ndimage.label(np.pad(~free, 1, constant_values=True), np.ones((3, 3)))
     inner = labels[1:-1, 1:-1]

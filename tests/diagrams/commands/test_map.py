@@ -15,11 +15,14 @@ import pytest
 import yaml
 
 from tests.diagrams.rooms import SHORT_LOOK
-from tfg_drake.diagrams.commands.map import SUFFIXES
+from tfg_drake.diagrams.commands.map import FORMATS, OF_GRAPH, OF_TAGS, SUFFIXES
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.saved_map import load_map, save_map
+from tfg_drake.messages import replace
+from tfg_drake.slam.evidence import no_evidence
+from tfg_drake.slam.keyframe import without_tags as without_landmarks
 
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
@@ -161,6 +164,48 @@ def test_tags_that_are_left_out_are_told(call, tmp_path, small_map):
         "left out, as it is not known which way they face: tags 10, 11",
         "left out, as they are doubtful: tags 12",
     ]
+    none = dataclasses.replace(small_map.tfg, facing=np.zeros_like(facing))
+    save_map(tmp_path / "map.npz", dataclasses.replace(small_map, tfg=none))
+    told = "has no tag to tell; left out, as it is not known which way they face: tags 10, 11, 12, 13; its walls go to"
+    code, said, complaint = call("map", "export", tmp_path, tmp_path / "none.json")
+    assert (code, said, (tmp_path / "none.json").exists()) == (2, "", False)
+    assert complaint.startswith(f"tfg-drake: {tmp_path / 'map.npz'}: {told} another format")
+
+
+def without_tags(saved):
+    """A map that has walls alone."""
+    none = np.empty(0, dtype=np.int64)
+    graph = replace(
+        saved.graph,
+        ids=none,
+        p_ML=np.empty((0, 2)),
+        landmark_covariance=np.empty((0, 2, 2)),
+        keyframes=tuple(without_landmarks(one, one.ids) for one in saved.graph.keyframes),
+    )
+    names = replace(saved.tfg_graph, tag_ids=none, tag_view=none, tag_facing=np.empty((0, 2)), tag_range=np.empty(0))
+    names = replace(names, surfaces=replace(names.surfaces, ids=np.full_like(names.surfaces.ids, -1)))
+    tfg = replace(saved.tfg, facing=np.empty((0, 2)), segment_ids=np.full_like(saved.tfg.segment_ids, -1))
+    return replace(saved, graph=graph, evidence=no_evidence(), tfg_graph=names, tfg=tfg)
+
+
+def test_no_empty_file_is_written(call, tmp_path, small_map):
+    """Without tags nothing that has tags alone, without walls either no picture; all the rest has something to say."""
+    walls = without_tags(small_map)
+    save_map(tmp_path / "walls.npz", walls)
+    bare = replace(walls.tfg, segments=np.empty((0, 4)), segment_ids=np.empty((0, 2), dtype=np.int64))
+    save_map(tmp_path / "bare.npz", replace(walls, tfg=replace(bare, segment_kind=np.empty(0, dtype=np.int64))))
+    for name, (suffix, _, _) in FORMATS.items():
+        out = tmp_path / f"out-{name}{suffix}"
+        code, _, err = call("map", "export", tmp_path / "walls.npz", out, "--format", name)
+        if name in OF_TAGS:
+            told = "has no tags; its walls go to another format, such as .dxf, .geojson, .svg or .yaml"
+            assert (code, err) == (2, f"tfg-drake: {tmp_path / 'walls.npz'}: {told}\n")
+        else:
+            assert (code, err) == (0, "")
+        assert out.exists() == (name not in OF_TAGS)
+        out.unlink(missing_ok=True)
+        code, _, err = call("map", "export", tmp_path / "bare.npz", out, "--format", name)
+        assert (code, out.exists(), err.count("\n")) == ((0, True, 0) if name in OF_GRAPH else (2, False, 1))
 
 
 @pytest.mark.parametrize(("suffix", "missing"), [(".geojson", "shapely"), (".dxf", "ezdxf")])
@@ -171,9 +216,21 @@ def test_a_missing_package_is_named(call, path, tmp_path, monkeypatch, suffix, m
     assert said == (2, "", f"tfg-drake: {missing} is not installed; get it with pip install 'tfg-drake[export]'\n")
 
 
-def test_merge(call, path, tmp_path, monkeypatch):
+def test_a_map_is_not_merged_with_itself(call, path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, out, err = call("map", "merge", path, tmp_path, "both.npz")
+    said = call("map", "merge", path, tmp_path, "both.npz")
+    told = "2 looks are in both maps, and would count twice: merge maps of runs that share none"
+    assert said == (2, "", f"tfg-drake: {told}\n")
+    assert not (tmp_path / "both.npz").exists()
+
+
+def test_merge(call, path, tmp_path, small_map, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    another = [replace(one, information=1.01 * one.information) for one in small_map.graph.keyframes]
+    save_map(tmp_path / "b.npz", replace(small_map, graph=replace(small_map.graph, keyframes=tuple(another))))
+    said = call("map", "merge", path, "b.npz", "none/both.npz")
+    assert said == (2, "", "tfg-drake: none/both.npz: cannot be written: no such file or directory\n")
+    code, out, err = call("map", "merge", path, "b.npz", "both.npz")
     assert (code, out, err) == (0, "both.npz: 4 landmarks; 4 of them and 0 walls are in both maps\n", "")
     code, out, err = call("map", "info", "both.npz")
     assert (code, err) == (0, "")
@@ -226,7 +283,6 @@ def test_align(call, path, tmp_path, monkeypatch):
         ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
         ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),
         ("merge map.npz none.npz both.npz", "no such map: none.npz"),
-        ("merge map.npz map.npz none/both.npz", "none/both.npz: cannot be written: no such file or directory"),
         ("align map.npz out.npz", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags a --plan b", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags none.csv", "none.csv: cannot be read: no such file or directory"),

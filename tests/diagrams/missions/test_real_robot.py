@@ -7,10 +7,11 @@ import pytest
 
 from tfg_drake.diagrams.missions.real_robot import Bounded
 from tfg_drake.diagrams.scenario import LoadScenario
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.watchdog import Limits
 
-LIMITS = Limits(0.2, 1.0, 0.4, 2.0)
+LIMITS, TAGS = Limits(0.2, 1.0, 0.4, 2.0), object()
 
 
 @dataclasses.dataclass
@@ -29,7 +30,7 @@ def scenario():
 
 def test_the_limits_of_the_robot_and_its_sensors_hold(scenario):
     before = copy.deepcopy(scenario)
-    bounded = Bounded(scenario, RobotDevices(None, None, None, LIMITS, least_range=0.15, view=View()))
+    bounded = Bounded(scenario, RobotDevices(None, TAGS, None, LIMITS, least_range=0.15, view=View()))
     robot, tags = bounded.robot, bounded.tags
     assert dataclasses.astuple(LIMITS) == (
         robot.max_speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration
@@ -43,7 +44,21 @@ def test_the_limits_of_the_robot_and_its_sensors_hold(scenario):
 def test_a_scenario_that_asks_for_less_has_it(scenario):
     narrow = copy.deepcopy(scenario)
     narrow.tags.range, narrow.scan.least_range = 2.0, 0.5
-    bounded = Bounded(narrow, RobotDevices(None, None, None, LIMITS, least_range=0.15, view=View(range=3.0)))
+    bounded = Bounded(narrow, RobotDevices(None, TAGS, None, LIMITS, least_range=0.15, view=View(range=3.0)))
     assert (bounded.tags.range, bounded.scan.least_range) == (2.0, 0.5)
     unseen = Bounded(scenario, RobotDevices(None, None, None, LIMITS))
     assert unseen.tags == scenario.tags
+
+
+def test_where_there_is_no_source_of_tags_walls_are_the_landmarks(scenario):
+    assert Bounded(scenario, RobotDevices(None, TAGS, None, LIMITS)).explorer.landmarks == "both"
+    tagless = RobotDevices(None, None, None, LIMITS)
+    assert Bounded(scenario, tagless).explorer.landmarks == "walls"
+    assert scenario.explorer.landmarks == "both"
+    tags_alone = copy.deepcopy(scenario)
+    tags_alone.explorer.landmarks = "tags"
+    with pytest.raises(DeviceError) as error:
+        Bounded(tags_alone, tagless)
+    assert str(error.value) == (
+        "explorer.landmarks=tags: the robot has no source of tags; give --tags, or leave it out"
+    )

@@ -2,21 +2,29 @@
 
 import dataclasses
 import json
+import math
 import shutil
 
 import numpy as np
 import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 import tfg_drake
-from tfg_drake.diagrams.methods import METHODS
+from tests.storage.test_checkpoint import TOLD
+from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.methods import METHODS, FindMethod
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.robots import SIMULATED
-from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
 from tfg_drake.geometry.se2 import compose, pose_at
-from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
+from tfg_drake.messages import FloatArray, replace
+from tfg_drake.mission.manual_drive import Pressed, drive_csv
+from tfg_drake.storage import port_recording, timeline
+from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.timeline import read_timeline
 
@@ -136,3 +144,128 @@ def test_a_real_robot_that_was_carried_finds_itself_first(half):
     truth = station.GetOutputPort("truth.pose").Eval(station.GetMyContextFromRoot(mission.simulator.get_context()))
     X_WB = compose(np.array(scenario().world.start), pose_at(mission.pose, mission.time))
     np.testing.assert_allclose(X_WB[:2], truth[:2], atol=0.05)
+
+
+METHODS_TRIED = ("tfg", "paper", "grid-nearest", "weighted", "random", "scripted", "manual")
+
+
+@pytest.mark.parametrize("name", METHODS_TRIED)
+def test_every_method_goes_on_to_the_bit(name, tmp_path):
+    rooms = ApplySettings(scenario(), ["explorer.first_look=2", "drive=[[4, 1], [4.5, 3]]"])
+    method = METHODS[name]
+    if name == "manual":
+        (tmp_path / "keys.csv").write_text(
+            drive_csv((Pressed(2.5, "forward"), Pressed(6.0, "left"), Pressed(9.0, "forward")))
+        )
+        method = FindMethod(str(tmp_path / "keys.csv"))
+    whole = Mission(rooms, method, None, "")
+    whole.begin()
+    whole.advance(8.0)
+    write_checkpoint(tmp_path / "checkpoint.bin", TOLD, whole.state())
+    whole.advance(12.0)
+    after = Mission(rooms, method, None, "", before=read_checkpoint(tmp_path)[1])
+    after.begin()
+    assert after.time == 8.0
+    after.advance(12.0)
+    for poses in (Mission.estimated_poses, Mission.true_poses):
+        for one, two in zip(poses(whole), poses(after), strict=True):
+            np.testing.assert_array_equal(one, two)
+    assert after.stages == whole.stages
+
+
+@pytest.fixture
+def state(half):
+    """Annotations and values of a checkpoint's parts."""
+    mission = Mission(scenario(), METHODS["tfg"], None, "", before=read_checkpoint(half.folder)[1])
+    mission.begin()
+    return mission.state()
+
+
+@pytest.mark.parametrize(
+    ("name", "hint", "value"),
+    [
+        ("time", float, 1e9),
+        ("time", float, math.nan),
+        ("time", float, -1.0),
+        ("time", str, "soon"),
+        ("logs", list[FloatArray], []),
+        ("stages", list[str], ["first"]),
+        ("resumed", float, 1.0),
+        ("/explorer/follower", tuple[FloatArray, FloatArray], (np.zeros(1), np.zeros(99))),
+        ("/explorer/slam_estimator", tuple[float, float], (0.0, 0.0)),
+        ("/explorer/mission_sequencer", tuple[float], (1.0,)),
+    ],
+)
+def test_what_cannot_be_restored_is_one_line_and_nothing_is_lost(half, state, tmp_path, name, hint, value):
+    cut = shutil.copytree(half.folder, tmp_path / "cut")
+    standing = read_checkpoint(half.folder)[1]
+    for part, kind in (("ports", port_recording.Standing), ("timeline", timeline.Standing)):
+        state[part] = kind, standing.take(part, kind)
+    told = read_checkpoint(half.folder)[0]
+    write_checkpoint(cut / "checkpoint.bin", told, state)
+    assert cut_short(cut).state.take("time", float) == CUT
+    write_checkpoint(cut / "checkpoint.bin", told, {**state, name: (hint, value)})
+    before = {file.name: file.read_bytes() for file in cut.iterdir()}
+    with pytest.raises(CheckpointError, match=r"^[^\n]*is damaged[^\n]*--map$"):
+        gone_on(cut, None)
+    assert cut_short(cut).name == "rooms"
+    for kept in ("checkpoint.bin", "scenario.yaml", "summary.json", "map.npz", "trajectory.tum", "stages.jsonl"):
+        assert (cut / kept).read_bytes() == before[kept]
+    assert len(read_recording(cut).messages["base.odometry"]) > 16 * (CUT - 1.0)
+
+
+def test_a_map_whose_indices_are_out_of_bounds_is_no_state(half, state, tmp_path):
+    hint, (builder,) = state["/explorer/tfg_builder"]
+    graph = builder.graph
+    wrong = replace(graph, star_offsets=graph.star_offsets + 10**9)
+    state["/explorer/tfg_builder"] = hint, (replace(builder, graph=wrong),)
+    write_checkpoint(tmp_path / "checkpoint.bin", TOLD, state)
+    mission = Mission(scenario(), METHODS["tfg"], None, "", before=read_checkpoint(tmp_path)[1])
+    with pytest.raises(CheckpointError, match="is damaged"):
+        mission.begin()
+
+
+class Remembering(LeafSystem):
+    """A part of somebody's own whose state is anything."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareAbstractState(AbstractValue.Make({"seen": []}))
+
+
+def test_a_part_whose_state_cannot_be_kept_does_not_stop_the_mission(tmp_path, caplog):
+    def MakeExplorer(rooms):
+        explorer, builder = MakeTfgExplorer(rooms), DiagramBuilder()
+        builder.AddSystem(explorer)
+        builder.AddNamedSystem("mine", Remembering())
+        for i in range(explorer.num_input_ports()):
+            builder.ExportInput(explorer.get_input_port(i), explorer.get_input_port(i).get_name())
+        for i in range(explorer.num_output_ports()):
+            builder.ExportOutput(explorer.get_output_port(i), explorer.get_output_port(i).get_name())
+        return builder.Build()
+
+    method = dataclasses.replace(METHODS["scripted"], name="mine", MakeExplorer=MakeExplorer)
+    done = run.run_mission(scenario(), method=method, name="rooms", max_time=3.0, out_dir=tmp_path)
+    assert (done.summary["outcome"], done.summary["sim_time_s"]) == ("time_limit", 3.0)
+    assert "/explorer/mine: dict cannot be kept" in done.unwritten["checkpoint.bin"]
+    assert caplog.text.count("could not be gone on with") == 1
+    assert not (tmp_path / "checkpoint.bin").exists()
+
+
+def test_a_mission_that_fails_at_once_has_a_report(tmp_path, monkeypatch):
+    monkeypatch.setattr(Mission, "observe", lambda self: 1 / 0)
+    done = run.run_mission(scenario(), name="rooms", max_time=3.0, out_dir=tmp_path)
+    assert (done.summary["outcome"], done.summary["distance_m"]) == ("fault", 0.0)
+
+
+def test_a_link_in_the_place_of_a_file_is_not_written_through(half, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("mine\n")
+    for name in ("log.txt", "timeline.tfg"):
+        cut = shutil.copytree(half.folder, tmp_path / name)
+        before = cut_short(cut)
+        (cut / name).unlink()
+        (cut / name).symlink_to(elsewhere)
+        with pytest.raises(OSError, match="symbolic links"):
+            run.run_mission(before.scenario, name="rooms", max_time=END, out_dir=cut, before=before.state)
+    assert elsewhere.read_text() == "mine\n"

@@ -136,7 +136,10 @@ def test_corners_of_tags_bring_their_camera():
             Graph({"/other": "sensor_msgs/msg/PointCloud2", "/tags": "std_msgs/msg/String"}),
             "nobody publishes /here; seen instead: /other",
         ),
-        (Graph({"/here": APRILTAG}), f"nobody publishes {INFO} (sensor_msgs/msg/CameraInfo); seen instead: /here"),
+        (
+            Graph({"/here": APRILTAG}),
+            f"nobody publishes {INFO} (sensor_msgs/msg/CameraInfo); seen instead: /here; or give --tags none",
+        ),
         (
             Graph({"/here": APRILTAG, INFO: "sensor_msgs/msg/CameraInfo"}, {INFO: CAMERA}),
             "nothing arrives on /here in 0 s: start its driver",

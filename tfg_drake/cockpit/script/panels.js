@@ -67,8 +67,8 @@ function tell() {
   const figures = [
     ["stage", stage, "One look in the map and the choice after it"],
     [
-      "tags mapped",
-      `${value(series.tags, time) ?? 0}${looks ? `, ${sighted} seen` : ""}`,
+      wallsAlone() ? "walls mapped" : looks && !sighted ? "landmarks mapped" : "tags mapped",
+      `${value(wallsAlone() ? series.walls : series.tags, time) ?? 0}${looks && sighted ? `, ${sighted} seen` : ""}`,
       "Landmarks in the map; what is seen in the first look is mapped when that ends",
     ],
     ["floor seen", number(value(area, time), 0, "m²"), "Floor known to be free"],
@@ -183,7 +183,9 @@ function tellEnd() {
       ["time", `${number(end.sim_time_s, 1, "s")}, ${end.stages} stages`],
       ["driven", number(end.distance_m, 1, "m")],
     ];
-  if (end.landmarks_mapped !== null)
+  if (end.walls_mapped && !end.landmarks_mapped && !end.landmarks_reachable)
+    list.push(["walls", `${end.walls_mapped} mapped`]);
+  else if (end.landmarks_mapped !== null)
     list.push([
       "tags",
       `${end.landmarks_mapped}` +

@@ -1,5 +1,6 @@
 // Plots over time, and the stages beside the slider.
 
+const WALLS = ["walls mapped", [[series.walls, "landmark"]], 0, ""];
 const PLOTS = [
   [
     "tags mapped",
@@ -45,7 +46,7 @@ function drawPlots() {
     if (!w || !h) return;
     if (canvas.width !== w || canvas.height !== h) Object.assign(canvas, { width: w, height: h });
     const context = canvas.getContext("2d"),
-      [, parts, digits] = PLOTS[i],
+      [title, parts, digits] = i === 0 && wallsAlone() ? WALLS : PLOTS[i],
       span = timeline.end || 1,
       top = 15 * ratio;
     context.clearRect(0, 0, w, h);
@@ -74,11 +75,10 @@ function drawPlots() {
     context.globalAlpha = 0.5;
     context.fillRect(x(time) - 0.5 * ratio, top - 2, ratio, h);
     context.globalAlpha = 1;
-    if (parts.length > 1)
-      box.querySelector("span").textContent = PLOTS[i][0].replace(
-        / and true$/,
-        parts[1][0].times.length ? " and true" : "",
-      );
+    box.querySelector("span").textContent = title.replace(
+      / and true$/,
+      parts.length > 1 && parts[1][0].times.length ? " and true" : "",
+    );
     box.querySelector("b").textContent = parts
       .filter(([s]) => s.times.length)
       .map(([s]) => number(value(s, time), digits))

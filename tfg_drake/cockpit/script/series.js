@@ -4,6 +4,7 @@ const series = {
   sigma: { times: [], values: [] },
   error: { times: [], values: [] },
   tags: { times: [], values: [] },
+  walls: { times: [], values: [] },
   entropy: { times: [], values: [] },
   driven: { times: [], values: [] },
 };
@@ -11,6 +12,11 @@ const forkSeries = { tags: { times: [], values: [] }, entropy: { times: [], valu
 const stageTimes = [];
 let wallBounds = null,
   lastPlace = null;
+
+/** Whether the map has walls alone as landmarks, as that of a robot without tags. */
+function wallsAlone() {
+  return !series.tags.values.some(Boolean) && series.walls.values.some(Boolean);
+}
 
 /** Whether the robot has not mapped anything yet. */
 function firstLook(t) {
@@ -67,6 +73,8 @@ timeline.listeners.push((layer, record) => {
     series.entropy.values.push(record.told.entropy);
     if (record.told.stage > stageTimes.length) stageTimes.push(record.time);
   } else if (layer === "wall_landmarks") {
+    series.walls.times.push(record.time);
+    series.walls.values.push(record.count);
     if (record.count) element("layer-wall_landmarks").parentElement.hidden = false;
   } else if (layer === "free") {
     addStars(record);
