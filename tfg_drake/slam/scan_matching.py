@@ -32,8 +32,8 @@ COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
 # Where the turn is known no better, rad, what is known of the way is no Gaussian.
 MOST_DEVIATION = 0.1
 
-# Two scans that are compared are so far apart, s.
-APART, TOO_FAR = 0.35, 2.0
+# Two scans that are compared are so far apart, s, and no farther: beyond half a metre other places fit.
+APART, TOO_FAR = 0.35, 0.8
 # Clocks are compared up to so much before or after each other, s.
 MOST_LAG, LAG_STEP = 1.2, 0.04
 # Of so many pairs at most their lag is looked for.
