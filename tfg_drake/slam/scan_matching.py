@@ -51,7 +51,7 @@ CONTRADICTS = (0.1, 0.1)
 # What contradicts it again so soon, s, does so all the time.
 ONE_STRETCH = 1.0
 # So many pairs that move tell something; where fewer than this share are explained nothing explains them.
-PAIRS, EXPLAINED = 8, 0.5
+PAIRS, EXPLAINED = 12, 0.5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
 AGAINST = "scans turn against the odometry"
