@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake import __version__
-from tfg_drake.bad_input import BadInput
+from tfg_drake.bad_input import BadInput, EstimateLost
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
@@ -284,8 +284,10 @@ def explore(
             wait_for_enter()
     if as_json:
         print(json.dumps(result.summary), flush=True)
-    kept = explore_command.is_kept(result.unwritten)
-    raise typer.Exit(EXIT_CODES[result.summary["outcome"]] if kept else explore_command.NOT_WRITTEN)
+    code = EXIT_CODES[result.summary["outcome"]]
+    if isinstance(result.mission.failure, EstimateLost):
+        code = EXIT_CODES["stuck"]
+    raise typer.Exit(code if explore_command.is_kept(result.unwritten) else explore_command.NOT_WRITTEN)
 
 
 def _tell(result: RunResult) -> None:
@@ -297,8 +299,10 @@ def _tell(result: RunResult) -> None:
     for name, value in rows:
         print(f"{name:<12}{value}", flush=True)
     if result.summary["outcome"] == "fault":
-        log = result.folder / "log.txt"
-        print(f"tfg-drake: {_one_line(result.summary['reason'])}; the traceback is in {log}", file=sys.stderr)
+        log = (
+            "" if isinstance(result.mission.failure, EstimateLost) else f"; the traceback is in {result.folder}/log.txt"
+        )
+        print(f"tfg-drake: {_one_line(result.summary['reason'])}{log}", file=sys.stderr)
 
 
 @app.command()
@@ -619,6 +623,9 @@ def main(arguments: list[str] | None = None) -> None:
             code = app(arguments, prog_name="tfg-drake", standalone_mode=False)
     except BadInput as error:
         code = _complain(str(error))
+    except EstimateLost as error:
+        _complain(str(error))
+        code = EXIT_CODES["stuck"]
     except _UsageError as error:
         complaint = _one_line(error.format_message()).rstrip(".")
         command = error.ctx.command_path if error.ctx is not None else "tfg-drake"

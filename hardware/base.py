@@ -134,8 +134,10 @@ class HardwareBase(LeafSystem):
         if contradict:
             take_note("contradiction", time, CONTRADICT)
         watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
-        for line in [*lines, *self.devices.take_remarks()]:
+        for line in lines:
             _log.warning("%.2f s: %s", time, line)
+        for line in self.devices.take_remarks():
+            take_note("sensor", time, line)
         self._state.set(state, replace(now, watch=watch, scans=scans))
         return EventStatus.Succeeded()
 

@@ -73,9 +73,10 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     except PresetError as error:
         raise DeviceError(str(error)) from None
     cameras = _cameras(config)
+    specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
     if config.tags == NO_TAGS:
+        del specs["tags"]
         preset = dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, detections=None))
-    specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec not in ("", NO_TAGS)}
     if cameras:
         specs["tags"] = cameras[0][0]
     parsed = {use: parse_source(spec) for use, spec in specs.items()}

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.information_gain import density_shown
 from tfg_drake.planning.local import local, planning_radius
+from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
@@ -24,10 +25,11 @@ PERIOD = 1 / 16
 
 @message
 class _SelectorState:
-    """The choice at the newest stage, and where somebody has sent the robot."""
+    """The choice at the newest stage, where somebody has sent the robot, and what the goals have promised."""
 
     goal: GoalChoice
     sent: Sent = Sent()
+    promise: Promise = Promise()
 
 
 class InfoGainGoalSelector(LeafSystem):
@@ -93,8 +95,7 @@ class InfoGainGoalSelector(LeafSystem):
     def Choose(self, context: Context, goal: GoalChoice) -> None:
         """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
         one that it replaces, its node one of the roadmap that can be reached."""
-        sent = self._state(context).sent
-        context.SetAbstractState(int(self._state.index), _SelectorState(goal, sent))
+        context.SetAbstractState(int(self._state.index), replace(self._state(context), goal=goal, promise=Promise()))
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         mission, now = self._inputs(context, "mission"), self._state(context)
@@ -105,18 +106,28 @@ class InfoGainGoalSelector(LeafSystem):
             estimate = self._inputs.optional(context, "landmarks") or estimate
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
-        chosen = _SelectorState(self._Choose(context, now.goal, estimate.given_shared(), tfg, near), now.sent)
+        promise = judged(now.promise, estimate, self._parameters.explorer.prior_sigma)
+        goal = self._Choose(context, now.goal, promise, estimate.given_shared(), tfg, near)
+        chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise))
         self._state.set(state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 
     @metered("goal")
     def _Choose(
-        self, context: Context, previous: GoalChoice, landmarks: MapEstimate, tfg: TfgMap, near: Roadmap
+        self,
+        context: Context,
+        previous: GoalChoice,
+        promise: Promise,
+        landmarks: MapEstimate,
+        tfg: TfgMap,
+        near: Roadmap,
     ) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
         tags, parameters = self._inputs(context, "map"), self._parameters
         is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
         explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))
+        if not promise.believed:
+            explorer = dataclasses.replace(explorer, stop_gain=math.inf)
         parameters = dataclasses.replace(parameters, explorer=explorer)
         if math.isfinite(radius):
             part = local(landmarks, tfg, radius, parameters.sensor.range)
@@ -136,4 +147,4 @@ class InfoGainGoalSelector(LeafSystem):
         roadmap, estimate = self._inputs.each(context, "roadmap", "map")
         sent = where_sent(now.sent, requested, roadmap, mission, estimate.X_MA[-1, :2])
         goal = goal_there(now.goal, sent.node, roadmap) if sent.node >= 0 else now.goal
-        return _SelectorState(goal, sent)
+        return replace(now, goal=goal, sent=sent)

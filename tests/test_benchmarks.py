@@ -1,10 +1,13 @@
 """Benchmarks that watch a mission from within still see what they are to measure."""
 
+import json
 import runpy
 import sys
 from pathlib import Path
 
 import pytest
+
+from tfg_drake.datasets.recording import DatasetError
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 # What comes first of all, shortly.
@@ -74,3 +77,19 @@ def test_consistency_goes_on_where_it_stopped(run, monkeypatch, tmp_path) -> Non
     run("consistency.py", *arguments)
     assert len(asked) == 9
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 8
+
+
+def test_relations_goes_on_where_it_stopped(run, tmp_path) -> None:
+    figures = {"count": 3, "translation_m": {"mean": 0.05, "std": 0.01}, "rotation_deg": {"mean": 0.6, "std": 0.2}}
+    kept = tmp_path / "relations.jsonl"
+    kept.write_text(
+        "".join(json.dumps({"log": log, "method": "karto", **figures, "cpu_time_s": 7.0}) + "\n" for log in ("a", "b"))
+    )
+    lines = run("relations.py", str(tmp_path), "--out", str(kept), "--logs", "a,b", "--methods", "karto").splitlines()
+    assert [line.split() for line in lines[1:]] == [
+        [log, "karto", "3", "0.0500", "+-", "0.0100", "0.6000", "+-", "0.2000", "7"] for log in ("a", "b")
+    ]
+    # Of a log that is not there nothing is kept.
+    with pytest.raises(DatasetError, match=r"c.clf.bz2: no such file"):
+        run("relations.py", str(tmp_path), "--out", str(kept), "--logs", "a,c", "--methods", "karto")
+    assert len(kept.read_text().splitlines()) == 2

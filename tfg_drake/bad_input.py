@@ -8,6 +8,11 @@ class BadInput(Exception):
     """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
 
 
+class EstimateLost(Exception):
+    """The estimate is no longer finite, or cannot be solved for; the message is one line that says since when. What was
+    mapped before is kept."""
+
+
 def not_radians(angle: float) -> str:
     """The complaint about an angle that is more than a turn in rad, so probably in degrees; "" where it is none."""
     return f"{angle:g} rad is more than a turn; write radians, not degrees" if abs(angle) > _TURN else ""

@@ -26,7 +26,17 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = ("hardware", "operator", "pace", "visualizer", "run_folder", "port_recording", "slam.sensors", "world")
+REMARKING = (
+    "hardware",
+    "notes",
+    "operator",
+    "pace",
+    "port_recording",
+    "run_folder",
+    "slam.sensors",
+    "visualizer",
+    "world",
+)
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:

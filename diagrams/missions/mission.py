@@ -16,6 +16,7 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus, System
 from pydrake.systems.primitives import VectorLog, VectorLogSink
 
+from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
 from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
@@ -414,7 +415,11 @@ class Mission:
         context = self.explorer.GetMyContextFromRoot(self._context)
         state = StateOfExplorer(self.explorer, context)
         # Of an estimator that says no more than its map, that is the final one.
-        self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
+        self._final = state
+        try:
+            self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
+        except EstimateLost as error:
+            self.outcome, self.reason, self.failure = "fault", str(error), error
         return MapOfExplorer(self.explorer, context, self.X_WM, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:

@@ -14,6 +14,7 @@ import numpy as np
 from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context, EventStatus
 
+from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.missions.mission import STEP, Mission
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
@@ -116,6 +117,8 @@ class MissionRunner:
             first_line = next(iter(str(error).strip().splitlines()), "no message")
             mission.outcome, mission.failure = "fault", error
             mission.reason = f"{type(error).__name__} at {mission.time:.2f} s: {first_line}"
+            if isinstance(error, EstimateLost):
+                mission.reason = first_line
             _log.exception("the mission failed at %.3f s", mission.time)
         finally:
             mission.robot.close()

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tfg_drake.config import OdometryConfig, ScanConfig
-from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.datasets.recording import DatasetError, Recording, said_of_scanner
 from tfg_drake.hardware.ros.bag_files import Logged, bag_files, read_messages
 from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odometry, ros_stamp, unit_quaternion
 from tfg_drake.hardware.ros.preset import Scanner
@@ -57,6 +57,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
         decoded = _decoder()
     except ImportError:
         raise DatasetError(f"{path}: a ROS bag needs an extra; pip install 'tfg_drake[bag]'") from None
+    said = said_of_scanner(path, scanner)
     files, told = bag_files(path)
     of_topic: dict[tuple[str, str], list[Logged]] = collections.defaultdict(list)
     for one in read_messages(files, KINDS, told.append):
@@ -68,7 +69,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
         raise DatasetError(f"{path}: no {SCAN} and no {ODOMETRY} in it; {why}")
     seen, way = (_fullest(path, topics, kind, notes) for kind in (SCAN, ODOMETRY))
     parents = _fixed([topic for topic in topics if topic.kind not in (SCAN, ODOMETRY)])
-    return _recording(path, seen, way, parents, scanner or {}, notes)
+    return _recording(path, seen, way, parents, said, notes)
 
 
 @functools.cache
@@ -122,7 +123,7 @@ class _Topic:
         if not self._reasons:
             return []
         text = f"{len(self._reasons)} of {self.total} messages of {self.name} are not used: {self._reasons[0][1]}"
-        return [Note("messages", self._reasons[0][0] - begin, text)]
+        return [Note("messages", float(self._reasons[0][0] - begin), text)]
 
 
 def _fullest(path: Path, topics: list[_Topic], kind: str, notes: list[Note]) -> _Topic:

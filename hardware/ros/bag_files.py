@@ -69,12 +69,13 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
     try:
         tree: Any = parse_yaml((path / METADATA).read_text(encoding="utf-8"))
         named = [path / Path(name).name for name in tree["rosbag2_bagfile_information"]["relative_file_paths"]]
+        there = [_there(one) for one in named]
     except (OSError, ValueError, KeyError, TypeError):
         told.append(f"no whole {METADATA} in it: all files of a bag are read, in the order of their numbers")
     else:
-        if missing := [one.name for one in named if _there(one) is None]:
+        if missing := [one.name for one, file in zip(named, there, strict=True) if file is None]:
             told.append(f"{', '.join(missing)[:200]} of {METADATA} not there, the others are read")
-        found = [there for one in named if (there := _there(one)) is not None]
+        found = [file for file in there if file is not None]
     if not found:
         raise DatasetError(f"{path}: no file of its bag is there; copy the whole folder")
     return found, told

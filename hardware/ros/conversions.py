@@ -160,10 +160,11 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
     if ranges.ndim != 1:
         raise ValueError("ranges is no list of numbers")
     least, greatest = number(message, "range_min", SCAN_RANGE), number(message, "range_max", SCAN_RANGE)
-    first, step = (number(message, name, 4.0 * math.pi) for name in ("angle_min", "angle_increment"))
     between, n = number(message, "time_increment", _RAY_TIME), len(ranges)
     if scanner.field_of_view > 0.0:
         first, step = -0.5 * scanner.field_of_view, scanner.field_of_view / max(n - 1, 1)
+    else:
+        first, step = (number(message, name, 4.0 * math.pi) for name in ("angle_min", "angle_increment"))
     if not (step != 0.0 and 0.0 <= least < greatest):
         raise ValueError(f"scan of angles {first} + i * {step} and ranges from {least} to {greatest}")
     if scanner.unanswered == "free":

@@ -85,6 +85,10 @@ def test_other_scanners_need_what_they_span(tmp_path):
     np.testing.assert_allclose(log.scans[0].angles, [2.0 - math.pi, math.pi - 2.0, math.pi])
     np.testing.assert_array_equal(log.scans[0].ranges, [3.0, 1.0, 2.0])
     assert log.scans[1].stamp == 0.9
+    with pytest.raises(
+        DatasetError, match=r"--set hardware.scanner.pitch: .* is a recording, of its scanner say x, y,"
+    ):
+        load_dataset(tmp_path / "a.log", scanner={"pitch": 0.1})
     with pytest.raises(DatasetError, match=r"--set hardware.scanner.yaw: .* has no laser scanner; leave it out"):
         load_dataset(tmp_path, scanner={"yaw": 1.0})
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from tests.diagrams.rooms import ROOM
@@ -20,6 +21,7 @@ from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
 from tfg_drake.mission.interruption import TOGETHER
+from tfg_drake.slam import estimator
 
 
 @pytest.mark.parametrize(
@@ -288,6 +290,27 @@ def test_a_fault_ends_with_one_line_and_exit_code_3(call, room, tmp_path):
     assert remark == "There is no tag in this world, so no landmark to map; --tag-spacing places some"
     assert (code, outcome) == (3, "outcome     fault: ValueError at 0.00 s: no way")
     assert err == f"tfg-drake: ValueError at 0.00 s: no way; the traceback is in {tmp_path}/log.txt\n"
+
+
+def test_an_estimate_that_is_lost_ends_with_one_line_and_the_map_before(call, room, tmp_path, monkeypatch):
+    solve, views = estimator.reduced, []
+
+    def fail_at_the_second(*args):
+        views.append(args)
+        if len(views) > 1:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return solve(*args)
+
+    monkeypatch.setattr(estimator, "reduced", fail_at_the_second)
+    code, out, err = call("explore", room, "--headless", "--out", str(tmp_path), "--tag-spacing", "1")
+    assert code == 1
+    assert err.startswith("tfg-drake: the estimate is no longer finite at ")
+    assert err.endswith(
+        "(Singular matrix); the map is kept as it was at stage 1; look at odometry and scans about then\n"
+    )
+    assert err.count("\n") == 1
+    assert "Traceback" not in out
+    assert (tmp_path / "map.npz").exists()
 
 
 def test_a_method_that_makes_no_diagram_is_told_so(call, tmp_path):

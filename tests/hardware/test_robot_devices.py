@@ -159,6 +159,8 @@ def test_a_robot_without_tags_has_no_source_of_them(opened):
     assert open_devices(HardwareConfig(robot="ros2", tags="none"), RobotConfig()).tags is None
     assert opened["specs"] == {}
     assert opened["sensors"].topics.detections is None
+    with pytest.raises(DeviceError, match=r"^none: is no source; name one as "):
+        open_devices(HardwareConfig(robot="ros2", tags="none", scan="none"), RobotConfig())
     alone.close()
     assert opened["source"].closed
 

@@ -304,6 +304,15 @@ def rewrite(path, **changes):
             {"tfg_graph.free_space_frontiers.view": np.array([-1])},
             "FILE is not a whole map: tfg_graph.free_space_frontiers.view does not fit tfg_graph.stage",
         ),
+        ({"tfg.segment_kind": np.full(4, 3)}, "FILE is not a whole map: tfg.segment_kind is no kind"),
+        (
+            {"tfg.facing": np.full((4, 2), 1e300)},
+            "FILE is not a whole map: tfg.facing or tfg_graph.tag_facing is no direction",
+        ),
+        (
+            {"X_WM": np.array([0.0, 0.0, np.inf])},
+            "FILE is not a whole map: X_WM or graph.landmark_covariance is not finite",
+        ),
         ({"tfg.segment_ids": np.full((4, 2), 9)}, "FILE is not a whole map: tfg.segment_ids does not fit graph.ids"),
         (
             {"tfg_graph.surfaces.offsets": np.array([0, 2, 4, 8])},

@@ -9,7 +9,7 @@ import pytest
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry import se2
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
-from tfg_drake.slam.scan_lines import LENGTH, scan_lines
+from tfg_drake.slam.scan_lines import LENGTH, scan_lines, surface_seen
 
 CONFIG = ScanConfig()
 ANGLES = ray_angles(CONFIG)
@@ -125,3 +125,51 @@ def test_uneven_walls_are_known_no_better_than_their_stretches():
     stretches = np.maximum((even[:, 3] - even[:, 2]) / 0.5, 1.0)
     np.testing.assert_allclose(uneven[:, 6] ** 2 - even[:, 6] ** 2, 0.03**2 / stretches)
     assert (uneven[:, 5] > even[:, 5]).all()
+
+
+def arc(radius, begin, end, centre=(0.0, 0.0), pieces=400):
+    """Walls (pieces, 4) along an arc."""
+    angle = np.linspace(begin, end, pieces + 1)
+    points = np.column_stack([np.cos(angle), np.sin(angle)]) * radius + np.asarray(centre)
+    return np.hstack([points[:-1], points[1:]])
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.5, 4.0, 8.0])
+def test_a_curve_has_no_straight_piece(radius):
+    """A chord of it lies otherwise when it is seen from elsewhere: it would turn the robot."""
+    rng, found = np.random.default_rng(11), 0
+    for _ in range(100):
+        X_WB = np.append(0.6 * radius * rng.uniform(-0.7, 0.7, 2), rng.uniform(-math.pi, math.pi))
+        found += len(scan_lines(seen(arc(radius, -math.pi, math.pi), X_WB, rng)))
+    assert found < 80
+
+
+def test_straight_walls_beside_a_curve_are_lines_nevertheless():
+    """A nave with walls of 6 m that end in half a circle."""
+    nave = np.array([[-6.0, -2.5, 0.0, -2.5], [0.0, 2.5, -6.0, 2.5]])
+    walls = np.vstack([nave, arc(2.5, -0.5 * math.pi, 0.5 * math.pi)])
+    rng, lines = np.random.default_rng(12), []
+    for _ in range(50):
+        X_WB = np.append(rng.uniform([-5.0, -1.0], [-3.0, 1.0]), rng.uniform(-0.2, 0.2))
+        lines.append([errors(nave, X_WB, line) for line in scan_lines(seen(walls, X_WB, rng))])
+    assert np.mean([len(of_scan) for of_scan in lines]) > 1.8
+    off = np.array([one[0] for of_scan in lines for one in of_scan if one is not None])
+    assert len(off) > 90
+    assert (off.std(axis=0) < 2.0).all()
+
+
+@pytest.mark.parametrize(("length", "corner"), [(1.0, 40.0), (3.0, 40.0), (3.0, 90.0)])
+def test_a_wall_between_corners_is_no_chord(length, corner):
+    rng, y = np.random.default_rng(13), 0.5 * length
+    x, aside = 2.0 - 2.0 * math.sin(math.radians(corner)), 2.0 * math.cos(math.radians(corner))
+    walls = np.array([[x, -y - aside, 2.0, -y], [2.0, -y, 2.0, y], [2.0, y, x, y + aside]])
+    for _ in range(40):
+        lines = scan_lines(seen(walls, [0.0, rng.uniform(-0.2, 0.2), 0.0], rng))
+        assert np.any(np.abs(lines[:, 0]) < 0.1)
+
+
+def test_the_surface_seen_is_as_long_as_it_is_straight_or_not():
+    rng = np.random.default_rng(14)
+    for walls, length in ((WALLS[1:2], 6.0), (arc(3.0, -1.0, 1.0), 6.0)):
+        assert surface_seen(seen(walls, [0.0, 0.0, 0.0], rng)) == pytest.approx(length, rel=0.05)
+    assert surface_seen(seen(WALLS[1:2], [-8.0, 0.0, 0.0], rng)) == 0.0

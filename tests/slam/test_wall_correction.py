@@ -65,19 +65,28 @@ def test_what_may_be_two_walls_is_neither():
 
 
 @pytest.mark.parametrize("twist", [(0.0, 0.5), (0.4, 0.0)], ids=["turning", "driving"])
-def test_a_sweep_is_known(twist):
+@pytest.mark.parametrize(
+    ("heading", "angles"),
+    [(0.3, ANGLES)]
+    + [(heading, np.linspace(-np.pi, np.pi, 720)) for heading in (3.0, -2.9)]
+    + [(-2.9, np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False))],
+    ids=["ahead", "behind to the left", "behind to the right", "over the cut"],
+)
+def test_a_sweep_is_known(heading, angles, twist):
     """Rays taken later are from another place where the robot moves."""
-    shared, X_DB, twist = np.zeros(SHARED), np.array([0.0, 0.0, 0.3]), np.array(twist)
+    shared, X_DB, twist = np.zeros(SHARED), np.array([0.0, 0.0, heading]), np.array(twist)
     shared[SWEEP] = 0.005
-    ranges = np.empty(len(ANGLES))
-    for i, angle in enumerate(ANGLES):
+    ranges = np.empty(len(angles))
+    for i, angle in enumerate(angles):
         ago = shared[SWEEP] * angle
         then = X_DB - ago * np.array([twist[0] * np.cos(X_DB[2]), twist[0] * np.sin(X_DB[2]), twist[1]])
-        ranges[i] = scan(AHEAD.reshape(1, 4), then, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG).ranges[i]
-    scanned = scan(AHEAD.reshape(1, 4), X_DB, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG)
-    line = scan_lines(replace(scanned, ranges=ranges))[0]
-    off, naive = (line_off(X_DB, known, twist, line, AHEAD)[0] for known in (shared, np.zeros(SHARED)))
-    assert (np.abs(off) < 0.01 * np.abs(naive).max()).all()
+        ranges[i] = scan(AHEAD.reshape(1, 4), then, 0.0, angles[i : i + 1], np.zeros(1), CONFIG).ranges[0]
+    scanned = scan(AHEAD.reshape(1, 4), X_DB, 0.0, angles, np.zeros(len(angles)), CONFIG)
+    lines = scan_lines(replace(scanned, ranges=ranges))
+    assert len(lines)
+    for line in lines:
+        off, naive = (line_off(X_DB, known, twist, line, AHEAD)[0] for known in (shared, np.zeros(SHARED)))
+        assert (np.abs(off) < 0.01 * np.abs(naive).max()).all()
 
 
 @pytest.mark.parametrize(

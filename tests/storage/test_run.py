@@ -82,6 +82,10 @@ def test_without_pandas_and_polars_it_is_said_what_to_install(folder, monkeypatc
 
 def test_a_run_says_in_a_line_what_it_is(folder):
     assert repr(tfg_drake.load_run(folder)) == f"<run {folder}: complete after 0 s, 2 stages>"
+    # Whatever somebody has made of it, and what a mission says that failed at once.
+    for time, shown in ((None, "None"), ("soon", "soon"), (12.5, "12.5")):
+        (folder / "summary.json").write_text(json.dumps({"outcome": "complete", "sim_time_s": time}))
+        assert f"after {shown} s" in repr(tfg_drake.load_run(folder))
 
 
 def test_a_folder_without_a_run_is_told_in_a_line(folder):

@@ -372,6 +372,28 @@ def test_a_face_that_drifted_is_neither_refuted_nor_in_the_way(simulate) -> None
         world.graph, world.X_MA = graph, views
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+def test_lost_rays_free_nothing_behind_a_wall_of_the_map(two_rooms, lost) -> None:
+    """All but one of the glances lose rays; what they see to be free is inside of the rooms."""
+    rng, cast = np.random.default_rng(5), two_rooms.turn
+
+    def losing(X_WA):
+        scans, stamps, X_AB = cast(X_WA)
+        share = lost if len(two_rooms.X_MA) > 1 else 0.0
+        gone = [np.where(rng.random(len(scan.ranges)) < share, np.inf, scan.ranges) for scan in scans]
+        return [replace(scan, ranges=ranges) for scan, ranges in zip(scans, gone, strict=True)], stamps, X_AB
+
+    two_rooms.turn = losing
+    two_rooms.observe(TOUR[0])
+    for heading in np.arange(0.0, 6.0, 0.7):
+        tfg = two_rooms.observe(np.array([2.0, 3.0, heading]), glance=True)
+    low, high = two_rooms.walls.reshape(-1, 2).min(axis=0), two_rooms.walls.reshape(-1, 2).max(axis=0)
+    assert (tfg.star_vertices > low - 0.05).all()
+    assert (tfg.star_vertices < high + 0.05).all()
+    assert (tfg.frontiers > low - PUSH - 0.05).all()
+    assert (tfg.frontiers < high + PUSH + 0.05).all()
+
+
 @pytest.mark.parametrize(
     ("wall", "is_open"),
     [

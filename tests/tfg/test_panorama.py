@@ -86,6 +86,20 @@ def test_a_ray_or_two_that_are_swallowed_are_no_free_ground():
         np.testing.assert_array_equal(panorama.looked_at(bearings), looked)
 
 
+def test_a_third_of_the_rays_may_be_lost_and_a_wall_is_a_wall():
+    """Seven scans of one, 2 m off; a slit of five bins that two scans in seven do not see through is one."""
+    rng, angles = np.random.default_rng(4), np.arange(-200, 201) * 2.0 * np.pi / BINS
+    scans = []
+    for k in range(7):
+        ranges = np.where(rng.random(len(angles)) < 0.35, np.inf, 2.0)
+        ranges[200:205] = np.inf if k > 1 else 2.0
+        scans.append(LaserScan(0.1 * k, angles, ranges, 10.0, 0.01))
+    free = np.isinf(build_panorama(scans, np.array([0.0, 0.7]), np.zeros((2, 3))).ranges)
+    bearings = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS
+    assert free[(bearings > angles[200]) & (bearings < angles[204])].all()
+    assert free.sum() < 40
+
+
 def test_a_ray_that_is_swallowed_between_bins_without_rays_is_no_free_ground():
     """Rays a degree apart leave every second bin empty."""
     angles = (2.0 * np.arange(-50, 51) + 0.5) * 2.0 * np.pi / BINS
@@ -104,3 +118,28 @@ def test_a_ray_that_falls_half_on_either_of_two_surfaces_is_left_out():
     for ranges, kept in ((corner, np.arange(201) != 100), (aslant, np.full(201, True))):
         panorama = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.zeros(1), np.zeros((1, 3)))
         np.testing.assert_array_equal(panorama.looked_at(angles), kept)
+
+
+def test_a_coarse_scan_leaves_no_gaps_between_its_rays():
+    """A scanner of one ray a degree amid a square room of 4 m sees all of it."""
+    angles = np.radians(np.arange(-179.0, 181.0))
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ranges[10:40] = np.inf
+    coarse = LaserScan(0.0, angles, ranges, 10.0, 0.01)
+    seen = build_panorama([coarse], np.array([0.0]), np.zeros((1, 3)))
+    assert not np.isnan(seen.ranges).any()
+    bearing = (seen.angles + np.pi) % (2.0 * np.pi) - np.pi
+    free = (bearing > angles[10]) & (bearing < angles[39])
+    assert np.isinf(seen.ranges[free]).all()
+    walls = np.isfinite(seen.ranges)
+    expected = 2.0 / np.maximum(np.abs(np.cos(seen.angles)), np.abs(np.sin(seen.angles)))
+    np.testing.assert_allclose(seen.ranges[walls], expected[walls], atol=0.03)
+    assert np.count_nonzero(~walls) >= 58
+
+
+def test_a_coarse_scan_knows_nothing_beside_a_ray_that_says_nothing():
+    angles = np.radians(np.arange(-179.0, 181.0, 2.0))
+    ranges = np.full(180, 3.0)
+    ranges[90] = np.nan
+    seen = build_panorama([LaserScan(0.0, angles, ranges, 10.0, 0.01)], np.array([0.0]), np.zeros((1, 3)))
+    assert 4 <= np.count_nonzero(np.isnan(seen.ranges)) <= 8

@@ -60,9 +60,9 @@ class WholeRequestServer(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Let a newcomer wait until it has said all."""
-        for oldest in self._too_many(self._waiting, WAITING - 1):
-            self._hang_up(oldest, self._waiting)
-        request.setblocking(False)
+        if len(self._waiting) >= WAITING:
+            for oldest in self._too_many(self._waiting, WAITING - 1 - WAITING // 16):  # some at once, which is cheap
+                self._hang_up(oldest, self._waiting)
         self._waiting[request], self._address[request] = b"", client_address[0]
 
     def service_actions(self) -> None:
@@ -83,7 +83,7 @@ class WholeRequestServer(ThreadingHTTPServer):
         for connection in wait(list(self._waiting), 0.0):
             data = b""
             with contextlib.suppress(OSError):
-                data = connection.recv(_WHOLE)
+                data = connection.recv(_WHOLE, socket.MSG_DONTWAIT)
             said = self._waiting[connection] = self._waiting[connection] + data
             if data and not _is_whole(said):
                 continue
@@ -106,11 +106,12 @@ class WholeRequestServer(ThreadingHTTPServer):
     def _too_many(self, connections: Iterable[Any], most: int) -> list[Any]:
         """Which of some connections, the oldest first, are to go: as many as are more than this, each the oldest of the
         address that has most."""
-        left, gone = list(connections), []
+        left, gone = {one: self._address.get(one, "") for one in list(connections)}, []
+        crowds = collections.Counter(left.values())
         while len(left) > most:
-            crowd = collections.Counter(self._address.get(one, "") for one in left).most_common(1)[0][0]
-            gone.append(next(one for one in left if self._address.get(one, "") == crowd))
-            left.remove(gone[-1])
+            crowd = max(crowds, key=crowds.__getitem__)
+            gone.append(next(one for one, address in left.items() if address == crowd))
+            crowds[left.pop(gone[-1])] -= 1
         return gone
 
     def _begin_answer(self, request: tuple[bytes, socket.socket]) -> None:

@@ -21,7 +21,7 @@ from tfg_drake.datasets.recording import DatasetError, Recording
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
 from tfg_drake.notes import Note
-from tfg_drake.slam.odometry_rules import LEAP, SILENCE, WatchedOdometry, velocity, watch
+from tfg_drake.slam.odometry_rules import SILENCE, WatchedOdometry, velocity, watch
 from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
 
 # Odometry that comes seldom is silent after so many of its periods.
@@ -30,7 +30,7 @@ PERIODS = 5.0
 FEW, OFTEN = 5, 0.02
 # Scans that stay equal for longer than this, s, while the odometry moves so far (m, rad) are frozen.
 FROZEN, MOVED = 1.0, 0.1
-# Scans farther apart than this, s, are not held against odometry: they have too little in common.
+# Scans farther apart than this, s, are not held against odometry, nor is it silent: they have too little in common.
 SPARSE = 1.0
 # Notes of one kind that are told one by one.
 MOST_NOTES = 20
@@ -63,22 +63,22 @@ def believed(recording: Recording) -> Recording:
     told, scans = recording.odometry, recording.scans
     if not recording.detections:
         told, scans = _in_time(recording, notes)
-    silence, leap = _usual(told) if scans else (math.inf, math.inf)
-    odometry, doubts = watched(told, silence, leap)
-    if scans:
+    is_dense = min(len(scans), len(told)) > 1 and float(np.median(np.diff([one.stamp for one in scans]))) < SPARSE
+    silence = max(SILENCE, PERIODS * float(np.median(np.diff([one.stamp for one in told])))) if is_dense else math.inf
+    odometry, doubts = watched(told, silence)
+    if is_dense:
         scans = _moving(scans, odometry, notes)
-        if float(np.median(np.diff([one.stamp for one in scans]))) < SPARSE:
-            often = _often(doubts, odometry)
-            found = compare(told if often else odometry, scans, recording.mount_known)
-            verdict = judged(found)
-            if verdict.refusal:
-                raise DatasetError(f"{recording.name}: {verdict.refusal}")
-            notes += verdict.notes
-            odometry, scans = corrected(told if often else odometry, scans, verdict)
-            if often:
-                odometry, doubts = watched(odometry, silence, leap)
-            doubts += _contradicted(odometry, contradictions(found) - found.lag)
-            doubts.sort(key=lambda one: one.begin)
+        often = _often(doubts, odometry)
+        found = compare(told if often else odometry, scans, recording.mount_known)
+        verdict = judged(found)
+        if verdict.refusal:
+            raise DatasetError(f"{recording.name}: {verdict.refusal}")
+        notes += verdict.notes
+        odometry, scans = corrected(told if often else odometry, scans, verdict)
+        if often:
+            odometry, doubts = watched(odometry, silence)
+        doubts += _contradicted(odometry, contradictions(found) - found.lag)
+        doubts.sort(key=lambda one: one.begin)
     if _often(doubts, odometry):
         jumps = f"odometry jumps {len(doubts)} times, first at {doubts[0].note.time_s:.2f} s"
         raise DatasetError(f"{recording.name}: {jumps}; see its units, m and rad, and its clock")
@@ -102,19 +102,11 @@ def _often(doubts: Sequence[Doubt], odometry: Sequence[Odometry]) -> bool:
     return sum(doubt.note.kind == "jump" for doubt in doubts) > max(FEW, OFTEN * len(odometry))
 
 
-def _usual(told: Sequence[Odometry]) -> tuple[float, float]:
-    """From when on odometry is silent, s, and how far a robot moves in a message at most if it is not, m."""
-    steps = np.diff([(one.stamp, *one.X_OB[:2]) for one in told], axis=0).reshape(-1, 3)
-    ways = np.hypot(steps[:, 1], steps[:, 2])
-    usual = float(np.median(ways[ways > 0.0])) if ways.any() else 0.0
-    return max(SILENCE, PERIODS * float(np.median(steps[:, 0])) if len(steps) else 0.0), max(LEAP, PERIODS * usual)
-
-
-def watched(told: Sequence[Odometry], silence: float, leap: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:
+def watched(told: Sequence[Odometry], silence: float) -> tuple[tuple[Odometry, ...], list[Doubt]]:
     """Odometry in order by the rules of motion (see `odometry_rules`), and where it is not believed."""
     state, passed, doubts = WatchedOdometry(), [], []
     for one in told:
-        state, believed, note = watch(state, one, silence, leap)
+        state, believed, note = watch(state, one, silence)
         passed += [] if believed is None else [believed]
         if note is not None:
             doubts.append(Doubt(max(0, len(passed) - 2), max(0, len(passed) - 1), note))

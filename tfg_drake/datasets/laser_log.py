@@ -22,7 +22,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, said_of_scanner
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
@@ -65,8 +65,9 @@ ROVER_SIGMA = 0.03
 # What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
 SCANS_LATE = 0.17
 ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
-# Of another scanner in such a log, m; rays that met something farther off are free so far.
+# Of another scanner in such a log, m: rays that met something farther off are free so far. Nobody knows its clock.
 OTHER_RANGE_MAX = 20.0
+OTHER_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05, clock_deviation=0.1)
 # Rays at either end that see the rover itself.
 _OWN = 70
 _FIRST = 24
@@ -85,14 +86,18 @@ def load_carmen(
         DatasetError: the file cannot be read, a line is broken, there are fewer than two scans in it, or what they span
             is neither told nor a half circle.
     """
-    rows, said = Rows(path), scanner or {}
+    said, rows = said_of_scanner(path, scanner), Rows(path)
     log = read_carmen(path, rows)
     raw, poses, X_BS = _way(path, log)
     told = np.array([one.stamp for one in log.scans])
     stamps, untrue = _in_time(told, poses)
     scans = []
+    rays: dict[tuple[int, float, float], tuple[FloatArray, IntArray]] = {}
     for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
-        angles, order = _seen(_angles(path, one, said), said, X_BS[2])
+        kind = len(one.ranges), one.first, one.step
+        if kind not in rays:
+            rays[kind] = _seen(_angles(path, one, said), said, X_BS[2])
+        angles, order = rays[kind]
         ranges = one.ranges[order]
         met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
         farthest = min(range_max, one.range_max)
@@ -253,7 +258,7 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
         DatasetError: the file cannot be read, a line is broken, two scans are at one time, there is but one, or the
             scanner is another and nobody said what it spans.
     """
-    rows, said = Rows(path), scanner or {}
+    said, rows = said_of_scanner(path, scanner), Rows(path)
     other = said.get("field_of_view", 0.0) > 0.0
     columns = len(rows.first()[1]) if other else _FIRST + RAYS
 
@@ -277,7 +282,7 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
     stamps = 1e-6 * (table[:, 0] - table[0, 0])
     if other:
         counted, own, late, range_max = _spanning(columns - _FIRST, said), 0, 0.0, OTHER_RANGE_MAX
-        place, believed = (said.get("x", 0.0), said.get("y", 0.0)), UNPLACED_SCANNER
+        place, believed = (said.get("x", 0.0), said.get("y", 0.0)), OTHER_SCANNER
     else:
         counted, own = ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * FIELD_OF_VIEW, _OWN
         late, range_max = SCANS_LATE, RANGE_MAX

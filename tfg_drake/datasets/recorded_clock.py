@@ -48,11 +48,11 @@ def steady(stamps: FloatArray, arrivals: FloatArray, what: str) -> tuple[FloatAr
     period = _period(stamps)
     begins = _set(stamps, arrivals, period)
     if len(begins) > max(5.0, OFTEN * len(stamps)):
-        times = f"the clock of {what} jumps {len(begins)} times"
+        complaint = f"the clock of {what} jumps {len(begins)} times"
         if not len(arrivals):
-            raise DatasetError(f"{times}; record once more, with a clock that is not set")
+            raise DatasetError(f"{complaint}; record once more, with a clock that is not set")
         begin = float(stamps[0])
-        return arrivals - arrivals[0] + begin, (Note("clock", begin, f"{times}; the recorder's serves"),)
+        return arrivals - arrivals[0] + begin, (Note("clock", begin, f"{complaint}; the recorder's serves"),)
     times, notes = stamps.copy(), []
     for begin, end in zip(begins, [*begins, len(stamps)][1:], strict=True):
         before, after = slice(max(0, begin - NEAR), begin), slice(begin, min(end, begin + NEAR))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,8 @@ from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
 from tfg_drake.notes import Note
 
+# What may be said of a recording's scanner, `--set hardware.scanner.KEY=VALUE`.
+SAID_OF_SCANNER = ("x", "y", "yaw", "flip", "clockwise", "field_of_view", "clock_offset")
 # Called with the share of the work done, 0 to 1.
 OnProgress = Callable[[float], None]
 
@@ -63,6 +67,19 @@ class Recording:
     scan_arrivals: FloatArray = dataclasses.field(default_factory=lambda: np.empty(0))
     mount_known: bool = True
     told_stamps: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+
+
+def said_of_scanner(path: Path, said: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """What somebody has said of a recording's scanner, by fields of `RobotScannerConfig`.
+
+    Raises:
+        DatasetError: one of them is of robots alone.
+    """
+    for key in said or {}:
+        if key not in SAID_OF_SCANNER:
+            known = ", ".join(SAID_OF_SCANNER)
+            raise DatasetError(f"--set hardware.scanner.{key}: {path} is a recording, of its scanner say {known}")
+    return said or {}
 
 
 def make_frames(

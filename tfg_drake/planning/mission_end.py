@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,6 +13,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning.expected_view import expected_frontiers
+from tfg_drake.planning.promises import LEAST_KEPT, MOST_BROKEN
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # The robot could drive straight up to the edge of a frontier from a place this near, m.
@@ -108,4 +110,7 @@ def why_end(
     if given_up_length > 0.0:
         return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
     but = f" but {named}," if named else ""
-    return "complete", f"No frontier is left{but} and no place promises more than {stop_gain:g} nats."
+    promises = f"no place promises more than {stop_gain:g} nats"
+    if math.isinf(stop_gain):
+        promises = f"places give less than {LEAST_KEPT:.0%} of what they promise, {MOST_BROKEN} times in a row"
+    return "complete", f"No frontier is left{but} and {promises}."

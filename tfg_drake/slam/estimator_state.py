@@ -92,8 +92,9 @@ class EstimatorState:
     None before the first view. rejected: (r,) ids of known tags left out of the newest view. look: the first look, None
     once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
     is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
-    for a turn or piece. may_be_moved: by something else
-    than its wheels. published: the map without its walls, which all others get.
+    for a turn or piece. may_be_moved: by something else than its wheels. published: the map without its walls, which
+    all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen, nan
+    once it was told that too little is straight.
     """
 
     noise: LearntNoise
@@ -132,6 +133,7 @@ class EstimatorState:
     looked: float = -np.inf
     may_be_moved: bool = True
     published: MapEstimate | None = None
+    straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
 
 def initial_state(

@@ -418,15 +418,23 @@ def _refined(seen: _Seen, X: FloatArray, expected: Expected) -> tuple[FloatArray
     return X, squared, np.minimum(squared, GATE).sum(axis=1) + _distance(X, expected) + MOVED, H
 
 
+def is_unknown(one: Keyframe) -> bool:
+    """Whether a keyframe is the way of a robot that was kidnapped."""
+    return not len(one.ids) and bool(one.information[2, 2] <= OPEN_HEADING**-2)
+
+
+def adrift(graph: KeyframeGraph) -> int:
+    """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
+    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
+
+
 def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe) -> tuple[KeyframeGraph, MapEstimate]:
     """Graph and estimate with the part mapped since the last kidnapping moved to fit an observation that is not yet in
     them. They are returned as they were where no part is adrift or the observation does not tell its place."""
-    keyframes = graph.keyframes
-    loose = [j for j, one in enumerate(keyframes) if not len(one.ids) and one.information[2, 2] <= OPEN_HEADING**-2]
-    if not loose or not len(graph.ids):
+    keyframes, j = graph.keyframes, adrift(graph)
+    if j < 0 or not len(graph.ids):
         return graph, estimate
-    j = loose[-1]
-    before, since = _seen_by(graph, keyframes[:j]), _seen_by(graph, keyframes[j + 1 :])
+    before, since = seen_by(graph, keyframes[:j]), seen_by(graph, keyframes[j + 1 :])
     row, known = rows_of(observation.ids, graph.ids)
     old, new = known & before[row] & ~since[row], known & since[row] & ~before[row]
     if (before & since).sum() >= WITNESSES or min(old.sum(), new.sum()) < LEAST_TAGS:
@@ -445,7 +453,7 @@ def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe
     return solve(graph, estimate.stamp, estimate.observation)
 
 
-def _seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
+def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
     """Which landmarks (n,) some keyframes have seen."""
     seen = np.zeros(len(graph.ids), dtype=bool)
     for one in keyframes:

@@ -37,12 +37,12 @@ class WatchedOdometry:
 
 
 def watch(
-    state: WatchedOdometry, told: Odometry, silence: float = SILENCE, leap: float = LEAP
+    state: WatchedOdometry, told: Odometry, silence: float = SILENCE
 ) -> tuple[WatchedOdometry, Odometry | None, Note | None]:
     """The state after a message; the message as far as it is believed, itself where all of it is, None where it is not
     newer than the last or not finite; and a note of what is not believed.
 
-    silence: s without a message, after which the way between is unknown if the robot has moved by more than leap, m.
+    silence: s without a message, after which the way between is unknown if the robot has moved.
     """
     before, believed = state.told, state.believed
     if not all(math.isfinite(value) for value in (told.stamp, *told.X_OB)):
@@ -72,7 +72,7 @@ def watch(
         passed = replace(passed, V_B=believed.V_B)
         text = f"odometry jumps by {far:.1f} m and {math.degrees(turned):.0f} degrees"
         note = Note("jump", told.stamp, text)
-    elif dt > silence and (far > leap or turned > LEAP_TURN):
+    elif dt > silence and (far > LEAP or turned > LEAP_TURN):
         unknown = True
         note = Note("silence", told.stamp, f"no odometry for {dt:.1f} s while the robot moves")
     if X_OR != (0.0, 0.0, 0.0):

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
+from tfg_drake.slam.odometry_model import wrap
 
 # Least length of a line, m, and number of its rays.
 LENGTH, RAYS = 0.5, 8
@@ -22,6 +23,9 @@ SPLIT = 4.0
 TRIM = 1
 # Squared errors of the rays and their bend, in deviations, beyond which a stretch is not straight by chance.
 STRAIGHT = 3.5
+# A line is a chord of a curve where the stretch that it is of, so much of its length farther, is smooth but bends by so
+# many deviations, and by more than this, rad, along the line.
+FARTHER, BENDS, BEND = 1.0, 4.0, 0.03
 # Median of what is normal, in deviations.
 NORMAL = 0.6745
 # Least standard deviation of a range, m: no wall is straighter.
@@ -39,7 +43,8 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     deviations of the angle (rad) and of that distance (m), by the noise of the rays alone. And what a scanner that
     sweeps while it turns, so that bearings are larger by a share of themselves, makes of the angle and of the distance
     in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
-    ranges are longer by a length a radian of bearing, makes of both, over that length.
+    ranges are longer by a length a radian of bearing, makes of both, over that length. Chords of curves are none: what
+    is seen of a curve from elsewhere looks another way.
 
     unevenness: m, of real walls, by which neighbouring half metres are off a plane independently: single looks, each at
     other stretches of one, agree no better.
@@ -57,6 +62,29 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     return lines
 
 
+def surface_seen(scan: LaserScan) -> float:
+    """Length, m, of the surfaces that a scan sees, straight or not, as far as LENGTH of it or more hangs together."""
+    rays = np.flatnonzero((scan.ranges > 0.0) & (scan.ranges < scan.range_max - 3.0 * scan.sigma))
+    if len(rays) < RAYS:
+        return 0.0
+    r, angle = scan.ranges[rays], scan.angles[rays]
+    most = np.minimum(r[1:], r[:-1]) * np.diff(angle) / SLANT + 4.0 * scan.sigma + STEP
+    apart = np.flatnonzero((np.diff(rays) > 3) | (np.abs(np.diff(r)) > most)) + 1
+    points, total = np.column_stack([r * np.cos(angle), r * np.sin(angle)]), 0.0
+    for stretch in np.split(points, apart):
+        # By every fourth ray: noise makes longer ways of it.
+        length = float(np.hypot(*np.diff(stretch[::4], axis=0).T).sum())
+        total += length if len(stretch) >= RAYS and length >= LENGTH else 0.0
+    return total
+
+
+@njit(cache=True)
+def bearing_of(line: FloatArray) -> float:
+    """The bearing (rad) of a line's middle, in (-pi, pi] as those of rays: a scanner that sweeps was there then."""
+    c, s = math.cos(line[0]), math.sin(line[0])
+    return math.atan2(s * line[1] + c * line[4], c * line[1] - s * line[4])
+
+
 @njit(cache=True)
 def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> FloatArray:
     rays = np.flatnonzero((ranges > 0.0) & (ranges < range_max - 3.0 * sigma))
@@ -64,15 +92,16 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
     found, n = np.empty((len(rays) // RAYS + 1, 11)), 0
     # Stretches that are still to be looked at, the first on top.
     begin = len(rays)
-    stack = np.empty((len(rays) + 1, 2), dtype=np.int64)
+    stack = np.empty((len(rays) + 1, 4), dtype=np.int64)
     top, end = 0, len(rays)
     for i in range(len(rays) - 1, -1, -1):
         if i == 0 or _apart(i - 1, i, rays, angles, r, sigma):
-            stack[top, 0], stack[top, 1] = i, end
+            # With what of its surface is seen.
+            stack[top] = np.array([i, end, i, end])
             top, end = top + 1, i
     while top:
         top -= 1
-        begin, end = stack[top]
+        begin, end, first, beyond = stack[top]
         if end - begin < RAYS:
             continue
         last = end - 1
@@ -86,10 +115,21 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
             if off > worst:
                 worst, at = off, i
         if _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
-            n += 1
+            line = found[n]
+            along = -math.sin(line[0]) * x + math.cos(line[0]) * y
+            farther = FARTHER * (line[3] - line[2])
+            left, right = end, begin
+            while left < beyond and along[left] < line[3] + farther:
+                left += 1
+            while right > first and along[right - 1] > line[2] - farther:
+                right -= 1
+            chord = False
+            for i, j in ((right, left), (begin, left), (right, end)):
+                chord = chord or _is_chord(x[i:j], y[i:j], r[i:j], sigma, line)
+            n += not chord
         elif worst > SPLIT and last - begin >= 2:
-            stack[top, 0], stack[top, 1] = at, end
-            stack[top + 1, 0], stack[top + 1, 1] = begin, at + 1
+            stack[top] = np.array([at, end, first, beyond])
+            stack[top + 1] = np.array([begin, at + 1, first, beyond])
             top += 2
     return found[:n].copy()
 
@@ -145,6 +185,8 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
     V00, V01, V11 = H11 / det, -H01 / det, H00 / det
     middle = V01 / V00
+    line[0], line[1], line[4] = math.atan2(s, c), offset, middle
+    of_middle = bearing_of(line)
     for i in range(m):
         normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
         if normal < SLANT:
@@ -152,7 +194,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         error = (offset / normal - r[i]) / sigma
         squares += error * error
         used += 1
-        bearing = math.atan2(y[i], x[i])
+        bearing = of_middle + wrap(math.atan2(y[i], x[i]) - of_middle)
         on_line = np.array([-offset * along / (r[i] * normal), 1.0]) / (normal * sigma)
         by_turn -= bearing * along / (normal * sigma) * on_line
         by_way += bearing / (normal * sigma) * on_line
@@ -170,11 +212,36 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     freedoms = used - 2
     if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
         return False
-    line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle
+    line[2], line[3] = begin, end
     line[5] = math.sqrt(V00)
     line[6] = math.sqrt(max(V11 - V01 * V01 / V00, 1e-12))
-    bearing = line[0] + math.atan2(middle, offset)
-    for k, swept, expected in ((7, by_turn, -middle * bearing), (9, by_way, bearing)):
+    for k, swept, expected in ((7, by_turn, -middle * of_middle), (9, by_way, of_middle)):
         line[k] = V00 * swept[0] + V01 * swept[1]
         line[k + 1] = V01 * swept[0] + V11 * swept[1] - middle * line[k] - expected
     return True
+
+
+@njit(cache=True)
+def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
+    """Whether a line (11,) is a chord of what these rays see: a parabola is fitted to them."""
+    c, s, length = math.cos(line[0]), math.sin(line[0]), line[3] - line[2]
+    H, g, squares, used = np.zeros((3, 3)), np.zeros(3), 0.0, 0
+    for i in range(TRIM, len(x) - TRIM):
+        normal, t = (c * x[i] + s * y[i]) / r[i], (-s * x[i] + c * y[i] - 0.5 * (line[2] + line[3])) / length
+        if normal < SLANT:
+            continue
+        row = np.array([1.0, t, t * t]) / (normal * sigma)
+        off = (c * x[i] + s * y[i] - line[1]) / (normal * sigma)
+        for a in range(3):
+            for b in range(3):
+                H[a, b] += row[a] * row[b]
+            g[a] += row[a] * off
+        squares += off * off
+        used += 1
+    inverse = np.linalg.inv(H + 1e-9 * np.eye(3))
+    by = inverse @ g
+    squares, freedoms = squares - float(by @ g), used - 3
+    if freedoms < 1 or squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms):
+        return False
+    bend = abs(by[2])
+    return bool(bend > BENDS * math.sqrt(inverse[2, 2]) and 2.0 * bend / length > BEND)

@@ -10,6 +10,7 @@ from numba import njit
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.localizer_kernels import POSE, State, update
 from tfg_drake.slam.odometry_model import wrap
+from tfg_drake.slam.scan_lines import bearing_of
 from tfg_drake.slam.shared import SCANNER_CLOCK, SCANNER_X, SCANNER_Y, SCANNER_YAW, SHARED, SWEEP
 from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR
 
@@ -82,8 +83,7 @@ def seen_through(
 @njit(cache=True)
 def _scanner(X_DB: FloatArray, shared: FloatArray, twist: FloatArray, line: FloatArray) -> FloatArray:
     """X_DS (3,) when the middle of a line was measured."""
-    bearing = line[0] + math.atan2(line[4], line[1])
-    earlier = shared[SCANNER_CLOCK] + shared[SWEEP] * bearing
+    earlier = shared[SCANNER_CLOCK] + shared[SWEEP] * bearing_of(line)
     ahead, left, c, s = shared[SCANNER_X] - earlier * twist[0], shared[SCANNER_Y], math.cos(X_DB[2]), math.sin(X_DB[2])
     heading = X_DB[2] + shared[SCANNER_YAW] - earlier * twist[1]
     return np.array([X_DB[0] + c * ahead - s * left, X_DB[1] + s * ahead + c * left, heading])
@@ -98,7 +98,7 @@ def line_off(
     2)."""
     by_pose, by_shared, by_points = np.zeros((2, POSE)), np.zeros((2, SHARED)), np.empty((2, 4))
     c, s, X_DS = math.cos(mean[2]), math.sin(mean[2]), _scanner(mean, shared, twist, line)
-    angle, bearing = X_DS[2] + line[0], line[0] + math.atan2(line[4], line[1])
+    angle, bearing = X_DS[2] + line[0], bearing_of(line)
     m_x, m_y = (
         math.cos(angle) * line[1] - math.sin(angle) * line[4],
         math.sin(angle) * line[1] + math.cos(angle) * line[4],

@@ -64,9 +64,14 @@ def refined(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatA
     """A pose (3,) that is known roughly, by least squares of all walls seen (s, 2, 2) that lie on those of the map from
     it; walls and reach as of `find_place`."""
     for _ in range(STEPS):
-        on = _judged(X_MA[None], seen, walls, reach)[1][0]
+        on = matched(X_MA, seen, walls, reach)
         X_MA = _fitted(X_MA, seen[on >= 0], walls[on[on >= 0]])
     return X_MA
+
+
+def matched(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> IntArray:
+    """The row (s,) of the map's wall that each wall seen from a pose (3,) lies on, -1 for none; as of `find_place`."""
+    return np.asarray(_judged(X_MA[None], seen, walls, reach)[1][0])
 
 
 def tells_place(seen: FloatArray) -> bool:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -21,7 +22,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.turned import turned
-from tfg_drake.geometry.visibility import surely_visible
+from tfg_drake.geometry.visibility import cast_rays, surely_visible
 from tfg_drake.messages import (
     BoolArray,
     FloatArray,
@@ -67,7 +68,7 @@ from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import Components, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
-from tfg_drake.tfg.surfaces import END, add_observation, place, without_doubles
+from tfg_drake.tfg.surfaces import END, REFUTED_DEPTH, add_observation, place, without_doubles
 
 # Attempts from within this distance of each other count for the same frontier point, m.
 TRIED_DISTANCE = 0.5
@@ -81,6 +82,8 @@ SLANT_KNOWN = math.radians(2.5)
 TORN = 1.0
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
 BARE_TAG = 0.1
+# Bins on either side of one where nothing was met that tell whether it was lost.
+LOST_BINS = 4
 # Where a building has shown no tag on so much surface that was inspected, m, none is looked for.
 WITHOUT_TAGS = 30.0
 
@@ -176,20 +179,22 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     )
     placed = place(surfaces, estimate)
     tag_ids, tag_view, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
-    star = star_polygon(panorama)
-    star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
-    star_vertices = np.concatenate([graph.star_vertices, star])
-    views_now = np.append(views, view)
-    stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
     nothing = np.zeros(len(estimate.ids), dtype=np.bool_)
     badly = nothing if math.isinf(scene.radius) else known_badly(estimate)
     weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
+    segments, surface = segments_of(surfaces.offsets, placed)
+    free = _up_to_surfaces(panorama, segments[~weak.surfaces[surface]], X_MA[view])
+    star = star_polygon(free)
+    star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
+    star_vertices = np.concatenate([graph.star_vertices, star])
+    views_now = np.append(views, view)
+    stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
     newest = _Newest(
         estimate,
         tags,
-        segments=segments_of(surfaces.offsets, placed)[0],
+        segments=segments,
         star=placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
         stars=some_stars(stars, ~weak.views[views_now]),
         weak=weak.views,
@@ -208,7 +213,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         free_space_frontiers=newest.free_space_frontiers(
-            graph.free_space_frontiers, *find_frontiers(panorama, links, 2.0 * scene.robot.radius)
+            graph.free_space_frontiers, *find_frontiers(free, links, 2.0 * scene.robot.radius)
         ),
         uninspected=newest.uninspected(graph.uninspected, components),
         unseen_backs=newest.found_here(graph.unseen_backs, backs, newest.known),
@@ -318,6 +323,18 @@ class _Newest:
         p, normal = transform(X_AM, p_MF), normal @ rotation(float(X_AM[2])).T
         points = points_of(self._view, p, normal, np.full(len(p), length))
         return replace(points, on_surface=np.ones(len(p), dtype=bool))
+
+
+def _up_to_surfaces(panorama: Panorama, segments: FloatArray, X_MA: FloatArray) -> Panorama:
+    """The panorama, seen from X_MA (3,), of which no single ray that met nothing frees what lies behind a surface (s,
+    4) of the map, m in M: it was lost there."""
+    nothing = np.flatnonzero(np.isinf(panorama.ranges))
+    wall = cast_rays(segments, X_MA[:2], panorama.angles[nothing] + X_MA[2], panorama.range_max)
+    # Where all beside it go farther, a door was opened or the map has drifted.
+    beside = minimum_filter1d(np.nan_to_num(panorama.ranges, nan=math.inf), 2 * LOST_BINS + 1, mode="wrap")[nothing]
+    ranges = panorama.ranges.copy()
+    ranges[nothing] = np.where(beside < wall + REFUTED_DEPTH, wall, math.inf)
+    return replace(panorama, ranges=ranges)
 
 
 def _without_dynamic(

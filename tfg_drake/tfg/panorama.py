@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
+from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message, replace
 
 # Bins of 0.5 degrees.
 BINS = 720
@@ -17,9 +19,15 @@ STAMP_TOLERANCE = 1e-3
 SAME_SURFACE = 4.0
 # Where no more rays than this, side by side, meet nothing, between such that meet something, they may have been lost.
 MOST_LOST = 4
+# Where this share of a bin's rays met something, and bins so near on either side as well, the others were lost.
+LEAST_MET, BESIDE = 0.4, 2
 # Both neighbours of a ray differ from it by more than this, m, where it fell half on a near surface, half on a far one,
 # and those, unlike what is seen aslant, from theirs by less than this share of that.
 FLOATS, ASLANT_SHARE = 0.1, 0.4
+# Rays farther apart than so many bins leave some empty; so far apart, rad, they are no scan. Two that are so many times
+# as far apart as usual have nothing between, and fell on one surface where their ranges differ by less than so many
+# times the way across.
+COARSE, WIDEST, GAP, ASLANT = 1.2, 0.1, 1.5, 5.0
 # So many numbers are sorted soonest by putting one after the other in its place.
 FEW = 16
 
@@ -95,17 +103,30 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
         filled[index[i]] += 1
     angles = np.empty(bins)
     merged = np.full(bins, np.nan)
+    met_by, mostly = np.zeros(bins, dtype=np.int64), np.zeros(bins, dtype=np.bool_)
+    for b in range(bins):
+        count = start[b + 1] - start[b]
+        if count:
+            by_bin[start[b] : start[b + 1]] = _sorted(by_bin[start[b] : start[b + 1]])
+            met_by[b] = np.searchsorted(by_bin[start[b] : start[b + 1]], np.inf)
+            mostly[b] = met_by[b] > (count - 1) // 2
     for b in range(bins):
         rays = order[start[b] : start[b + 1]]
         angles[b] = (b + 0.5) * width
         if len(rays) == 0:
             continue
-        # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
-        # surfaces, and only rays of that surface are averaged: no point floats between the two.
-        median = _sorted(by_bin[start[b] : start[b + 1]])[(len(rays) - 1) // 2]
-        if median == np.inf:
+        lost = not mostly[b] and met_by[b] >= LEAST_MET * len(rays)
+        for side in (-1, 1):
+            beside = False
+            for k in range(1, BESIDE + 1):
+                beside = beside or mostly[(b + side * k) % bins]
+            lost = lost and beside
+        if not (mostly[b] or lost):
             merged[b] = np.inf
             continue
+        # The lower median is the range of an actual ray. Where the bin straddles a jump edge it lies on one of the two
+        # surfaces, and only rays of that surface are averaged: no point floats between the two.
+        median = by_bin[start[b] + ((met_by[b] if lost else len(rays)) - 1) // 2]
         x, y, count = 0.0, 0.0, 0
         for i in rays:
             if abs(ranges[i] - median) <= tolerance:
@@ -124,6 +145,29 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
     return angles, merged
 
 
+def _finer(scan: LaserScan) -> LaserScan:
+    """A scan whose rays are farther apart than bins with rays between them, one a bin at least: on the chord where both
+    neighbours fell on one surface, as far as the nearer one elsewhere, nan where either says nothing. A ray that alone
+    meets nothing may have been lost, and says nothing."""
+    angles, gap = scan.angles, np.diff(scan.angles, append=scan.angles[:1] + 2.0 * np.pi)
+    usual, width = (float(np.median(gap)) if len(gap) else 0.0), 2.0 * np.pi / BINS
+    if not COARSE * width < usual < WIDEST:
+        return scan
+    met = np.isfinite(scan.ranges)
+    lost = np.isinf(scan.ranges) & np.roll(met, 1) & np.roll(met, -1)
+    before = np.where(lost | _floating(scan.ranges, np.array([len(angles)])), np.nan, scan.ranges)
+    after, parts = np.roll(before, -1), math.ceil(2.0 * usual / width)
+    turned = np.arange(parts)[:, None] / parts * gap
+    with np.errstate(invalid="ignore"):
+        chord = before * after * np.sin(gap) / (before * np.sin(turned) + after * np.sin(gap - turned))
+        nearer = np.minimum(before, after)
+        between = np.where(np.abs(after - before) < ASLANT * gap * nearer, chord, nearer)
+    between[0], between[1:, gap > GAP * usual] = before, np.nan
+    at = wrap_angle(angles + turned).ravel()
+    order = np.argsort(at, kind="stable")
+    return replace(scan, angles=at[order], ranges=between.ravel()[order])
+
+
 def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatArray) -> Panorama:
     """The panorama of a turn.
 
@@ -138,7 +182,8 @@ def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatAr
     if not scans:
         raise ValueError("A panorama needs at least one scan.")
     range_max, sigma = scans[0].range_max, scans[0].sigma
-    scans = [scan for scan in scans if stamps[0] - STAMP_TOLERANCE <= scan.stamp <= stamps[-1] + STAMP_TOLERANCE]
+    first, last = stamps[0] - STAMP_TOLERANCE, stamps[-1] + STAMP_TOLERANCE
+    scans = [_finer(scan) for scan in scans if first <= scan.stamp <= last]
     at = np.array([scan.stamp for scan in scans])
     heading = np.unwrap(X_AB[:, 2])
     poses = np.stack([np.interp(at, stamps, of) for of in (X_AB[:, 0], X_AB[:, 1], heading)])

@@ -102,13 +102,14 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
     graph = tmp_path / "a.g2o"
     graph.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     video = "of a video give --calibration and --tag-size"
-    kinds = "a .g2o file, a laser log (.log, .dat), an MR.CLAM or TagSLAM folder"
+    bag = "a ROS bag (its folder, .mcap, .db3, .bag)"
+    kinds = f"a .g2o file, a laser log (.log, .clf, .dat), {bag}, an MR.CLAM or TagSLAM folder"
     for arguments, expected in [
         ([str(tmp_path / "none")], f"{tmp_path / 'none'}: no such file or folder; name a data set"),
         ([str(text)], f"{text}: not a data set; name {kinds}, or {video}"),
         (
             [str(empty)],
-            f"{empty}: holds neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM);"
+            f"{empty}: holds neither Barcodes.dat (MR.CLAM) nor tag_corners.csv (TagSLAM) nor files of a ROS bag;"
             f" name a folder with one of them, or {video}",
         ),
         ([str(mrclam), "--robot", "9"], "--robot 9: MR.CLAM has robots 1 to 5"),
@@ -177,9 +178,9 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
 
 
 def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
-    own = f"{mrclam} has odometry of its own, only CARMEN logs have not; leave it out"
+    own = f"{mrclam} has odometry of its own, only corrected CARMEN logs have not; leave it out"
     blind = tmp_path / "blind.log"
-    blind.write_text("".join(f"FLASER 2 81.9 81.9 {k} 0 0 {k} 0 0 {k} host {k}\n" for k in range(3)))
+    blind.write_text("".join(f"FLASER 180 {'81.9 ' * 180}{k} 0 0 {k} 0 0 {k} host {k}\n" for k in range(3)))
     methods = "name walls or grid for a laser log, and nothing for other data sets"
     for arguments, expected in [
         ([str(mrclam), "--seed", "1"], f"--seed 1: {own}"),

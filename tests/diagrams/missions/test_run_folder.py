@@ -121,7 +121,7 @@ def _fail(*_arguments, **_options):
 
 
 def test_a_full_disk_ends_neither_the_log_nor_the_run(tmp_path, monkeypatch, capsys):
-    (tmp_path / "log.txt").symlink_to("/dev/full")
+    monkeypatch.setattr(run_folder, "open_inside", lambda _path, *how, **more: open("/dev/full", *how, **more))
     folder = RunFolder(tmp_path)
     with folder.logging(), explore_command.remarks_on_screen():
         logging.getLogger("tfg_drake.run").info("stage 1")

@@ -1,5 +1,6 @@
 """ROS bags as recordings: written here by other packages than the reader's own."""
 
+import contextlib
 import math
 import struct
 from pathlib import Path
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from tests.mutations import assert_refused_or_read
+from tests.mutations import assert_refused_or_read, mutations
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.hardware.ros.bag_files import LEAST_UNPACKED, is_bag
@@ -477,6 +478,16 @@ def test_little_that_stands_for_much_is_refused(tmp_path):
 def test_mutated_bags_are_read_or_refused(tmp_path, how):
     path = WRITERS[how](tmp_path / "b")
     assert_refused_or_read(path, lambda: load_bag(path), DatasetError, count=60)
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "run_9.db3"])
+def test_a_mutated_folder_is_read_or_refused(tmp_path, name):
+    folder = rosbag2_folder(tmp_path / "b", long_drive(20), PLUGINS.SQLITE3)
+    file, good = folder / name, (folder / name).read_bytes()
+    for data in (*mutations(good, 60, 1), good + b"  - " + b"x" * 300 + b".db3\n"):
+        file.write_bytes(data)
+        with contextlib.suppress(DatasetError):
+            assert len(load_bag(folder).scans) >= 2
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not at hand")

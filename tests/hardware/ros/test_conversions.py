@@ -56,6 +56,42 @@ def test_a_robot_rests_when_neither_place_nor_velocity_says_otherwise():
     assert not conversions.odometry(odometry_message(v=0.0, w=0.1), 2.0, before).at_rest
 
 
+def test_a_turn_in_place_is_motion_whatever_the_twist_says():
+    before = conversions.odometry(odometry_message(yaw=3.1, v=0.0, w=0.0), 1.0)
+    turned = conversions.odometry(odometry_message(yaw=3.2, v=0.0, w=0.0), 1.1, before)
+    assert not turned.at_rest
+    np.testing.assert_allclose(turned.V_B, [0.0, 1.0], atol=1e-9)
+    # The gyro's angle wanders on while the robot stands.
+    assert conversions.odometry(odometry_message(yaw=3.1 + 2e-5, v=0.0, w=0.0), 1.1, before).at_rest
+
+
+@pytest.mark.parametrize("nothing", [0.0, math.nan, None])
+def test_where_the_twist_says_nothing_the_poses_tell_the_velocity(nothing):
+    before = conversions.odometry(odometry_message(x=0.0, y=0.0, yaw=0.0, v=nothing, w=nothing), 1.0)
+    assert before.V_B.tolist() == [0.0, 0.0]
+    # On an arc of 0.5 m/s and 0.8 rad/s, backwards.
+    x, y = -0.5 / 0.8 * math.sin(0.08), 0.5 / 0.8 * (1.0 - math.cos(0.08))
+    arc = odometry_message(x=x, y=y, yaw=-0.08, v=nothing, w=nothing)
+    np.testing.assert_allclose(conversions.odometry(arc, 1.1, before).V_B, [-0.5, -0.8], rtol=1e-3)
+    # It did not drive there, and two messages at one time tell no velocity.
+    leap = odometry_message(x=4.0, y=0.0, yaw=0.0, v=nothing, w=nothing)
+    for stamp in (1.1, 1.0, 0.9):
+        assert conversions.odometry(leap, stamp, before).V_B.tolist() == [0.0, 0.0]
+    assert conversions.odometry(odometry_message(x=x, y=y, yaw=-0.08), 1.1, before).V_B.tolist() == [0.1, -0.3]
+
+
+def test_a_quaternion_that_was_rounded_is_normalised_another_refused():
+    message = odometry_message(yaw=0.5)
+    orientation = message["pose"]["pose"]["orientation"]
+    for scale in (0.97, 1.03):
+        orientation.update(z=scale * math.sin(0.25), w=scale * math.cos(0.25))
+        assert conversions.odometry(message, 0.0).X_OB[2] == pytest.approx(0.5)
+    for z, w in ((0.0, 0.0), (1.0, 1.0), (0.2, 0.3)):
+        orientation.update(z=z, w=w)
+        with pytest.raises(ValueError, match=f"^orientation 0 0 {z:g} {w:g} is no unit quaternion$"):
+            conversions.odometry(message, 0.0)
+
+
 @transports
 def test_the_stamp_of_a_header(as_sent):
     assert conversions.ros_stamp(as_sent(odometry_message())) == 12.25
@@ -73,7 +109,7 @@ def test_the_stamp_of_ros_1():
         ({"x": 1e200}, "pose.pose.position.x is 1e+200, no number up to 100000"),
         ({"x": 10**400}, f"pose.pose.position.x is 1{'0' * 17}...{'0' * 19}, no number up to 100000"),
         ({"v": math.inf}, "twist.twist.linear.x is inf, no number up to 1e+09"),
-        ({"v": None}, "twist.twist.linear.x is None, no number up to 1e+09"),
+        ({"v": "fast"}, "twist.twist.linear.x is 'fast', no number up to 1e+09"),
         ({"yaw": math.nan}, "pose.pose.orientation.z is nan, no number up to 1e+09"),
     ],
 )
@@ -117,6 +153,34 @@ def test_what_ranges_say():
     np.testing.assert_allclose(scan.ranges, [math.inf, math.inf, 0.15, *[math.nan] * 4])
     free = conversions.laser_scan(scan_message(nothing, 0.0, 0.1), 0.0, Scanner(unanswered="free"), STILL)
     np.testing.assert_allclose(free.ranges, [math.inf, math.inf, 0.15, *[math.inf] * 3, math.nan])
+
+
+def test_the_greatest_range_is_no_return():
+    ranges = [12.0, float(np.float32(12.0)) - 5e-4, 11.99, 12.001]
+    scan = conversions.laser_scan(scan_message(ranges, 0.0, 0.1), 0.0, Scanner(), STILL)
+    np.testing.assert_allclose(scan.ranges, [math.inf, math.inf, 11.99, math.inf])
+
+
+def test_what_is_said_of_a_scanner_wins():
+    message = scan_message([1.0, 2.0, 3.0], 0.3, 0.0)
+    for clockwise, flip, expected in (
+        (False, False, [1.0, 2.0, 3.0]),
+        (True, False, [3.0, 2.0, 1.0]),
+        (False, True, [3.0, 2.0, 1.0]),
+        (True, True, [1.0, 2.0, 3.0]),
+    ):
+        scanner = Scanner(field_of_view=2.0, clockwise=clockwise, flip=flip, clock_offset=0.25)
+        scan = conversions.laser_scan(message, 7.0, scanner, STILL)
+        assert scan.stamp == 6.75
+        np.testing.assert_allclose(scan.angles, [-1.0, 0.0, 1.0])
+        assert scan.ranges.tolist() == expected
+
+
+def test_a_scan_is_straightened_by_no_velocity_that_no_base_has():
+    message = scan_message([2.0] * 3, -0.1, 0.1, time_increment=0.01)
+    wild, fastest = (conversions.laser_scan(message, 0.0, Scanner(), np.array([1e9, v])) for v in (-1e9, -20.0))
+    assert np.isfinite(wild.angles).all()
+    np.testing.assert_allclose(wild.ranges, fastest.ranges)
 
 
 def test_a_scan_is_seen_from_the_body():

@@ -68,6 +68,13 @@ def test_a_file_of_ones_own(tmp_path):
         (("limits", "speed"), -0.1, "limits.speed: expected a number above 0, found -0.1"),
         (("scanner", "unanswered"), "far", "scanner.unanswered: unknown value far; known are unknown, free"),
         (("scanner", "flip"), 1, "scanner.flip: expected true or false, found 1"),
+        (("scanner", "clockwise"), "yes", "scanner.clockwise: expected true or false, found 'yes'"),
+        (("scanner", "field_of_view"), -2.0, "scanner.field_of_view: expected a number of 0 or more, found -2.0"),
+        (
+            ("scanner", "field_of_view"),
+            270,
+            "scanner.field_of_view: 270 rad is more than a turn; write radians, not degrees",
+        ),
         (("scanner", "least_range"), -0.1, "scanner.least_range: expected a number of 0 or more, found -0.1"),
         (("limits", "speed"), 30, "limits.speed: expected a number up to 5, found 30"),
         (("limits", "turn_rate"), 90.0, "limits.turn_rate: expected a number up to 20, found 90.0"),

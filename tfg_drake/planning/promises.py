@@ -1,0 +1,53 @@
+"""Whether places give what they promise: where they do not, no mission goes on for the sake of promises."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tfg_drake.messages import GoalChoice, MapEstimate, message
+
+# A promise is broken where less than this share of the nats was gained; after so many in a row no other is believed.
+LEAST_KEPT, MOST_BROKEN = 0.1, 3
+# A view no farther from a goal than this was taken there, m.
+AT_GOAL = 0.3
+
+
+@message
+class Promise:
+    """The newest choice's: gain (nats), 0 for none, place p_MG (2,), m in M, and number and entropy (nats) of the
+    landmarks then. broken: how many in a row were."""
+
+    gain: float = 0.0
+    p_MG: tuple[float, float] = (0.0, 0.0)
+    landmarks: int = 0
+    entropy: float = 0.0
+    broken: int = 0
+
+    @property
+    def believed(self) -> bool:
+        """Whether any is believed yet."""
+        return self.broken < MOST_BROKEN
+
+
+def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promise:
+    """The promise by what has become of it, with the map of landmarks now; another is made by `promised`.
+
+    prior_sigma: m, of a landmark that nobody has seen.
+    """
+    if not promise.gain or math.dist(promise.p_MG, estimate.X_MA[-1, :2].tolist()) > AT_GOAL:
+        return promise
+    new = len(estimate.ids) - promise.landmarks
+    gained = promise.entropy - estimate.entropy + new * math.log(2.0 * math.pi * math.e * prior_sigma**2)
+    broken = promise.broken + 1 if gained < LEAST_KEPT * promise.gain else 0
+    return Promise(broken=broken)
+
+
+def promised(goal: GoalChoice, estimate: MapEstimate, before: Promise) -> Promise:
+    """The promise of a goal; before: what became of the one before."""
+    row = np.flatnonzero(goal.candidates == goal.node)
+    if goal.verdict != "goal" or goal.is_explored or not len(row):
+        return Promise(broken=before.broken)
+    x, y = goal.p_MG.tolist()
+    return Promise(float(goal.gain[row[0]]), (x, y), len(estimate.ids), estimate.entropy, before.broken)
