@@ -32,8 +32,8 @@ COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
 # Where the turn is known no better, rad, what is known of the way is no Gaussian.
 MOST_DEVIATION = 0.1
 
-# Two scans that are compared are so far apart, s.
-APART, TOO_FAR = 0.35, 2.0
+# Two scans that are compared are so far apart, s, and no farther: beyond half a metre other places fit.
+APART, TOO_FAR = 0.35, 0.8
 # Clocks are compared up to so much before or after each other, s.
 MOST_LAG, LAG_STEP = 1.2, 0.04
 # Of so many pairs at most their lag is looked for.
@@ -51,7 +51,7 @@ CONTRADICTS = (0.1, 0.1)
 # What contradicts it again so soon, s, does so all the time.
 ONE_STRETCH = 1.0
 # So many pairs that move tell something; where fewer than this share are explained nothing explains them.
-PAIRS, EXPLAINED = 8, 0.5
+PAIRS, EXPLAINED = 12, 0.5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
 AGAINST = "scans turn against the odometry"
