@@ -93,8 +93,8 @@ class EstimatorState:
     once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
     is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
     for a turn or piece. may_be_moved: by something else than its wheels. published: the map without its walls, which
-    all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen, nan
-    once it was told that too little is straight.
+    all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen,
+    nan once it was told that too little is straight.
     """
 
     noise: LearntNoise
