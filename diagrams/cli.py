@@ -528,7 +528,12 @@ def slam(
         _bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
     if robot is not None and is_video:
         _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
-    of_lasers = {"--odometry-noise": odometry_noise, "--seed": seed, "--method": method, "--relations": relations}
+    of_lasers: dict[str, Any] = {
+        "--odometry-noise": odometry_noise,
+        "--seed": seed,
+        "--method": method,
+        "--relations": relations,
+    }
     of_lasers |= {"--set": settings, "--page": page, "--meshcat": meshcat}
     for name, value in of_lasers.items():
         if is_video and value:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 from pydrake.systems.framework import Diagram
 
@@ -39,7 +40,7 @@ def MakeGridMappingExplorer(scenario: Scenario, end_time: float) -> Diagram:
 
 
 # What maps a laser recording, by name.
-MAPPING_METHODS = {
+MAPPING_METHODS: dict[str, Callable[..., Diagram]] = {
     "walls": MakeMappingExplorer,
     "grid": MakeGridMappingExplorer,
 }

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Diagram, System
@@ -65,8 +67,8 @@ def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
     way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
     looks = min(result.scan.least_looks, int(len(recording.scans) / max(way, 1.0) / SCANS_PER_LOOK))
     reach = max(scan.range_max for scan in recording.scans)
-    seen = {"range": reach, "unevenness": UNEVENNESS, "least_looks": max(looks, 1)}
-    result.scan = dataclasses.replace(recording.scanner, **seen)
+    scanner = dataclasses.replace(recording.scanner, range=reach, unevenness=UNEVENNESS)
+    result.scan = dataclasses.replace(scanner, least_looks=max(looks, 1))
     result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
     result.explorer.landmarks = "walls"
     return result
@@ -77,7 +79,8 @@ def _ports_of(recording: Recording) -> PortRecording:
     start = start_of(recording)
     odometry: list[Odometry] = [replace(one, stamp=one.stamp - start) for one in recording.odometry]
     scans: list[LaserScan] = [replace(one, stamp=one.stamp - start) for one in recording.scans]
-    messages = dict.fromkeys(PORTS, ()) | {
+    messages: dict[str, Sequence[Any]] = {
+        **dict.fromkeys(PORTS, ()),
         "base.odometry": odometry,
         "base.hazards": [Hazards(0.0, 0, 0, 0)],
         "tags.detections": [no_detections()],

@@ -106,8 +106,9 @@ def map_recording(
         figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))
     state = mission.estimator_state()
-    mapped = state is not None and state.map is not None
-    walls = whole_walls(state.map, state.walls) if mapped else np.empty((0, 2, 2))
+    walls = np.empty((0, 2, 2))
+    if state is not None and state.map is not None:
+        walls = whole_walls(state.map, state.walls)
     summary = {
         **result.summary,
         "dataset": str(dataset),

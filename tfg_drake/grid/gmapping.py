@@ -124,8 +124,8 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
         return replace(state, odometry=odometry, reckonings=(first,), clock=first.clock, X_OU=first.X_OB)
     if odometry.stamp <= state.odometry.stamp:
         return state
-    before = state.reckonings[-1]
-    newest = reckon(before, state.odometry, odometry)
+    before, told = state.reckonings[-1], state.odometry
+    newest = reckon(before, told, odometry)
     reckonings = (*state.reckonings[1 - KEPT :], newest)
     if before.stamp < state.stamp:
         # A scan was put in before the odometry round it was known: where the robot was then, is known better now.
@@ -139,8 +139,8 @@ def process_odometry(state: GmappingState, odometry: Odometry) -> GmappingState:
             newest.clock - before.clock,
             state.noise,
         )
-        if odometry.breaks != state.odometry.breaks:
-            noise = noise + np.diag(np.square(BREAK + (odometry.stamp - state.odometry.stamp) * BREAK_RATE))
+        if odometry.breaks != told.breaks:
+            noise = noise + np.diag(np.square(BREAK + (odometry.stamp - told.stamp) * BREAK_RATE))
         state = replace(
             state, odometry=odometry, reckonings=reckonings, motion_noise=noise, motion_calibration=jacobian
         )

@@ -203,7 +203,7 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
     if state.map is None:  # The map begins here.
         state = replace(state, localizer=start_localizer(state.localizer.map, state.walls), way=())
         begun = opened(state)
-        return replace(state, **{"piece" if state.turn is None else "turn": begun})
+        return replace(state, piece=begun) if state.turn is None else replace(state, turn=begun)
     sigma = np.minimum(np.sqrt(np.diag(covariance) + np.square(BREAK + dt * BREAK_RATE)), KIDNAPPED)
     state = replace(state, localizer=placed_localizer(state.map, state.walls, X_MB, sigma))
     lost = bool(np.any(sigma > FOUND_WITHIN))
