@@ -108,7 +108,8 @@ class InfoGainGoalSelector(LeafSystem):
             return EventStatus.DidNothing()
         promise = judged(now.promise, estimate, self._parameters.explorer.prior_sigma)
         goal = self._Choose(context, now.goal, promise, estimate.given_shared(), tfg, near)
-        chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise))
+        stop_gain = self._parameters.explorer.stop_gain
+        chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise, stop_gain))
         self._state.set(state, self._Send(context, chosen, mission))
         return EventStatus.Succeeded()
 

@@ -28,7 +28,7 @@ def seen_from(place, entropy, landmarks=0):
 
 def went(promise, gained, new=0, place=(1.1, 2.0)):
     """What becomes of a promise of 20 nats, at the end of it."""
-    promise = promised(goal(20.0), seen_from((0.0, 0.0), -100.0), promise)
+    promise = promised(goal(20.0), seen_from((0.0, 0.0), -100.0), promise, 10.0)
     entropy = -100.0 - gained + new * math.log(2.0 * math.pi * math.e * PRIOR**2)
     return judged(promise, seen_from(place, entropy, new), PRIOR)
 
@@ -51,10 +51,11 @@ def test_what_was_gained_of_new_landmarks_counts(new):
 def test_a_look_from_elsewhere_breaks_nothing_and_a_goal_without_gain_promises_none():
     assert went(Promise(broken=1), 0.0, place=(5.0, 2.0)).broken == 1
     ended = replace(empty_choice(), verdict="complete")
-    after = promised(ended, seen_from((0.0, 0.0), 0.0), Promise(broken=2))
+    after = promised(ended, seen_from((0.0, 0.0), 0.0), Promise(broken=2), 10.0)
     assert (after.gain, after.broken) == (0.0, 2)
     again = replace(goal(20.0), explored=3.0)
-    assert promised(again, seen_from((0.0, 0.0), 0.0), Promise()).gain == 0.0
+    assert promised(again, seen_from((0.0, 0.0), 0.0), Promise(), 10.0).gain == 0.0
+    assert promised(goal(9.0), seen_from((0.0, 0.0), 0.0), Promise(), 10.0).gain == 0.0
 
 
 def test_the_reason_says_so():

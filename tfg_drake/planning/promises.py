@@ -44,10 +44,10 @@ def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promi
     return Promise(broken=broken)
 
 
-def promised(goal: GoalChoice, estimate: MapEstimate, before: Promise) -> Promise:
-    """The promise of a goal; before: what became of the one before."""
+def promised(goal: GoalChoice, estimate: MapEstimate, before: Promise, stop_gain: float) -> Promise:
+    """The promise of a goal, if it is more than stop_gain, nats; before: what became of the one before."""
     row = np.flatnonzero(goal.candidates == goal.node)
-    if goal.verdict != "goal" or goal.is_explored or not len(row):
+    if goal.verdict != "goal" or goal.is_explored or not len(row) or goal.gain[row[0]] <= stop_gain:
         return Promise(broken=before.broken)
     x, y = goal.p_MG.tolist()
     return Promise(float(goal.gain[row[0]]), (x, y), len(estimate.ids), estimate.entropy, before.broken)
