@@ -253,6 +253,7 @@ def main() -> None:
     """Runs what is not there, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--good", action="store_true", help="drives that are right")
     parser.add_argument("--rows", type=Path, help="the file of rows; runs/recording_mutations.jsonl, or _good.jsonl")
     options = parser.parse_args()
@@ -260,12 +261,13 @@ def main() -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     there = {one["seed"] for one in rows}
-    for seed in range(options.seeds):
+    seeds = range(options.first, options.first + options.seeds)
+    for seed in seeds:
         if seed not in there:
             rows.append(row(seed, options.good))
             with path.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
-    rows = [one for one in rows if one["seed"] < options.seeds]
+    rows = [one for one in rows if one["seed"] in seeds]
     counts = collections.Counter((one["mutation"], one["class"]) for one in rows)
     print(f"{'':12}" + "".join(f"{name:>9}" for name in CLASSES))
     for name in [*dict.fromkeys(one["mutation"] for one in rows), "all"]:
