@@ -30,6 +30,8 @@ from tfg_drake.world.world import bare_world
 
 # Of the way: seconds, and between odometry s. A robot's radius, and how far from walls it drives, m.
 SECONDS, STEP, RADIUS = 75.0, 0.05, 0.4
+# A scan is logged so long after it was taken, s, and a little more.
+LOGGED = 0.03
 # The stamps of the first message, s.
 EPOCH = 1_700_000_000.0
 
@@ -85,7 +87,7 @@ def drive(seed: int, carmen: bool = False, yaw: float = 0.0) -> Drive:
         X_WS = se2.compose(se2.compose(X_WB, X_BS), np.array([0.0, 0.0, yaw]))
         seen = laser_scanner.scan(np.array(walls), X_WS, time, angles, rng.standard_normal(count), scanner)
         ranges.append(np.array(seen.ranges))
-    scan_times = np.column_stack([times + 0.03 + 0.01 * rng.exponential(size=len(times)), times])
+    scan_times = np.column_stack([times + LOGGED + 0.01 * rng.exponential(size=len(times)), times])
     return Drive(truth[:, :4], np.array(rows), scan_times, ranges, float(angles[0]), step, scanner.range, X_BS)
 
 
@@ -157,12 +159,11 @@ def write(drive: Drive, path: Path) -> None:
 
 
 def _write_carmen(drive: Drive, events: list[tuple[float, int, int]], path: Path) -> None:
-    """Scans with the pose of the message of odometry that is nearest in time."""
+    """Scans with the pose of the message of odometry that was logged nearest to when they were taken."""
     lines = []
-    stamps = drive.odometry[:, 1]
     for at, is_scan, k in events:
         if is_scan:
-            row = drive.odometry[int(np.argmin(np.abs(stamps - drive.scan_times[k, 1])))]
+            row = drive.odometry[int(np.argmin(np.abs(drive.odometry[:, 0] - drive.scan_times[k, 0] + LOGGED)))]
             ranges = np.where(np.isfinite(drive.ranges[k]), drive.ranges[k], 81.83)
             seen, pose = " ".join(f"{value:.2f}" for value in ranges), " ".join(f"{value:.6f}" for value in row[2:5])
             lines.append(

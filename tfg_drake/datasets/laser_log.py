@@ -27,7 +27,7 @@ from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import Sweep, scan_of
-from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, replace
 from tfg_drake.notes import Note
 from tfg_drake.simulation import odometry
 
@@ -91,6 +91,10 @@ def load_carmen(
     raw, poses, X_BS = _way(path, log)
     told = np.array([one.stamp for one in log.scans])
     stamps, untrue = _in_time(told, poses, raw)
+    logged = np.array([one.logged for one in log.scans])
+    if untrue and not _in_time(logged, poses, raw)[1]:
+        stamps = logged
+        untrue = (replace(untrue[0], text=f"{untrue[0].text.partition(';')[0]}; the logger's stamps are used"),)
     scans = []
     rays: dict[tuple[int, float, float], tuple[FloatArray, IntArray]] = {}
     for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
@@ -106,7 +110,6 @@ def load_carmen(
     place = np.array([said.get("x", X_BS[0]), said.get("y", X_BS[1])]) if raw else np.zeros(2)
     believed = (WHEELED_SCANNER if place.any() else UNPLACED_SCANNER) if raw else EXACT_SCANNER
     model = odometry_model() if raw else model
-    logged = np.array([one.logged for one in log.scans])
     arrivals = logged if raw and not untrue and (np.diff(logged) >= 0.0).all() else np.empty(0)
     return Recording(
         name=path.name.split(".")[0],
