@@ -27,7 +27,7 @@ STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # After this long without one there is no more hope, s.
 LOST = 60.0
 # The first turn, rad: at five scans a second enough of them at the rate of the first look.
-FIRST_TURN = 1.5 * math.pi
+FIRST_TURN = 2.0 * math.pi
 # Of so many messages at most: half a minute's.
 HEARD = 1000
 CONTRADICT = (

@@ -108,6 +108,8 @@ def run_slam(
         methods = " or ".join(MAPPING_METHODS) + " for a laser recording, and nothing for other data sets"
         raise DatasetError(f"--method {method}: name {methods}")
     if isinstance(loaded, Recording) and is_laser:
+        if not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
+            raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
         online = lambda share: report("online", share)  # noqa: E731
         mapping = method or next(iter(MAPPING_METHODS))
         return map_recording(loaded, dataset, out, mapping, online, relations=relations, **mapped)

@@ -487,7 +487,15 @@ def hostile(told, numbers, name=""):
 
 
 # Of the summary what the end's card does not show.
-FIELDS = ["heading_error_rad", "surface_coverage", "real_time_factor", "landmarks_doubtful", "min_clearance_m"]
+FIELDS = [
+    "heading_error_rad",
+    "surface_coverage",
+    "real_time_factor",
+    "landmarks_doubtful",
+    "min_clearance_m",
+    "walls_mapped",
+    "least_known",
+]
 # The page's own.
 SCRIPTS = 3
 SHOWN = [*SUMMARY, "mean", "stage", "entropy", "views", *EXPLAINED[0]]

@@ -38,6 +38,9 @@ MOST_NOTES = 20
 UNKNOWN = ("jump", "silence", "slip")
 # The way by the scans agrees with odometry to this, m and rad; else that slips if they tell it at so many times.
 AGREES, MATCHES = 0.1, 4
+# By scans a robot is faster than by its odometry at its usual fastest by no more than this factor and, m/s and rad/s,
+# this: else two places that look alike were taken for one.
+FASTER, SLACK = 1.5, np.array([0.3, 0.5])
 
 T = TypeVar("T", Odometry, LaserScan)
 
@@ -198,6 +201,9 @@ def _bridged(
     stamps = [one.stamp for one in scans]
     way: list[Odometry] = []
     broken: list[int] = []
+    fastest = FASTER * np.quantile(
+        _rates([one.stamp for one in odometry], np.array([one.X_OB for one in odometry])), 0.99, 0
+    )
     lost: list[tuple[float, float]] = []
     # The frame in which the odometry goes on, in the one that it had.
     X, done = np.zeros(3), 0
@@ -208,7 +214,7 @@ def _bridged(
             continue
         before, after = odometry[first], odometry[last]
         near = slice(max(0, bisect.bisect_right(stamps, before.stamp) - 1), bisect.bisect_left(stamps, after.stamp) + 1)
-        at, X_BB = _by_scans(scans[near], before, after)
+        at, X_BB = _by_scans(scans[near], before, after, fastest)
         step = se2.between(before.X_OB, after.X_OB)
         # Two scans may be matched wrongly: all of them, one after the other, must contradict the odometry.
         if doubt.note.kind == "slip" and (len(at) < MATCHES or np.abs(se2.between(step, X_BB[-1])).max() < AGREES):
@@ -240,11 +246,21 @@ def _bridged(
     return tuple(counted), tuple(known)
 
 
-def _by_scans(scans: Sequence[LaserScan], before: Odometry, after: Odometry) -> tuple[FloatArray, FloatArray]:
+def _by_scans(
+    scans: Sequence[LaserScan], before: Odometry, after: Odometry, fastest: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Times (k,), s, from one message to another, and the body then (k, 3) in the body at the first, by scans; none
-    where these do not tell it."""
+    where these do not tell it, or a robot faster than it ever was (2,), m/s and rad/s: alike places were mistaken."""
     bridge = bridged(scans, before.stamp, after.stamp, se2.between(before.X_OB, after.X_OB))
-    return (np.empty(0), np.empty((0, 3))) if bridge is None else bridge[:2]
+    if bridge is None or np.any(_rates(bridge[0], bridge[1]) > fastest + SLACK):
+        return np.empty(0), np.empty((0, 3))
+    return bridge[:2]
+
+
+def _rates(stamps: Sequence[float] | FloatArray, X: FloatArray) -> FloatArray:
+    """(n - 1, 2) speeds, m/s, and turn rates, rad/s, between poses X (n, 3) at stamps (n,)."""
+    step, dt = se2.between(X[:-1], X[1:]), np.maximum(np.diff(stamps), 1e-3)
+    return np.abs(np.column_stack([np.hypot(step[:, 0], step[:, 1]), step[:, 2]])) / dt[:, None]
 
 
 def _moved(one: Odometry, X: FloatArray) -> Odometry:

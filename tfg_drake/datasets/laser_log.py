@@ -33,6 +33,8 @@ from tfg_drake.simulation import odometry
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
+# A greatest range that more than this share of all rays have is no return; ranges are told to this, m.
+SAME_GREATEST, QUANTUM = 0.005, 0.005
 # Of the scanners' ranges, m: their resolution of 1 cm and what the corrected poses have wrong.
 CARMEN_SIGMA = 0.02
 # The poses are the scanner's own.
@@ -95,7 +97,7 @@ def load_carmen(
     if untrue and not _in_time(logged, poses, raw)[1]:
         stamps = logged
         untrue = (replace(untrue[0], text=f"{untrue[0].text.partition(';')[0]}; the logger's stamps are used"),)
-    scans = []
+    scans, greatest = [], _no_return(log)
     rays: dict[tuple[int, float, float], tuple[FloatArray, IntArray]] = {}
     for stamp, one in zip(stamps - said.get("clock_offset", 0.0), log.scans, strict=True):
         kind = len(one.ranges), one.first, one.step
@@ -104,7 +106,7 @@ def load_carmen(
         angles, order = rays[kind]
         ranges = one.ranges[order]
         met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
-        farthest = min(range_max, one.range_max)
+        farthest = min(range_max, one.range_max, greatest)
         within = np.where(ranges[met] <= farthest, ranges[met], math.inf)
         scans.append(LaserScan(float(stamp), angles[met], within, farthest, CARMEN_SIGMA))
     place = np.array([said.get("x", X_BS[0]), said.get("y", X_BS[1])]) if raw else np.zeros(2)
@@ -197,6 +199,15 @@ def _angles(path: Path, scan: CarmenScan, said: Mapping[str, Any]) -> FloatArray
         return np.asarray((np.arange(n) / (n - n % 2) - 0.5) * math.pi)
     half = ", ".join(map(str, HALF_CIRCLES))
     raise DatasetError(f"{path}: scans of {n} rays, and only {half} are half a circle; {_SAY_SPAN}")
+
+
+def _no_return(log: CarmenLog) -> float:
+    """Less than the greatest range in a log, m, where so many rays have just this that it says that nothing was met;
+    else inf."""
+    ranges = np.concatenate([one.ranges for one in log.scans])
+    ranges = ranges[(ranges > 0.0) & (ranges < NO_RETURN)]
+    often = len(ranges) > 0 and np.mean(ranges == ranges.max()) > SAME_GREATEST
+    return float(ranges.max()) - QUANTUM if often else math.inf
 
 
 def _spanning(n: int, said: Mapping[str, Any]) -> FloatArray:

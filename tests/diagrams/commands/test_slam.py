@@ -63,7 +63,7 @@ def test_a_recording_is_run_judged_and_kept(call, tmp_path, mrclam):
     assert summary["measurements_rejected"] == 0
     assert summary["final_error"] < 1e-3
     note = "landmarks 6 and 7 lie 4.2 m from the given truth: each where the other should be"
-    assert summary["notes"] == [note]
+    assert summary["notes"] == [{"kind": "truth", "time_s": None, "text": note}]
     assert note in printed
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert len((out / "trajectory.tum").read_text().splitlines()) >= 240
@@ -181,14 +181,14 @@ def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
     own = f"{mrclam} has odometry of its own, only corrected CARMEN logs have not; leave it out"
     blind = tmp_path / "blind.log"
     blind.write_text("".join(f"FLASER 180 {'81.9 ' * 180}{k} 0 0 {k} 0 0 {k} host {k}\n" for k in range(3)))
-    methods = "name walls or grid for a laser log, and nothing for other data sets"
+    methods = "name walls or grid for a laser recording, and nothing for other data sets"
     for arguments, expected in [
         ([str(mrclam), "--seed", "1"], f"--seed 1: {own}"),
         ([str(mrclam), "--odometry-noise", "2"], f"--odometry-noise 2: {own}"),
         ([str(mrclam), "--method", "grid"], f"--method grid: {methods}"),
         ([str(carmen), "--method", "tags"], f"--method tags: {methods}"),
         ([str(blind)], f"{blind}: no scan in it met anything; copy it again"),
-        ([str(carmen), "--seed", "-1"], "--seed -1: must be 0 or more"),
+        ([str(carmen), "--seed", "-1"], "--seed -1: must be between 0 and 2147483647"),
         ([str(carmen), "--odometry-noise", "0"], "--odometry-noise 0: must be greater than 0"),
     ]:
         code, _, complaint = call("slam", *arguments, "--out", str(tmp_path / "run"))
