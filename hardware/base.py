@@ -26,8 +26,8 @@ ODOMETRY_PERIOD = 1.0 / 16.0
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # After this long without one there is no more hope, s.
 LOST = 60.0
-# The first turn, rad: at five scans a second enough of them at the rate of the first look.
-FIRST_TURN = 2.0 * math.pi
+# The first turn and a half, rad: so many moves of scans it takes to be sure of what is wrong with them.
+FIRST_TURN = 3.0 * math.pi
 # Of so many messages at most: half a minute's.
 HEARD = 1000
 CONTRADICT = (

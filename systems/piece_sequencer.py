@@ -51,8 +51,8 @@ class PieceSequencer(LeafSystem):
         - velocity_commanded
 
     odometry: Odometry, scan: LaserScan, map: MapEstimate, tfg: TfgMap. mission: MissionStatus, in phase "glance" as
-    long as a piece goes on, "map" while it is mapped. velocity_commanded: (2,), zero. pause, stop: (1,), true above 0.5;
-    stop ends it, pause is not minded: what was recorded has been driven.
+    long as a piece goes on, "map" while it is mapped. velocity_commanded: (2,), zero. pause, stop: (1,), true above
+    0.5; stop ends it, pause is not minded: what was recorded has been driven.
     """
 
     def __init__(self, end_time: float, maps: Mapping[str, type] = MAPS) -> None:

@@ -495,6 +495,7 @@ FIELDS = [
     "min_clearance_m",
     "walls_mapped",
     "least_known",
+    "changes",
 ]
 # The page's own.
 SCRIPTS = 3

@@ -201,9 +201,10 @@ def _bridged(
     stamps = [one.stamp for one in scans]
     way: list[Odometry] = []
     broken: list[int] = []
-    fastest = FASTER * np.quantile(
-        _rates([one.stamp for one in odometry], np.array([one.X_OB for one in odometry])), 0.99, 0
-    )
+    fastest = np.zeros(2)
+    if doubts:
+        X_OB = np.array([one.X_OB for one in odometry])
+        fastest = FASTER * np.quantile(_rates([one.stamp for one in odometry], X_OB), 0.99, axis=0)
     lost: list[tuple[float, float]] = []
     # The frame in which the odometry goes on, in the one that it had.
     X, done = np.zeros(3), 0

@@ -33,8 +33,8 @@ from tfg_drake.simulation import odometry
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
-# A greatest range that more than this share of all rays have is no return; ranges are told to this, m.
-SAME_GREATEST, QUANTUM = 0.005, 0.005
+# A greatest range that more than this share of all rays have, and so many, is no return; ranges are told to this, m.
+SAME_GREATEST, LEAST_SAME, QUANTUM = 0.005, 100, 0.005
 # Of the scanners' ranges, m: their resolution of 1 cm and what the corrected poses have wrong.
 CARMEN_SIGMA = 0.02
 # The poses are the scanner's own.
@@ -206,7 +206,8 @@ def _no_return(log: CarmenLog) -> float:
     else inf."""
     ranges = np.concatenate([one.ranges for one in log.scans])
     ranges = ranges[(ranges > 0.0) & (ranges < NO_RETURN)]
-    often = len(ranges) > 0 and np.mean(ranges == ranges.max()) > SAME_GREATEST
+    same = np.count_nonzero(ranges == ranges.max(initial=0.0))
+    often = same > max(LEAST_SAME, SAME_GREATEST * len(ranges))
     return float(ranges.max()) - QUANTUM if often else math.inf
 
 
