@@ -261,7 +261,7 @@ def _by_scans(
 def _rates(stamps: Sequence[float] | FloatArray, X: FloatArray) -> FloatArray:
     """(n - 1, 2) speeds, m/s, and turn rates, rad/s, between poses X (n, 3) at stamps (n,)."""
     step, dt = se2.between(X[:-1], X[1:]), np.maximum(np.diff(stamps), 1e-3)
-    return np.abs(np.column_stack([np.hypot(step[:, 0], step[:, 1]), step[:, 2]])) / dt[:, None]
+    return np.asarray(np.abs(np.column_stack([np.hypot(step[:, 0], step[:, 1]), step[:, 2]])) / dt[:, None])
 
 
 def _moved(one: Odometry, X: FloatArray) -> Odometry:
