@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from tfg_drake.datasets.relations import read_relations, relation_errors
 from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, length_of, start_of
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
@@ -53,6 +55,7 @@ def map_recording(
     settings: Sequence[str] = (),
     seed: int = 0,
     relations: Path | None = None,
+    interrupted: threading.Event | None = None,
     **shown: Any,
 ) -> SlamResult:
     """Map a laser recording: a mission without wheels, whose station is the recording.
@@ -62,7 +65,7 @@ def map_recording(
 
     Args:
         recording: what is believed of it. dataset: its path.
-        out, shown: as out_dir and others of `run_mission`.
+        out, interrupted, shown: as out_dir and others of `run_mission`.
         method: one of MAPPING_METHODS.
         on_progress: told the share of the recording that is mapped.
         settings: of the scenario, such as "grid.particles=50".
@@ -73,10 +76,17 @@ def map_recording(
         ScenarioError: a setting cannot be used.
         DatasetError: the relations cannot.
         OSError: the folder cannot be written at the beginning, or another run is at work in it.
+        EstimateLost: the estimate became nonsense; what there was before is kept.
     """
     scenario = RecordedScenario(recording, ApplySettings(Scenario(seed=seed), settings))
     told = None if relations is None else read_relations(relations)
     way, start, end = WayKeeper(), start_of(recording), length_of(recording)
+    ended = (interrupted or threading.Event()).is_set
+
+    def tell(progress: Progress) -> None:
+        if not ended():
+            on_progress(min(progress.time / max(end, 1e-9), 1.0))
+
     result = run_mission(
         scenario,
         method=MappingMethod(method, end),
@@ -85,12 +95,15 @@ def map_recording(
         world_name="unknown",
         max_time=math.inf,
         out_dir=out,
-        on_progress=lambda progress: on_progress(min(progress.time / max(end, 1e-9), 1.0)),
+        on_progress=tell,
+        interrupted=interrupted,
         monitor=way.monitor,
         notes=recording.notes,
         **shown,
     )
     mission, folder = result.mission, result.folder
+    if mission.failure is not None:
+        raise mission.failure
     at, truth = np.array([scan.stamp for scan in recording.scans]), recording.truth
     stamps, X_MB, X_BS = way.poses(mission)
     online_stamps, online = mission.estimated_poses()
@@ -105,6 +118,7 @@ def map_recording(
         X_MS = se2.compose(X_MB, recording.X_BS)
         figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))
+    thickness = wall_thickness(met)
     state = mission.estimator_state()
     walls = np.empty((0, 2, 2))
     if state is not None and state.map is not None:
@@ -114,10 +128,11 @@ def map_recording(
         "dataset": str(dataset),
         "name": recording.name,
         "method": method,
+        "explored_s": None,
         "scans": len(recording.scans),
         "way_m": float(np.hypot(*np.diff(X_MB[:, :2], axis=0).T).sum()),
         **figures,
-        "wall_thickness_m": wall_thickness(met) if math.isfinite(wall_thickness(met)) else None,
+        "wall_thickness_m": thickness if math.isfinite(thickness) else None,
         "walls_mapped": None if state is None else len(walls),
         "online_cpu_s": mission.estimator_cpu,
     }
@@ -171,8 +186,9 @@ class WayKeeper:
                 row = int(parents[row])
             return np.array([stamp for _, stamp, _, _ in self._put_in]), np.array(way[::-1]), np.zeros(3)
         if mission.landmarks is None or not self._seen:
-            return *mission.estimated_poses(), np.zeros(3)
+            stamps, X_MB = mission.estimated_poses()
+            return (stamps, X_MB, np.zeros(3)) if len(stamps) else (np.zeros(1), np.zeros((1, 3)), np.zeros(3))
         starts = mission.landmarks.X_MA
         stamps, first = np.unique(np.concatenate([one.stamps for one in self._seen]), return_index=True)
-        X_MB = [se2.compose(X_MA, one.X_AB) for X_MA, one in zip(starts, self._seen, strict=True)]
+        X_MB = [se2.compose(X_MA, one.X_AB) for X_MA, one in zip(starts[-len(self._seen) :], self._seen, strict=True)]
         return stamps, np.concatenate(X_MB)[first], mission.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -138,3 +139,16 @@ def test_a_jump_that_is_believed_bends_the_map(room, tmp_path):
     told = broken(room, 120, np.array([0.4, 0.15, 0.3]))
     told = dataclasses.replace(told, odometry=tuple(replace(one, breaks=0) for one in told.odometry))
     assert map_recording(told, room.name, tmp_path / "run").summary["robot_rmse_m"] > 0.05
+
+
+def test_a_recording_that_is_interrupted_keeps_what_there_is(room, tmp_path):
+    event = threading.Event()
+
+    def on_progress(share):
+        if share > 0.3:
+            event.set()
+
+    result = map_recording(room, room.name, tmp_path / "run", on_progress=on_progress, interrupted=event)
+    assert result.summary["outcome"] == "interrupted"
+    assert 2 <= load_run(result.folder).map.stage < 15
+    assert len((result.folder / "trajectory.tum").read_text().splitlines()) == len(room.scans)
