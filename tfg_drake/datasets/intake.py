@@ -63,7 +63,7 @@ def believed(recording: Recording) -> Recording:
     if not recording.odometry:
         return recording
     notes: list[Note] = []
-    told, scans = recording.odometry, recording.scans
+    told, scans, told_stamps = recording.odometry, recording.scans, recording.told_stamps
     if not recording.detections:
         told, scans = _in_time(recording, notes)
     is_dense = min(len(scans), len(told)) > 1 and float(np.median(np.diff([one.stamp for one in scans]))) < SPARSE
@@ -78,6 +78,10 @@ def believed(recording: Recording) -> Recording:
             raise DatasetError(f"{recording.name}: {verdict.refusal}")
         notes += verdict.notes
         odometry, scans = corrected(told if often else odometry, scans, verdict)
+        if verdict.lag:
+            stamps = np.array([one.stamp for one in recording.scans])
+            told_stamps = told_stamps if len(told_stamps) else np.column_stack([stamps, stamps])
+            told_stamps = told_stamps - [0.0, verdict.lag]
         if often:
             odometry, doubts = watched(odometry, silence)
         doubts += _contradicted(odometry, contradictions(found) - found.lag)
@@ -97,6 +101,7 @@ def believed(recording: Recording) -> Recording:
         odometry_arrivals=np.empty(0),
         scan_arrivals=np.empty(0),
         notes=recording.notes + _summed_up(notes),
+        told_stamps=told_stamps,
     )
 
 
