@@ -190,5 +190,7 @@ class WayKeeper:
             return (stamps, X_MB, np.zeros(3)) if len(stamps) else (np.zeros(1), np.zeros((1, 3)), np.zeros(3))
         starts = mission.landmarks.X_MA
         stamps, first = np.unique(np.concatenate([one.stamps for one in self._seen]), return_index=True)
-        X_MB = [se2.compose(X_MA, one.X_AB) for X_MA, one in zip(starts[-len(self._seen) :], self._seen, strict=True)]
-        return stamps, np.concatenate(X_MB)[first], mission.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
+        way_of_views = [
+            se2.compose(X_MA, one.X_AB) for X_MA, one in zip(starts[-len(self._seen) :], self._seen, strict=True)
+        ]
+        return stamps, np.concatenate(way_of_views)[first], mission.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
