@@ -1,4 +1,4 @@
-"""What maps a drive that is recorded: an explorer without goals, paths and wheels."""
+"""The explorer of a recorded drive, which maps: without goals, paths and wheels."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
 
 
 def _ports_of(recording: Recording) -> PortRecording:
-    """What the station's ports carried, by the recording's stamps from its first message on."""
+    """A recording as messages of the station's ports, stamped from its first message on."""
     start = start_of(recording)
     odometry: list[Odometry] = [replace(one, stamp=one.stamp - start) for one in recording.odometry]
     scans: list[LaserScan] = [replace(one, stamp=one.stamp - start) for one in recording.scans]

@@ -147,7 +147,7 @@ def map_recording(
 
 
 def _rmse(X_WB: FloatArray, X_MB: FloatArray) -> float:
-    """Of positions (n, 3), m, after their alignment."""
+    """RMSE, m, of poses (n, 3) after their alignment."""
     return rmse(se2.transform(align(X_WB[:, :2], X_MB[:, :2]), X_MB[:, :2]) - X_WB[:, :2])
 
 
@@ -159,7 +159,7 @@ class WayKeeper:
         self._put_in: list[tuple[int, float, FloatArray, IntArray]] = []
 
     def monitor(self, mission: Mission) -> Callable[[Context], EventStatus]:
-        """What looks on after every step."""
+        """A function that looks on after every step."""
 
         def look(context: Context) -> EventStatus:
             now = mission.explorer.GetMyContextFromRoot(context)

@@ -139,8 +139,8 @@ def run_slam(
 
 
 def scanner_settings(settings: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """What of some settings is said of a recording's scanner, `hardware.scanner.KEY=VALUE`, by its keys, and the other
-    settings. Raises ScenarioError."""
+    """Splits settings into those of a recording's scanner, `hardware.scanner.KEY=VALUE`, by their keys, and the others.
+    Raises ScenarioError."""
     said = [one for one in settings if one.startswith(_SCANNER)]
     scanner = ApplySettings(Scenario(), said).hardware.scanner
     keys = (one.removeprefix(_SCANNER).partition("=")[0] for one in said)
