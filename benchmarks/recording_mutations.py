@@ -215,7 +215,7 @@ def error(stamps: FloatArray, X: FloatArray, truth: FloatArray) -> float:
 
 
 def row(seed: int, good: bool) -> dict:
-    """What becomes of a seed's drive."""
+    """Runs a seed's drive, and judges what became of it: a row."""
     name, mutated, suffix = made(seed, good)
     begin, rmse, said, notes = time.process_time(), math.nan, "", []
     with tempfile.TemporaryDirectory() as folder:

@@ -74,7 +74,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
 
 @functools.cache
 def _decoder() -> Callable[[Logged], Any]:
-    """What makes a message of one in a bag, or raises anything. Raises ImportError without the package that can."""
+    """A function that decodes a message of a bag, or raises anything. Raises ImportError without the package for it."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     ros2, ros1 = (get_typestore(store) for store in (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC))

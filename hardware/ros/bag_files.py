@@ -100,7 +100,7 @@ def read_messages(files: Collection[Path], kinds: Collection[str], tell: Callabl
 
 
 class _Unpacked:
-    """What is unpacked of a bag, while there is room for it."""
+    """Unpacks chunks of a bag while there is room for them."""
 
     def __init__(self, room: int) -> None:
         self._room, self._most = room, room

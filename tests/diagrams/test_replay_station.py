@@ -17,7 +17,7 @@ EXACT = ("map.npz", "stages.jsonl", "trajectory.tum", "scenario.yaml")
 
 
 def said(run):
-    """What a run's ports said, in order, and when; its chunks end where the mission was kept."""
+    """The messages of a run's ports in order, and their times; chunks of the file end where the mission was kept."""
     with (run.folder / "ports.mcap").open("rb") as file:
         found = make_reader(file, validate_crcs=True).iter_messages()
         return [(channel.topic, one.log_time, one.data) for _, channel, one in found if channel.topic != "display.map"]

@@ -27,7 +27,7 @@ def seen_from(place, entropy, landmarks=0):
 
 
 def went(promise, gained, new=0, place=(1.1, 2.0)):
-    """What becomes of a promise of 20 nats, at the end of it."""
+    """Follows a promise of 20 nats to its end."""
     promise = promised(goal(20.0), seen_from((0.0, 0.0), -100.0), promise, 10.0)
     entropy = -100.0 - gained + new * math.log(2.0 * math.pi * math.e * PRIOR**2)
     return judged(promise, seen_from(place, entropy, new), PRIOR)

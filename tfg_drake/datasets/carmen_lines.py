@@ -53,7 +53,7 @@ class CarmenLog(NamedTuple):
 
 
 def read_carmen(path: Path, rows: Rows) -> CarmenLog:
-    """What the rows of a file tell, of the kind of scan that has most lines.
+    """Reads the rows of a file: odometry, and scans of the kind that has most lines.
 
     Raises:
         DatasetError: a line is broken, or there are fewer than two scans.
