@@ -9,13 +9,14 @@ import functools
 
 import numpy as np
 from numba import njit
+from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.information_gain import Gains
 from tfg_drake.planning.routes import edge_lengths
-from tfg_drake.planning.shortest_ways import neighbours, shortest_ways
+from tfg_drake.planning.shortest_ways import joined
 
 # Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
 TOUR_GOALS = 11
@@ -131,8 +132,8 @@ def _most_by_time(
 def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
     """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
     length = np.maximum(edge_lengths(roadmap.points, roadmap.edges), 1e-9)
-    joined = *neighbours(roadmap.edges, len(roadmap.points)), length
-    return np.array([shortest_ways(*joined, source, np.zeros(1))[0][nodes] for source in sources[:, None]]) / speed
+    graph = joined(roadmap.edges, length, len(roadmap.points))
+    return np.asarray(dijkstra(graph, indices=sources)[:, nodes] / speed)
 
 
 @read_only_arguments

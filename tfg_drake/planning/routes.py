@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_array
 
 from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance
@@ -27,7 +28,7 @@ from tfg_drake.planning.roadmap import (
     in_free_space,
     room_needed,
 )
-from tfg_drake.planning.shortest_ways import Ways, neighbours, shortest_ways
+from tfg_drake.planning.shortest_ways import Ways, joined, shortest_ways
 
 # The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
 # the building that is too narrow.
@@ -91,7 +92,7 @@ def routes(
         risk[forced] = 0.0
         ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
-        ways = Ways(*shortest_ways(*neighbours(edges.nodes, n), weight, links, links_weight))
+        ways = shortest_ways(edges.nodes, weight, n, links, links_weight)
     stop = robot.max_speed / robot.max_acceleration
     speed = robot.max_speed, robot.max_turn_rate
     length, time = _travel(state.points, X_MB, ways.predecessor, ways.order, *speed, stop)
@@ -119,25 +120,25 @@ def _cheapest_within(
 
     A tree of ways weighs all risks alike, so the one that reaches most is taken, of equals the one of least detour.
     """
-    most, beside = -1, neighbours(edges, n)
+    most, risks = -1, joined(edges, risk[: len(edges)], n, links, risk[len(edges) :])
     for detour in RISK_LENGTHS:
         costs = detour * risk / probability
-        weights = weight + costs[: len(edges)], links, links_weight + costs[len(edges) :]
-        ways = Ways(*shortest_ways(*beside, *weights))
-        kept = _risk_to(ways, risk) <= probability
+        ways = shortest_ways(edges, weight + costs[: len(edges)], n, links, links_weight + costs[len(edges) :])
+        kept = _risk_to(ways, risks) <= probability
         if kept.sum() > most:
             cost, predecessor = np.where(kept, ways.cost, np.inf), np.where(kept, ways.predecessor, -1)
-            most, found = int(kept.sum()), Ways(cost, predecessor, ways.step, ways.order[kept[ways.order]])
+            most, found = int(kept.sum()), Ways(cost, predecessor, ways.order[kept[ways.order]])
         if most == len(ways.order):
             break
     return found
 
 
-def _risk_to(ways: Ways, risk: FloatArray) -> FloatArray:
-    """At most the probability (n,) of a collision anywhere on the way to each node; risk: of each step."""
+def _risk_to(ways: Ways, risk: csr_array) -> FloatArray:
+    """At most the probability (n,) of a collision anywhere on the way to each node; risk: of each step, `joined`."""
     total = np.append(np.full(len(ways.cost), np.inf), 0.0)
-    for i in ways.order:
-        total[i] = total[ways.predecessor[i]] + risk[ways.step[i]]
+    step = risk[ways.predecessor[ways.order], ways.order]
+    for i, of_step in zip(ways.order, step, strict=True):
+        total[i] = total[ways.predecessor[i]] + of_step
     return total[:-1]
 
 
@@ -238,7 +239,7 @@ def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: Pla
         nodes = state.edges.nodes.compress(fits & (beyond[a] | beyond[b]), axis=0)
         doors = np.unique(nodes[reachable[nodes]])
         length = edge_lengths(state.points, nodes)
-        from_doors = Ways(*shortest_ways(*neighbours(nodes, len(entry)), length, doors, np.zeros(len(doors))))
+        from_doors = shortest_ways(nodes, length, len(entry), doors, np.zeros(len(doors)))
         for i in from_doors.order:
             if beyond[i]:
                 entry[i] = entry[from_doors.predecessor[i]]
