@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check docs results figures clean
+.PHONY: help demo test test-slow lint format types check pins docs results figures clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -49,6 +49,12 @@ types: $(VENV)/.test  ## mypy: strict for the core, relaxed for the Drake layers
 check: $(VENV)/.test  ## what continuous integration runs: tests, lint, types
 	@$(MAKE) --no-print-directory --jobs=2 suite lint types
 
+# What stands in them already stays: delete them first to move to the newest versions.
+pins:  ## write constraints-3.11.txt to constraints-3.14.txt for what pyproject.toml asks for
+	$(PYTHON) -m venv build/pins && build/pins/bin/pip install -q uv
+	for version in 3.11 3.12 3.13 3.14; do build/pins/bin/uv pip compile --quiet --no-header --no-annotate \
+	  --all-extras --python-version $$version --output-file constraints-$$version.txt pyproject.toml; done
+
 docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagrams, into build/reference
 	$(BIN)/python docs/reference/build.py
 
@@ -62,24 +68,27 @@ clean:  ## remove the environments and every cache
 	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
+# The versions that the tests have passed with, of this Python; of one that is newer than all of them there are none.
+PINS = $(wildcard constraints-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null).txt)
+
 # One environment per Python. The demo needs no test tools; the tests' environment serves the demo as well.
 install = $(require_python)@echo "installing into $(VENV), a minute or two the first time"; \
-  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q -c constraints.txt -e
+  $(PYTHON) -m venv $(VENV) && $(BIN)/python -m pip --disable-pip-version-check install -q $(PINS:%=-c %) -e
 
 # A program that finds its kernels compiled starts within seconds.
 compile = @$(BIN)/python -m tfg_drake.diagrams.compile_kernels
 
-$(VENV)/.demo: pyproject.toml constraints.txt
+$(VENV)/.demo: pyproject.toml $(PINS)
 	$(install) .
 	$(compile)
 	@touch $@
 
 # Beside the tests' environment, or without.
-$(VENV)/.docs: pyproject.toml constraints.txt
+$(VENV)/.docs: pyproject.toml $(PINS)
 	$(install) ".[docs]"
 	@touch $@
 
-$(VENV)/.test: pyproject.toml constraints.txt
+$(VENV)/.test: pyproject.toml $(PINS)
 	$(install) ".[test]"
 	$(compile)
 	@touch $@ $(VENV)/.demo

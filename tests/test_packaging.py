@@ -5,10 +5,12 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path, PurePosixPath
 
 import pytest
+from packaging.requirements import Requirement
 
 from tfg_drake import __version__
 
@@ -134,3 +136,27 @@ def test_what_is_built_can_be_installed(clone, tmp_path, kind):
         Path(name).name for name in expected() if name.startswith("tfg_drake/diagrams/scenarios/")
     }
     assert run(str(installed / "bin" / "tfg-drake"), "--version") == f"tfg-drake {__version__}\n"
+
+
+def requirements(project):
+    """All that pyproject.toml asks for, the extras', too, but for this package itself."""
+    lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    every = [Requirement(one) for one in sum(lists, [])]
+    return [one for one in every if one.name != project["name"]]
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
+def test_pins_are_what_the_project_asks_for(version):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = (ROOT / f"constraints-{version}.txt").read_text().splitlines()
+    pins = dict(line.split("==") for line in lines)
+    for one in requirements(project):
+        python = {"python_version": version, "sys_platform": "linux", "platform_machine": "x86_64"}
+        if one.marker is None or one.marker.evaluate(python):
+            assert one.specifier.contains(pins[one.name]), one
+
+
+def test_each_python_that_is_tested_has_its_pins():
+    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+    for pins in ROOT.glob("constraints-*.txt"):
+        assert f'"{pins.stem.removeprefix("constraints-")}"' in workflow
