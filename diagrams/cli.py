@@ -79,7 +79,7 @@ _GROUPS = {
     ),
     "A simulated world": ("world", "tag_spacing", "start"),
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
-    "The page": ("headless", "host", "page_port"),
+    "To look at it": ("headless", "host", "page_port", "meshcat"),
 }
 
 # Options of several commands.

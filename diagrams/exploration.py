@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
+from types import EllipsisType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def explore(
     seed: int | None = None,
     settings: Sequence[str] = (),
     world: str | Path | None = None,
-    tag_spacing: float | None = None,
+    tag_spacing: float | EllipsisType | None = ...,
     start: Sequence[float] | None = None,
     method: str = "tfg",
     goal_selector: Factory | None = None,
@@ -79,10 +80,13 @@ def explore(
         scenario: a shipped scenario's name, a YAML file, or one in memory.
         seed: of every random number; None for the scenario's own.
         settings: such as "explorer.stop_gain=10".
-        world: other walls, as `tfg-drake explore --world`. tag_spacing: m, places tags. start: (x, y, yaw), m and rad.
+        world: other walls, as `tfg-drake explore --world`.
+        tag_spacing: m, places tags so far apart; None: without any tag; by default as the scenario has them.
+        start: (x, y, yaw), m and rad.
         method: what explores, as `tfg-drake explore --method`.
         goal_selector, estimator, planner, follower: each makes a part for the scenario, in place of the method tfg's
-            own, as MakeTfgExplorer has them: functions of a Scenario that return a System.
+            own, as MakeTfgExplorer has them. A Factory is a function of a Scenario that returns a System, or a class
+            whose instances are made with a Scenario, such as `estimator=lambda scenario: MyEstimator(0.1)`.
         plant: makes likewise what moves in the simulated station, see MakeTurtlebotStation.
         station: makes the station, in place of MakeTurtlebotStation; a System with its ports. One that plays a laser
             recording, as `functools.partial(MakeRecordedStation, recording="drive.mcap")` makes it, is mapped by method
@@ -101,10 +105,14 @@ def explore(
         realtime_rate: simulated s per second at most, 0 for as fast as possible.
         until: s to drive, or less where the mission ends before; 0 to build it only.
 
+    Returns:
+        The Exploration, driven until it ended or for `until` s: its Drake objects, its map, what it says at each port.
+
     Raises:
         ScenarioError, MethodError: the scenario or the method cannot be used.
         ValueError: until or realtime_rate is negative.
-        TypeError: a part is given that is no such function.
+        TypeError: a part is given that is no such function, or lacks a port that others listen to, or has another kind
+            of message there.
         BadInput: the folder holds a real robot's run, or the scenario that is read; the page cannot be served; or there
             is no mission to go on with.
         DeviceError: the robot cannot be used.
@@ -113,6 +121,9 @@ def explore(
     for what, value in (("until", until), ("realtime_rate", realtime_rate)):
         if not value >= 0.0:
             raise ValueError(f"{what} {value:g}: must be 0 or more")
+    if isinstance(tag_spacing, str):
+        raise TypeError(f"tag_spacing {tag_spacing!r}: must be metres, or None for no tags")
+    spacing = None if tag_spacing is ... else math.inf if tag_spacing is None else tag_spacing
     parts = {"goal_selector": goal_selector, "estimator": estimator, "planner": planner, "follower": follower}
     own: dict[str, Any] = {role: factory for role, factory in parts.items() if factory is not None}
     for role, factory in {**own, "plant": plant, "station": station}.items():
@@ -130,7 +141,7 @@ def explore(
         method, out = method if before.own else before.method, before.folder
     else:
         known = [] if map is None else [f"explorer.known_map={Path(map).resolve()}"]
-        loaded = PrepareScenario(scenario, [*settings, *known], seed, world, tag_spacing, start)
+        loaded = PrepareScenario(scenario, [*settings, *known], seed, world, spacing, start)
         name = run_name(named or "mission", None if world is None else Path(world))
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")

@@ -5,12 +5,21 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 
-from pydrake.systems.framework import System
+from pydrake.systems.framework import Diagram, PortDataType, System
 
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.messages import FollowerStatus, GoalChoice, MapEstimate, Path, PathStatus, PoseEstimate
 
 # A diagram needs a part of its own, and a scenario says of what: so a part is given as a function that makes one.
 Factory = Callable[[Scenario], System]
+
+# What others listen to, by a part's role: its output ports, with the message that each carries; of a vector, its size.
+OUTPUTS: dict[str, dict[str, type | int]] = {
+    "estimator": {"pose": PoseEstimate, "map": MapEstimate},
+    "goal_selector": {"goal": GoalChoice},
+    "planner": {"path": Path, "path_status": PathStatus},
+    "follower": {"velocity_commanded": 2, "follower_status": FollowerStatus},
+}
 
 
 def CheckFactory(role: str, factory: Factory | None) -> None:
@@ -23,7 +32,8 @@ def CheckFactory(role: str, factory: Factory | None) -> None:
 def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scenario) -> System:
     """The System that a factory makes for the scenario, or the usual one where there is none.
 
-    Raises TypeError as CheckFactory does, and where the factory makes no system.
+    Raises TypeError as CheckFactory does, and where the factory makes no system, or one that lacks an output which
+    others listen to.
     """
     CheckFactory(role, factory)
     try:
@@ -33,4 +43,21 @@ def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scena
     part = (factory or usual)(scenario)
     if not isinstance(part, System):
         raise TypeError(f"{role}: its function must return a Drake System, not {type(part).__name__}")
+    for name, kind in OUTPUTS.get(role, {}).items():
+        _CheckOutput(role, part, name, kind)
     return part
+
+
+def _CheckOutput(role: str, part: System, name: str, kind: type | int) -> None:
+    """Raises TypeError where a part has no such output, or a vector in place of a message, or the reverse."""
+    what = f"a vector of size {kind}" if isinstance(kind, int) else f"a message {kind.__name__}"
+    called = f"{role} {type(part).__name__ if type(part) is not Diagram else part.get_name()}"
+    if not part.HasOutputPort(name):
+        names = ", ".join(part.get_output_port(i).get_name() for i in range(part.num_output_ports())) or "none"
+        hint = "; MakePoseEstimator makes an estimator of a pose alone" if role == "estimator" else ""
+        raise TypeError(f"{called}: lacks the output port {name}, {what}; it has {names}{hint}")
+    port = part.GetOutputPort(name)
+    is_vector = port.get_data_type() == PortDataType.kVectorValued
+    if is_vector != isinstance(kind, int) or (is_vector and port.size() != kind):
+        found = f"a vector of size {port.size()}" if is_vector else "a message"
+        raise TypeError(f"{called}: its output port {name} must carry {what}, not {found}")

@@ -1,5 +1,6 @@
 """Goes to the frontier that is farthest away: a method of one's own, in one file.
 
+python examples/goal_selector.py
 tfg-drake explore house --method examples/goal_selector.py
 tfg-drake compare house --methods tfg,examples/goal_selector.py --seeds 5
 """
@@ -8,6 +9,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import LeafSystem
 
+import tfg_drake
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, replace
 from tfg_drake.planning.goal_choice import empty_choice
@@ -50,3 +52,9 @@ class FarthestFrontierSelector(LeafSystem):
 def MakeExplorer(scenario):
     """The TFG explorer with another goal selector."""
     return MakeTfgExplorer(scenario, goal_selector=lambda _scenario: FarthestFrontierSelector())
+
+
+if __name__ == "__main__":
+    for name, goal_selector in (("as it is", None), ("the farthest first", lambda _: FarthestFrontierSelector())):
+        mission = tfg_drake.explore("house", goal_selector=goal_selector, until=300.0)
+        print(f"{name}: {mission}")

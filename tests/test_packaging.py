@@ -141,7 +141,7 @@ def test_what_is_built_can_be_installed(clone, tmp_path, kind):
 def requirements(project):
     """All that pyproject.toml asks for, the extras', too, but for this package itself."""
     lists = [project["dependencies"], *project["optional-dependencies"].values()]
-    every = [Requirement(one) for one in sum(lists, [])]
+    every = [Requirement(one) for some in lists for one in some]
     return [one for one in every if one.name != project["name"]]
 
 

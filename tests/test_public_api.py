@@ -22,7 +22,7 @@ from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 
-PUBLIC = {"explore", "fork", "load_run", "map_graph", "merge"}
+PUBLIC = {"Exploration", "explore", "fork", "load_run", "map_graph", "merge"}
 
 
 def test_completion_offers_what_is_public():

@@ -5,11 +5,11 @@
 
 What is public, and stays as it is but for what CHANGELOG.md tells:
 
-- here: `explore` builds a mission and drives it, `load_run` reads what it left, `fork` goes on from one of its stages,
-  `map_graph` gives its map as GTSAM's factors and values, `merge` makes one map of two.
+- here: `explore` builds a mission and drives it, an `Exploration`; `load_run` reads what it left, `fork` goes on from
+  one of its stages, `map_graph` gives its map as GTSAM's factors and values, `merge` makes one map of two.
 - in `tfg_drake.diagrams`: `scenario` (Scenario, LoadScenario, ApplySettings, ApplyWorldFile, MakeWorld), `station`
-  (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `mission_diagram` (ConnectStation), and the names, types and
-  meanings of their ports.
+  (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `pose_estimator` (MakePoseEstimator), `mission_diagram`
+  (ConnectStation), and the names, types and meanings of their ports.
 - in `tfg_drake.systems`: the systems and their ports; `ports` declares and reads ports of messages.
 - `tfg_drake.messages` and `tfg_drake.config`: what the ports carry, what a scenario says.
 - `tfg_drake.storage.run` and `tfg_drake.mapfile.saved_map`: what is read of a run and of a map.
@@ -25,13 +25,14 @@ from typing import TYPE_CHECKING
 from tfg_drake.kernels import use_locator
 
 if TYPE_CHECKING:
-    from tfg_drake.diagrams.exploration import explore, fork
+    from tfg_drake.diagrams.exploration import Exploration, explore, fork
     from tfg_drake.mapfile.merge import merge
     from tfg_drake.slam.gtsam_solver import map_graph
     from tfg_drake.storage.run import load_run
 else:
     # Each is imported when it is asked for: without Drake the package is to be of use, too.
     _WHERE = {
+        "Exploration": "tfg_drake.diagrams.exploration",
         "explore": "tfg_drake.diagrams.exploration",
         "fork": "tfg_drake.diagrams.exploration",
         "load_run": "tfg_drake.storage.run",
@@ -49,7 +50,7 @@ else:
 use_locator()
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "explore", "fork", "load_run", "map_graph", "merge"]
+__all__ = ["Exploration", "__version__", "explore", "fork", "load_run", "map_graph", "merge"]
 
 
 def __dir__() -> list[str]:

@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+import typer
 
 from tests.diagrams.rooms import ROOM
 from tfg_drake import __version__, kernels
@@ -122,10 +123,13 @@ def test_help_has_groups_and_an_example(call):
     code, text, _ = call("explore", "--help")
     assert code == 0
     groups = re.split(r"\n\n(?=\S)", text)
-    heads = ["Arguments:", "The mission:", "A simulated world:", "A real robot, or a run:", "The page:"]
+    heads = ["Arguments:", "The mission:", "A simulated world:", "A real robot, or a run:", "To look at it:"]
     assert [group.splitlines()[0] for group in groups[1:]] == heads
     for option, head in (("--seed", 1), ("--start", 2), ("--preset", 3), ("--page-port", 4)):
         assert f"  {option} " in groups[1 + head]
+    of_explore = typer.main.get_command(cli.app).commands["explore"]
+    for option in [name for one in of_explore.params for name in one.opts if name.startswith("--")]:
+        assert f"{option} " in text
     example = text.splitlines()[-1].removeprefix("  Example: tfg-drake ").split()
     cli.app(["explore", *example[1:], "--help"], standalone_mode=False)
 

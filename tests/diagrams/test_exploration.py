@@ -10,11 +10,11 @@ import pytest
 import threadpoolctl
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, EventStatus
+from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
 import tfg_drake
-from examples.estimator import TruthEstimator
+from examples.estimator import MakeTruthEstimator
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, ROOM, lasting, tagged
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput
@@ -89,6 +89,49 @@ def test_an_instance_is_no_factory(role, tmp_path):
         tfg_drake.explore(bare(), **{role: SlamEstimator})
 
 
+@pytest.mark.parametrize(
+    ("role", "made", "line"),
+    [
+        (
+            "estimator",
+            lambda _: ConstantVectorSource([0.0]),
+            "estimator ConstantVectorSource: lacks the output port pose, a message PoseEstimate; it has y0; "
+            "MakePoseEstimator makes an estimator of a pose alone",
+        ),
+        (
+            "goal_selector",
+            lambda _: ConstantVectorSource([0.0]),
+            "goal_selector ConstantVectorSource: lacks the output port goal, a message GoalChoice; it has y0",
+        ),
+        (
+            "follower",
+            lambda _: PoseAsVelocity(),
+            "follower PoseAsVelocity: its output port velocity_commanded must carry a vector of size 2, not a vector "
+            "of size 3",
+        ),
+    ],
+)
+def test_a_part_without_a_port_is_told_by_its_name_when_it_is_built(role, made, line):
+    with pytest.raises(TypeError) as caught:
+        tfg_drake.explore(bare(), until=0.0, **{role: made})
+    assert str(caught.value) == line
+
+
+class PoseAsVelocity(LeafSystem):
+    """A follower with a vector of another size."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorOutputPort("velocity_commanded", 3, lambda context, output: None)
+
+
+def test_tags_are_placed_or_left_out():
+    assert tfg_drake.explore("corridor", until=0.0).scenario.world.tags
+    assert not tfg_drake.explore("corridor", tag_spacing=None, until=0.0).scenario.world.tags
+    with pytest.raises(TypeError, match="tag_spacing 'none': must be metres, or None for no tags"):
+        tfg_drake.explore("corridor", tag_spacing="none")
+
+
 def test_what_does_not_go_together_is_told():
     with pytest.raises(MethodError, match="grid-nearest: has parts of its own; with planner= leave method out"):
         tfg_drake.explore(bare(), method="grid-nearest", planner=lambda _: None)
@@ -144,7 +187,7 @@ def test_a_scenario_from_yaml_is_changed_and_written_back(tmp_path):
 
 
 def test_the_truth_is_an_estimator(tmp_path):
-    run = tfg_drake.explore(bare(), estimator=TruthEstimator, out=tmp_path / "run")
+    run = tfg_drake.explore(bare(), estimator=MakeTruthEstimator, out=tmp_path / "run")
     summary = run.summary
     assert summary["outcome"] == "complete"
     assert summary["position_error_m"]["max"] < 1e-9
@@ -171,7 +214,7 @@ def MakeByHand(scenario, **parts):
 
 
 def test_the_truth_is_an_estimator_by_hand():
-    simulator, explorer = MakeByHand(bare(), estimator=TruthEstimator)
+    simulator, explorer = MakeByHand(bare(), estimator=MakeTruthEstimator)
     simulator.AdvanceTo(12.0)
     estimate = explorer.GetOutputPort("map").Eval(explorer.GetMyContextFromRoot(simulator.get_context()))
     assert estimate.stage >= 1

@@ -76,6 +76,11 @@ def test_another_estimator(run_example):
     assert re.findall(r"^(.*): <house, seed 0: \w+ after 42 s", said, re.M) == ["as it is", "the truth"]
 
 
+def test_another_goal_selector(run_example):
+    said = run_example("goal_selector.py", time=("until=300.0", "until=42.0"))
+    assert re.findall(r"^(.*): <house, seed 0: \w+ after 42 s", said, re.M) == ["as it is", "the farthest first"]
+
+
 def test_another_plant(run_example):
     said = run_example("plant.py", time=("until=120.0", "until=42.0"))
     one, other = (line.partition(": ")[2] for line in said.splitlines())

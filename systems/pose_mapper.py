@@ -1,0 +1,138 @@
+"""Makes an estimator of a pose that somebody else estimates: the map is what is seen from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import (
+    FloatArray,
+    IntArray,
+    MapEstimate,
+    MissionStatus,
+    Observation,
+    Odometry,
+    PoseEstimate,
+    TagDetections,
+    message,
+    replace,
+)
+from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
+
+# Period of the update, s: the odometry's.
+PERIOD = 1.0 / 16.0
+
+
+@message
+class _Seen:
+    """The map; the poses X_MB (t, 4: stamp, x, y, theta) of the running observation; of each tag seen, by ids (n,)
+    ascending, information (n,), 1/m^2, and that times its place in M (n, 2), m; stamp of the newest detections, s."""
+
+    estimate: MapEstimate
+    way: FloatArray
+    ids: IntArray
+    information: FloatArray
+    weighted: FloatArray
+    stamp: float
+
+
+class PoseMapper(LeafSystem):
+    """Maps tags by a pose that is given, each where it is seen on average, and states the pose's deviations.
+
+    .. pydrake_system::
+
+        name: PoseMapper
+        input_ports:
+        - X_MB
+        - odometry
+        - detections
+        - mission
+        output_ports:
+        - pose
+        - map
+
+    X_MB: a vector of size 3, x and y in m, theta in rad, in the map frame M, which is where the robot began. odometry:
+    Odometry, for its speeds. detections: TagDetections. mission: MissionStatus. pose: PoseEstimate. map: MapEstimate
+    after the newest view; a view is what the phases "observe" and "glance" see, and is in the map in phase "map".
+    """
+
+    def __init__(self, sigma: Sequence[float] = (0.05, 0.05, 0.02)) -> None:
+        """sigma: standard deviations of X_MB that are stated, m, m, rad."""
+        super().__init__()
+        self.set_name("pose_mapper")
+        self._covariance = np.diag(np.square(np.asarray(sigma, dtype=float)))
+        self._X_MB = self.DeclareVectorInputPort("X_MB", 3)
+        self._inputs = MessageInputs(self, odometry=Odometry, detections=TagDetections, mission=MissionStatus)
+        nothing = np.zeros(0)
+        self._state = MessageState(
+            self, _Seen(empty_map(), np.zeros((0, 4)), nothing.astype(np.int64), nothing, np.zeros((0, 2)), -np.inf)
+        )
+        tickets = {*self._state.tickets, self._X_MB.ticket(), self._inputs.ports["odometry"].ticket()}
+        declare_message_output(self, "pose", self._CalcPose, {*tickets, self.time_ticket()})
+        self._state.declare_output(self, "map", lambda now: now.estimate)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
+
+    def _CalcPose(self, context: Context) -> PoseEstimate:
+        odometry, stage = self._inputs(context, "odometry"), self._state(context).estimate.stage
+        X_MB, nothing = self._X_MB.Eval(context), (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+        return PoseEstimate(context.get_time(), X_MB, self._covariance, odometry.V_B, stage, *nothing)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        seen, X_MB = self._state(context), self._X_MB.Eval(context)
+        detections, mission = self._inputs.each(context, "detections", "mission")
+        if detections.stamp > max(seen.stamp, context.get_time() - PERIOD):
+            seen = _with_detections(seen, X_MB, detections, self._covariance)
+        if mission.stage == seen.estimate.stage:
+            if mission.phase in ("observe", "glance"):
+                seen = replace(seen, way=np.vstack([seen.way, [context.get_time(), *X_MB]]))
+            elif mission.phase == "map" and len(seen.way):
+                seen = replace(seen, estimate=_mapped(seen, X_MB, self._covariance), way=np.zeros((0, 4)))
+        self._state.set(state, seen)
+        return EventStatus.Succeeded()
+
+
+def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, covariance: FloatArray) -> _Seen:
+    """Each tag that one frame shows counted once more, seen from X_MB (3,)."""
+    r, angle = detections.range, X_MB[2] + detections.bearing
+    p_ML = X_MB[:2] + r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    variance = detections.sigma_range**2 + (r * detections.sigma_bearing) ** 2 + r**2 * covariance[2, 2]
+    ids = np.union1d(seen.ids, detections.ids)
+    information, weighted = np.zeros(len(ids)), np.zeros((len(ids), 2))
+    for tags, weight, places in (
+        (seen.ids, seen.information, seen.weighted),
+        (detections.ids, 1.0 / variance, p_ML / variance[:, None]),
+    ):
+        np.add.at(information, np.searchsorted(ids, tags), weight)
+        np.add.at(weighted, np.searchsorted(ids, tags), places)
+    return replace(seen, ids=ids, information=information, weighted=weighted, stamp=detections.stamp)
+
+
+def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimate:
+    """The map with the running observation as one view more."""
+    n, X_MA = len(seen.ids), seen.way[0, 1:]
+    # The pose's error is in all places alike.
+    each = 1.0 / seen.information[:, None, None] * np.eye(2) + covariance[:2, :2]
+    joint = np.zeros((2 * n + 3, 2 * n + 3))
+    for i in range(n):
+        joint[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = each[i]
+    joint[2 * n :, 2 * n :] = covariance
+    return replace(
+        seen.estimate,
+        stage=seen.estimate.stage + 1,
+        stamp=float(seen.way[-1, 0]),
+        ids=seen.ids,
+        p_ML=seen.weighted / seen.information[:, None],
+        X_MD=X_MD,
+        local=np.arange(n),
+        covariance=joint,
+        landmark_covariance=each,
+        X_MA=np.vstack([seen.estimate.X_MA, X_MA]),
+        observation=Observation(seen.ids, seen.way[:, 0], se2.between(X_MA, seen.way[:, 1:])),
+        entropy=0.5 * float(np.linalg.slogdet(2.0 * np.pi * np.e * each)[1].sum()),
+        shared=np.zeros(0),
+        with_shared=np.zeros((0, 0)),
+    )
