@@ -8,7 +8,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydrake.common import RandomGenerator
@@ -85,6 +85,8 @@ STEP = 1.0
 AT_GOAL = 0.3
 # A mission that is so far behind the clock does not keep real time, s.
 LATE = 1.0
+
+T = TypeVar("T")
 
 _log = logging.getLogger("tfg_drake.run")
 _pace_log = logging.getLogger("tfg_drake.pace")
@@ -310,8 +312,7 @@ class Mission:
 
     def stage_now(self) -> int:
         """The stage that the mission is in at this instant, which may be later than when it was last looked at."""
-        status: MissionStatus = self._eval(self.explorer, "mission", MissionStatus)
-        return status.stage
+        return self.look("mission", MissionStatus).stage
 
     @property
     def time(self) -> float:
@@ -424,10 +425,7 @@ class Mission:
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
-        if self._context is None or not self.explorer.HasOutputPort("pressed"):
-            return None
-        pressed: tuple[Pressed, ...] = self._eval(self.explorer, "pressed", tuple)
-        return pressed
+        return None if self._context is None else self.look_for("pressed", tuple)
 
     @property
     def _maps(self) -> bool:
@@ -496,12 +494,12 @@ class Mission:
         """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
         if self._cockpit is None or self.robot.real:  # Else somebody may hold the clock, and sees how fast it goes.
             self._notice_delay()
-        self.status = self._eval(self.explorer, "mission", MissionStatus)
+        self.status = self.look("mission", MissionStatus)
         if self._cockpit is not None:
             self._cockpit.at_stage(self.status.stage)
-        self.pose = self._eval(self.explorer, "pose", PoseEstimate)
-        self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
-        self.grid = self._look("grid", GridMap)
+        self.pose = self.look("pose", PoseEstimate)
+        self.tfg, estimate = self.look_for("tfg", TfgMap), self.look_for("map", MapEstimate)
+        self.grid = self.look_for("grid", GridMap)
         record = None
         if estimate is not None and estimate.stage > len(self.stages):
             record = self._stage_record(estimate)
@@ -521,7 +519,7 @@ class Mission:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
             self._write(stage_lines([record]))
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
-        self._choice = self._look("goal", GoalChoice)
+        self._choice = self.look_for("goal", GoalChoice)
         if self.truth is not None:
             self.truth.look(self._context)
         # A stage is planned within a moment of its map, long before the next: what was charged since the last look
@@ -575,12 +573,13 @@ class Mission:
         X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
         return float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
 
-    def _look(self, port: str, kind: type) -> Any:
-        """The explorer's message, None where its method has no such port."""
-        return self._eval(self.explorer, port, kind) if self.explorer.HasOutputPort(port) else None
-
-    def _eval(self, system: System, port: str, kind: type) -> Any:
-        value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))
+    def look(self, port: str, kind: type[T]) -> T:
+        """The message at an output of the explorer now. Raises TypeError where it is of another kind."""
+        value = self.explorer.GetOutputPort(port).Eval(self.explorer.GetMyContextFromRoot(self._context))
         if not isinstance(value, kind):
-            raise TypeError(f"{system.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
+            raise TypeError(f"{self.explorer.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
         return value
+
+    def look_for(self, port: str, kind: type[T]) -> T | None:
+        """The same, None where the method has no such port."""
+        return self.look(port, kind) if self.explorer.HasOutputPort(port) else None
