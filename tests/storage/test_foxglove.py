@@ -67,6 +67,6 @@ def test_what_is_shown_is_not_played(tmp_path):
     with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
         for port, one in messages(0.0).items():
             writer.write(port, 0.0, one)
-        writer.write_pose(0.5, pose(0.5))
+        writer.write(foxglove.POSE, 0.5, pose(0.5))
         writer.write_path(0.5, Path(1, 1, np.zeros((2, 2))))
     assert read_recording(tmp_path).end_time == 0.0
