@@ -67,8 +67,7 @@ class FrontierGoalSelector(LeafSystem):
             after = _SelectorState(replace(now.goal, spent=True), now.tried)
         else:
             return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
+        return self._state.set(state, after)
 
     @metered("goal")
     def _Choose(self, context: Context, now: _SelectorState, grid: GridMap) -> _SelectorState:

@@ -58,5 +58,4 @@ class MessageDelay(LeafSystem):
             messages = messages[1:]
         if messages is queue.messages:
             return EventStatus.DidNothing()
-        self._queue.set(state, _Queue(messages))
-        return EventStatus.Succeeded()
+        return self._queue.set(state, _Queue(messages))

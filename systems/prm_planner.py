@@ -99,10 +99,7 @@ class PrmPlanner(LeafSystem):
             after = self._Plan(seen, now)
         if after is seen:
             after = self._Watch(seen, now)
-        if after is before:
-            return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
+        return self._state.set(state, after)
 
     @metered("roadmap")
     def _Extend(self, state: PlannerState, now: Now) -> PlannerState:
