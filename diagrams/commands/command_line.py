@@ -100,29 +100,24 @@ def wait_for_enter() -> None:
         print()
 
 
-def compile_kernels() -> WarmUp | None:
-    """The processes that compile the missing kernels, None where none is missing; the caller closes it.
+@contextlib.contextmanager
+def compiling_beside() -> Iterator[WarmUp | None]:
+    """The processes that compile the missing kernels while the command goes on, None where none is missing.
 
     To be called before kernels are imported. Raises BadInput where there is no folder to keep them in.
     """
+    warm_up: Any = contextlib.nullcontext()
     try:
-        if kernels.are_compiled():
-            return None
-        print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
-        return WarmUp()
+        if not kernels.are_compiled():
+            print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
+            warm_up = contextlib.closing(WarmUp())
     except ChildProcessError as error:
         bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")
     except OSError as error:
         given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
         bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
-
-
-@contextlib.contextmanager
-def compiling_beside() -> Iterator[WarmUp | None]:
-    """Those who compile the kernels while the command goes on, see `compile_kernels`; closed at the end."""
-    warm_up = compile_kernels()
-    with contextlib.closing(warm_up) if warm_up is not None else contextlib.nullcontext():
-        yield warm_up
+    with warm_up as beside:
+        yield beside
 
 
 def wait_for_kernels(show: Callable[[str], object]) -> None:
@@ -136,7 +131,7 @@ def wait_for_kernels(show: Callable[[str], object]) -> None:
 @functools.cache
 def make_kernels_ready() -> None:
     """For a program of somebody's own, which may wait for them: compiles what is missing, and tells so on standard
-    error; silent where nothing is. Raises BadInput as `compile_kernels` does."""
+    error; silent where nothing is. Raises BadInput as `compiling_beside` does."""
     if not kernels.are_compiled():
         with contextlib.redirect_stdout(sys.stderr), Screen() as show:
             wait_for_kernels(show)
