@@ -162,7 +162,8 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign, by where they are and by their keys.
-_SIGNED = ("world.", "drive", "explorer.keep_out", "reality.tags.clock_offset", "reality.scan.clock_offset")
+_SIGNED: tuple[str, ...] = ("world.", "drive", "explorer.keep_out")
+_SIGNED += ("reality.tags.clock_offset", "reality.scan.clock_offset")
 _SIGNED += ("reality.changes[].walls", "reality.changes[].opened", "reality.changes[].tags")
 _SIGNED_KEYS = (".x", ".y", ".yaw", ".pitch", ".roll", ".ahead", ".left", ".turn")
 # Keys of angles, rad.

@@ -120,11 +120,14 @@ def compiling_beside() -> Iterator[WarmUp | None]:
         yield beside
 
 
-def wait_for_kernels(show: Callable[[str], object]) -> None:
-    """Until all is compiled that a mission needs, or somebody interrupts it."""
-    with compiling_beside() as warm_up:
-        while warm_up is not None and not (warm_up.ended or interruption.is_set()):
-            show(warm_up.word)
+def wait_for_kernels(show: Callable[[str], object], warm_up: WarmUp | None = None, *, all_of_them: bool = True) -> None:
+    """Until all is compiled that a mission needs, or what it begins with, or somebody interrupts it. warm_up: who
+    compiles already; by default it is begun here."""
+    with compiling_beside() if warm_up is None else contextlib.nullcontext(warm_up) as at_work:
+        while at_work is not None and not interruption.is_set():
+            if at_work.ended if all_of_them else at_work.ready:
+                break
+            show(at_work.word)
             time.sleep(0.1)
 
 
