@@ -134,9 +134,9 @@ STATE: Mapping[str, Any] = {
     "resumed": list[float],
     "_choice": GoalChoice | None,
     "notes": list[Note],
+    "cpu_time": float,
+    "wall_time": float,
 }
-# And of what it has cost.
-_COSTS = ("cpu_time", "wall_time")
 _LOGS = list[tuple[FloatArray, FloatArray]]
 
 
@@ -207,17 +207,15 @@ class Mission:
         takes a line a stage. Raises CheckpointError where it does not fit the state of the mission before."""
         self._write = write
         self._build(monitor)
-        if self._before is None:
-            self.simulator.Initialize()
-            self.observe()
-            return
         try:
-            self._go_on(self._before)
+            if self._before is not None:
+                self._go_on(self._before)
             self.simulator.Initialize()
             self.observe()
-        except CheckpointError:
-            raise
-        except (Exception, SystemExit) as error:  # Anything may come of values that are not what they should be.
+        except (Exception, SystemExit) as error:
+            if self._before is None or isinstance(error, CheckpointError):
+                raise
+            # Anything may come of values that are not what they should be.
             raise self._before.complaint(error) from error
 
     def state(self) -> dict[str, tuple[Any, Any]]:
@@ -230,7 +228,6 @@ class Mission:
             **state_of(self.simulator.get_system(), self._context, self._kinds),
             "logs": (_LOGS, [(times[times < self.time], data[:, times < self.time]) for times, data in logs]),
             "spent": (dict[str, float], self.meter.spent),
-            **{name: (float, getattr(self, name)) for name in _COSTS},
             **{name: (hint, getattr(self, name)) for name, hint in STATE.items()},
         }
 
@@ -251,12 +248,11 @@ class Mission:
             for stamp, column in zip(times, data.T, strict=True):
                 log.AddData(stamp, column)
         self.meter.spent.update(before.take("spent", dict[str, float]))
-        cpu_time, wall_time = (before.take(name, float) for name in _COSTS)
-        self.wall_start -= wall_time
-        self._cpu_start -= cpu_time
         told = {name: before.take(name, hint) for name, hint in STATE.items()}
         self.notes[:0] = told["notes"]
         vars(self).update(told | {"notes": self.notes})
+        self.wall_start -= self.wall_time
+        self._cpu_start -= self.cpu_time
         if (known := self.newest_map()) is not None:
             whole_map(to_arrays(known, REGISTRY))
         self.resumed = [*self.resumed, self.time]
@@ -547,7 +543,10 @@ class Mission:
         arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
         if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None
-        row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
+        parts: dict[str, float | None] = dict.fromkeys(("exploitation", "exploration", "pose_price", "gain"))
+        if choice is not None:
+            row = int(np.flatnonzero(choice.candidates == choice.node)[0])
+            parts = {name: float(getattr(choice, name)[row]) for name in parts}
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
@@ -555,10 +554,7 @@ class Mission:
         fields = (
             estimate.stage,
             [float(value) for value in X_WA],
-            float(choice.exploitation[row]) if choice is not None else None,
-            float(choice.exploration[row]) if choice is not None else None,
-            float(choice.pose_price[row]) if choice is not None else None,
-            float(choice.gain[row]) if choice is not None else None,
+            *parts.values(),
             prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
             estimate.stamp,
             estimate.entropy,
