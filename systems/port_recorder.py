@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Leaf
 
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.planning.requested_goal import RequestedGoal
-from tfg_drake.storage.foxglove import POSE
+from tfg_drake.storage.foxglove import PATH, POSE
 from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, Enabled, PortWriter, Velocity
 from tfg_drake.systems.ports import MessageInputs
 
@@ -91,7 +91,7 @@ class PortRecorder(LeafSystem):
         if pose is not None:
             self._writer.write(POSE, now, pose)
         if path is not None:
-            self._writer.write_path(now, path)
+            self._writer.write(PATH, now, path)
         if pose is not None and self._writer.wants_map(pose.stage):
             estimate, tfg = look("map"), look("tfg")
             # Surfaces come into the TFG a moment after the landmarks.

@@ -7,7 +7,7 @@ the fields of our message, too, under numbers that Foxglove has not given: so no
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -18,12 +18,10 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2
 
-from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap, message
+from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
 
 MAP, BASE = "map", "base"
-# Topics, and the names of their schemas.
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
-TOPICS: dict[str, Any] = {POSE: FrameTransform, PATH: SceneUpdate, SURFACES: SceneUpdate}
 # Our fields of a scan have numbers from here on, but for the ranges, which are Foxglove's; and what is only Foxglove's.
 FIRST_OWN = 1000
 RANGES = FoxgloveScan.DESCRIPTOR.fields_by_name["ranges"].number
@@ -35,23 +33,6 @@ _WALL_COLOUR, _WAY_COLOUR = (0.25, 0.3, 0.38, 1.0), (0.1, 0.45, 0.9, 1.0)
 _LANDMARK_COLOUR = (0.85, 0.35, 0.1, 1.0)
 # Bytes of a map in the file, about: of a surface and of a landmark.
 _SURFACE_BYTES, _LANDMARK_BYTES = 40, 110
-
-
-@message
-class ShownPath:
-    """A path and when the robot took it. stamp: s."""
-
-    stamp: float
-    path: Path
-
-
-@message
-class ShownMap:
-    """A map and when it was shown. stamp: s."""
-
-    stamp: float
-    estimate: MapEstimate
-    tfg: TfgMap
 
 
 def file_set(kind: Any) -> descriptor_pb2.FileDescriptorSet:
@@ -87,7 +68,7 @@ def scan_header(scan: LaserScan) -> bytes:
     return bytes(written.SerializeToString())
 
 
-def pose_message(pose: PoseEstimate) -> bytes:
+def pose_message(_time: float, pose: PoseEstimate) -> bytes:
     """The estimated pose, as a FrameTransform from map to base."""
     written = FrameTransform(parent_frame_id=MAP, child_frame_id=BASE)
     _stamp(written.timestamp, pose.stamp)
@@ -97,16 +78,16 @@ def pose_message(pose: PoseEstimate) -> bytes:
     return bytes(written.SerializeToString())
 
 
-def path_message(shown: ShownPath) -> bytes:
-    """A path, as a SceneUpdate."""
-    return _scene(_entity(shown.stamp, "path", [_lines(shown.path.points, 0, _WAY, _WAY_COLOUR)]))
+def path_message(time: float, path: Path) -> bytes:
+    """A path that the robot takes from a time, s, on, as a SceneUpdate."""
+    return _scene(_entity(time, "path", [_lines(path.points, 0, _WAY, _WAY_COLOUR)]))
 
 
-def map_message(shown: ShownMap) -> bytes:
-    """Surfaces and landmarks, as a SceneUpdate."""
-    estimate, tfg = shown.estimate, shown.tfg
+def map_message(time: float, shown: tuple[MapEstimate, TfgMap]) -> bytes:
+    """Surfaces and landmarks at a time, s, as a SceneUpdate."""
+    estimate, tfg = shown
     lines = _lines(tfg.segments.reshape(-1, 2), 2, _WALL, _WALL_COLOUR)
-    surfaces, landmarks = _entity(shown.stamp, "surfaces", [lines]), _entity(shown.stamp, "landmarks")
+    surfaces, landmarks = _entity(time, "surfaces", [lines]), _entity(time, "landmarks")
     for tag, (x, y) in zip(estimate.ids.tolist(), estimate.p_ML.tolist(), strict=True):
         cube = landmarks.cubes.add()
         cube.pose.position.x, cube.pose.position.y, cube.pose.orientation.w = x, y, 1.0
@@ -114,6 +95,14 @@ def map_message(shown: ShownMap) -> bytes:
         _colour(cube.color, _LANDMARK_COLOUR)
         landmarks.metadata.add(key=str(tag), value=f"{x:.3f}, {y:.3f}")
     return _scene(surfaces, landmarks)
+
+
+# What is shown, by topic: its schema, and what makes its bytes of a time, s, and what is recorded then.
+TOPICS: dict[str, tuple[Any, Callable[[float, Any], bytes]]] = {
+    POSE: (FrameTransform, pose_message),
+    PATH: (SceneUpdate, path_message),
+    SURFACES: (SceneUpdate, map_message),
+}
 
 
 def map_size(estimate: MapEstimate, tfg: TfgMap) -> int:

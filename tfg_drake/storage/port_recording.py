@@ -42,7 +42,6 @@ from tfg_drake.messages import (
     TfgMap,
     message,
 )
-from tfg_drake.messages import Path as PathMessage
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
 
@@ -133,14 +132,11 @@ class PortWriter:
         self._channels: dict[str, int] = {}
         for port, kind in PORTS.items():
             self._register(port, *_schema(kind))
-        for topic, shown in foxglove.TOPICS.items():
+        for topic, (shown, _) in foxglove.TOPICS.items():
             self._register(topic, shown.DESCRIPTOR.full_name, foxglove.file_set(shown))
         self._encoders: dict[str, Callable[[Any], bytes]] = {port: _encoder(kind) for port, kind in PORTS.items()}
-        self._encoders[foxglove.POSE] = foxglove.pose_message
-        self._encoders |= {foxglove.PATH: foxglove.path_message, foxglove.SURFACES: foxglove.map_message}
         # Bytes of the ports since a map was shown, inf before the first; stage of the newest that might have been.
         self._bytes, self._stage = math.inf, 0
-        self._shown_path: PathMessage | None = None
         self._newest: dict[str, object] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
@@ -184,8 +180,8 @@ class PortWriter:
         self.close()
 
     def write(self, port: str, time: float, value: object) -> None:
-        """Records what a port carries at a time, s, one of PORTS' messages, or the pose to be shown: each once, and not
-        one that is no other than that before."""
+        """Records what a port carries at a time, s, one of PORTS' messages, or the pose or path to be shown: each once,
+        and not one that is no other than that before."""
         if value is self._newest.get(port):
             return
         self._newest[port] = value
@@ -195,19 +191,13 @@ class PortWriter:
             self._flushed = time
             self._write_waiting()
 
-    def write_path(self, time: float, path: PathMessage) -> None:
-        """Records the path that the robot takes from a time, s, on, to be shown."""
-        if path is not self._shown_path:
-            self._shown_path = path
-            self.write(foxglove.PATH, time, foxglove.ShownPath(time, path))
-
     def wants_map(self, stage: int) -> bool:
         """Whether the map of a stage would be a new one."""
         return stage > self._stage
 
     def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
         """Records the map at a time, s, to be shown, unless maps would take too much of the file."""
-        self.write(foxglove.SURFACES, time, foxglove.ShownMap(time, estimate, tfg))
+        self.write(foxglove.SURFACES, time, (estimate, tfg))
         self._stage = tfg.stage
 
     def close(self) -> None:
@@ -230,9 +220,9 @@ class PortWriter:
             return
         try:
             for port, time, value in waiting:
-                if port == foxglove.SURFACES and foxglove.map_size(value.estimate, value.tfg) > MAP_SHARE * self._bytes:
+                if port == foxglove.SURFACES and foxglove.map_size(*value) > MAP_SHARE * self._bytes:
                     continue
-                data = self._encoders[port](value)
+                data = self._encoders[port](value) if port in PORTS else foxglove.TOPICS[port][1](time, value)
                 if data == self._last_data.get(port):
                     continue
                 now, stamp = nanoseconds(time), getattr(value, "stamp", time)
