@@ -24,6 +24,7 @@ import typer
 
 from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput, EstimateLost
+from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
 from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
@@ -241,7 +242,7 @@ def explore(
             loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
         if robot != "sim" and replayed is None:
             explore_command.link(loaded, robot, links)
-        cockpit, real = None, explore_command.is_real(robot)
+        cockpit, real = None, robot in ROBOTS
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
 
@@ -249,7 +250,7 @@ def explore(
             cockpit = page_stack.enter_context(open_page(f"{name}, seed {loaded.seed}", host, page_port, rate=rate))
             show = explore_command.also_on_page(show, cockpit)
         if warm_up is not None:
-            explore_command.wait_for_beginning(warm_up, show, interruption, real)
+            wait_for_kernels(show, warm_up, all_of_them=real)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
@@ -294,7 +295,8 @@ def _tell(result: RunResult) -> None:
     """The closing table of a mission."""
     from tfg_drake.cockpit.page import FILE_NAME
 
-    rows = [*explore_command.table_rows(result.summary), *explore_command.unwritten_rows(result.unwritten)]
+    rows = explore_command.table_rows(result.summary)
+    rows += [("not whole", f"{name}: {reason}") for name, reason in result.unwritten.items()]
     rows += [("files", str(result.folder)), ("page", str(result.folder / FILE_NAME))]
     for name, value in rows:
         print(f"{name:<12}{value}", flush=True)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, System
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.commands.command_line import make_kernels_ready
@@ -228,7 +228,7 @@ def fork(
     return mission.simulator
 
 
-def _robot_of(station: Diagram, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:
+def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:
     """The robot of a station of one's own, and the scenario within its limits."""
     devices = DevicesOf(station)
     if devices is None:
@@ -262,7 +262,7 @@ class Exploration:
         return self.simulator.get_system()
 
     @property
-    def station(self) -> Diagram:
+    def station(self) -> System:
         """The robot."""
         return self.diagram.GetSubsystemByName("station")
 

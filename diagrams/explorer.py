@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
@@ -10,6 +10,8 @@ from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import CheckScenario, MakeKeepOut, Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, replace
+from tfg_drake.planning.candidates import Situation
+from tfg_drake.planning.roadmap import EdgeCost, cost_of_edge
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.message_delay import MessageDelay
@@ -102,28 +104,30 @@ def MakeTfgExplorer(
         TypeError: a part is given that is no such function.
     """
     CheckScenario(scenario)
-    robot, tags, explorer = scenario.robot, scenario.tags, scenario.explorer
     wiring = Wiring(scenario.reality.planning_time)
-
-    def add(name: str, role: str, factory: Factory | None, usual: Factory) -> System:
-        return wiring.Add(name, MakePart(role, factory, usual, scenario))
-
     slam, tfg_builder = wiring.AddMapping(scenario, estimator)
-    selector = add(
-        "goal_selector",
-        "goal_selector",
-        goal_selector,
-        lambda _: InfoGainGoalSelector(robot, scenario.odometry, tags, explorer, scenario.seed, scenario.scan.range),
-    )
-    parameters = robot, scenario.odometry, tags, explorer, scenario.planner, scenario.seed, scenario.scan.least_range
-    prm = add("prm_planner", "planner", planner, lambda _: PrmPlanner(*parameters))
-    pursuit = add(
-        "follower", "follower", follower, lambda _: PurePursuitFollower(robot, explorer, scenario.field_of_view)
-    )
-    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, explorer.glance_period))
+    selector = wiring.Add("goal_selector", MakePart("goal_selector", goal_selector, MakeGoalSelector, scenario))
+    prm = wiring.Add("prm_planner", MakePart("planner", planner, MakePlanner, scenario))
+    pursuit = wiring.Add("follower", MakePart("follower", follower, MakeFollower, scenario))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(scenario.robot, scenario.explorer.glance_period))
 
     wiring.FeedAll(slam, tfg_builder, selector, prm, pursuit, sequencer)
     return wiring.Build(pursuit, sequencer, selector)
+
+
+def MakeGoalSelector(of: Scenario, frontiers: Callable[[Situation], Situation] | None = None) -> InfoGainGoalSelector:
+    """The usual goal selector for a scenario."""
+    return InfoGainGoalSelector(of.robot, of.odometry, of.tags, of.explorer, of.seed, of.scan.range, frontiers)
+
+
+def MakePlanner(of: Scenario, cost: EdgeCost = cost_of_edge) -> PrmPlanner:
+    """The usual planner for a scenario."""
+    return PrmPlanner(of.robot, of.odometry, of.tags, of.explorer, of.planner, of.seed, of.scan.least_range, cost)
+
+
+def MakeFollower(of: Scenario) -> PurePursuitFollower:
+    """The usual follower for a scenario."""
+    return PurePursuitFollower(of.robot, of.explorer, of.field_of_view)
 
 
 class Wiring:

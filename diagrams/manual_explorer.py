@@ -7,13 +7,11 @@ from collections.abc import Callable, Sequence
 
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.explorer import Wiring
+from tfg_drake.diagrams.explorer import MakeFollower, MakePlanner, Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
-from tfg_drake.systems.prm_planner import PrmPlanner
-from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 
 # The sequencer plans anew when a way takes much longer than at full speed, m/s: nobody knows how long a driver takes.
 NO_HURRY = 1e-9
@@ -32,9 +30,7 @@ def MakeManualExplorer(
     wiring = Wiring()
     estimator, tfg_builder = wiring.AddMapping(scenario)
     driver = wiring.Add("manual_driver", ManualDriver(robot, keys, drive, explorer.glance_period > 0.0))
-    parameters = robot, scenario.odometry, scenario.tags, explorer, scenario.planner, scenario.seed
-    planner = wiring.Add("prm_planner", PrmPlanner(*parameters, scenario.scan.least_range))
-    follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, scenario.field_of_view))
+    planner, follower = wiring.Add("prm_planner", MakePlanner(scenario)), wiring.Add("follower", MakeFollower(scenario))
     patient = dataclasses.replace(robot, max_speed=NO_HURRY)
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(patient, explorer.glance_period))
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.explorer import MakeGoalSelector, MakePlanner, MakeTfgExplorer
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.planning import paper_rules, roadmap
 from tfg_drake.planning.paper_rules import PaperRules
-from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
-from tfg_drake.systems.prm_planner import PrmPlanner
 
 
 def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Diagram:
@@ -17,15 +17,5 @@ def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Di
     rules = rules or PaperRules()
     frontiers = paper_rules.frontiers_between_landmarks if rules.frontiers else None
     cost = paper_rules.cost_of_edge if rules.path_cost else roadmap.cost_of_edge
-
-    def selector(of: Scenario) -> InfoGainGoalSelector:
-        return InfoGainGoalSelector(
-            of.robot, of.odometry, of.tags, of.explorer, of.seed, of.scan.range, frontiers=frontiers
-        )
-
-    def planner(of: Scenario) -> PrmPlanner:
-        return PrmPlanner(
-            of.robot, of.odometry, of.tags, of.explorer, of.planner, of.seed, of.scan.least_range, cost=cost
-        )
-
+    selector, planner = partial(MakeGoalSelector, frontiers=frontiers), partial(MakePlanner, cost=cost)
     return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)

@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import System
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.datasets.recording import Recording
-from tfg_drake.diagrams.replay_station import MakeReplayStation
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import Scenario, WorldConfig
 from tfg_drake.hardware.recordings import load_laser_recording
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
 from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
+from tfg_drake.systems.port_player import PortPlayer
 
 # What a robot is called that is a laser recording.
 RECORDED = "recording"
@@ -31,8 +31,8 @@ UNEVENNESS = 0.03
 SCANS_PER_LOOK = 3.0
 
 
-def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path) -> Diagram:
-    """The station of a laser recording, with the ports of MakeReplayStation: what was sensed is sensed again, and its
+def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path) -> PortPlayer:
+    """The station of a laser recording, with the ports of PortPlayer: what was sensed is sensed again, and its
     inputs change nothing. The time begins with the first message; of the scenario nothing is read.
 
     recording: one that was loaded, or the path of a ROS 2 bag, a CARMEN or a BreezySLAM log.
@@ -42,18 +42,15 @@ def MakeRecordedStation(scenario: Scenario, *, recording: Recording | str | Path
     """
     if not isinstance(recording, Recording):
         recording = load_laser_recording(Path(recording))
-    return MakeReplayStation(_ports_of(recording), recording)
+    return PortPlayer(_ports_of(recording), recording)
 
 
 def RecordingOf(station: System) -> Recording | None:
     """The recording of a station that MakeRecordedStation made, None of another one."""
-    if not (isinstance(station, Diagram) and station.HasSubsystemNamed("port_player")):
-        return None
-    source: Recording | None = station.GetSubsystemByName("port_player").source
-    return source
+    return station.source if isinstance(station, PortPlayer) else None
 
 
-def RecordedRobot(recording: Recording, station: Diagram | None = None) -> Robot:
+def RecordedRobot(recording: Recording, station: System | None = None) -> Robot:
     """The robot that drove a recording. station: its station, if there is one already."""
     station = station or MakeRecordedStation(Scenario(), recording=recording)
     end = length_of(recording) + PATIENCE

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, System
 
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
@@ -24,14 +24,14 @@ class Robot:
     for good."""
 
     name: str
-    MakeStation: Callable[[Scenario], Diagram]
+    MakeStation: Callable[[Scenario], System]
     world_known: bool
     end_time: float = math.inf
     real: bool = False
     enabled: bool = False
     operated: Sequence[Callable[[], Sequence[Request]]] = ()
     empty: Callable[[bool], str] = lambda _recalls: ""
-    Announce: Callable[[DiagramBuilder, Diagram, Diagram], object] | None = None
+    Announce: Callable[[DiagramBuilder, System, System], object] | None = None
     close: Callable[[], None] = lambda: None
 
 

@@ -161,33 +161,11 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 }
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
-# Numbers that may have either sign.
-_SIGNED = (
-    "world.walls",
-    "world.tags",
-    "world.start",
-    "drive",
-    "explorer.keep_out",
-    "reality.tags.clock_offset",
-    "reality.tags.yaw",
-    "reality.tags.ahead",
-    "reality.tags.left",
-    "reality.scan.clock_offset",
-    "reality.scan.yaw",
-    "reality.scan.ahead",
-    "reality.scan.left",
-    "reality.changes[].walls",
-    "reality.changes[].opened",
-    "reality.changes[].tags",
-    "disturbances[].ahead",
-    "disturbances[].left",
-    "disturbances[].turn",
-    *(
-        f"hardware.{sensor}.{key}"
-        for sensor in ("camera", "more_cameras[]", "scanner")
-        for key in ("x", "y", "yaw", "pitch", "roll")
-    ),
-)
+# Numbers that may have either sign, by where they are and by their keys.
+_SIGNED: tuple[str, ...] = ("world.", "drive", "explorer.keep_out")
+_SIGNED += ("reality.tags.clock_offset", "reality.scan.clock_offset")
+_SIGNED += ("reality.changes[].walls", "reality.changes[].opened", "reality.changes[].tags")
+_SIGNED_KEYS = (".x", ".y", ".yaw", ".pitch", ".roll", ".ahead", ".left", ".turn")
 # Keys of angles, rad.
 _ANGLES = (".yaw", ".pitch", ".roll", ".turn", ".facing", ".yaw_deviation")
 # Keys of shares: 1 at most.
@@ -318,7 +296,7 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         schema: typing.Any = Scenario
         names = key.split(".")
         for depth, name in enumerate(names):
-            keys = _Keys(schema) if dataclasses.is_dataclass(schema) else []
+            keys = [*_Types(schema)] if dataclasses.is_dataclass(schema) else []
             if name not in keys:
                 raise ScenarioError(f"{source}: {_UnknownKey(name, keys, '.'.join(names[:depth]))}")
             schema = _Types(schema)[name]
@@ -507,10 +485,6 @@ def _Given(schema: typing.Any) -> typing.Any:
     return typing.get_args(schema)[0] if isinstance(schema, types.UnionType) else schema
 
 
-def _Keys(schema: typing.Any) -> list[str]:
-    return [field.name for field in dataclasses.fields(schema)]
-
-
 def _UnknownKey(name: object, keys: list[str], place: str) -> str:
     """The complaint about an unknown key, with the valid ones that look like it, and all of them otherwise."""
     near = difflib.get_close_matches(str(name), keys, cutoff=0.5)
@@ -583,7 +557,7 @@ def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> 
     general = _General(place)
     if general.endswith(_ANGLES) and (told := not_radians(value)):
         raise ScenarioError(f"{source}: {place}: {told}")
-    if general.startswith(_SIGNED):
+    if general.startswith(_SIGNED) or general.endswith(_SIGNED_KEYS):
         return
     unbounded = 1.0 if general.endswith(_SHARES) else math.inf
     least, greatest = _BOUNDS.get(general, (-math.inf, unbounded))

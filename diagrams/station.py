@@ -112,7 +112,13 @@ def MakeTurtlebotStation(
     seeing = (base, *eyes, *([walking] if walking is not None else []))
     changing = _AddChanges(builder, scenario, world, base, seeing) if reality.changes else None
     if meshcat is not None:
-        _AddPicture(builder, meshcat, scenario, world, base, walking)
+        # Only a picture needs what this imports.
+        from tfg_drake.systems.visualizer import TfgVisualizer
+
+        picture = builder.AddNamedSystem("visualizer", TfgVisualizer(meshcat, world, radius=scenario.robot.radius))
+        builder.Connect(base.GetOutputPort("pose"), picture.GetInputPort("truth"))
+        if walking is not None:
+            builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
 
     sources = wheels, base, safety_filter, tag_sensor, scanner
     MakePorts(builder, safety_filter, base.GetInputPort("velocity_commanded"), sources)
@@ -175,25 +181,6 @@ def _ExportTruth(
         builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
     if changing is not None:
         builder.ExportOutput(changing.GetOutputPort("world"), "truth.world")
-
-
-def _AddPicture(
-    builder: DiagramBuilder,
-    meshcat: Meshcat,
-    scenario: Scenario,
-    world: World,
-    plant: System,
-    walking: PeopleWalking | None,
-) -> None:
-    """The true robot in its world, and the people, in Meshcat."""
-    # Only a picture needs what this imports.
-    from tfg_drake.systems.visualizer import TfgVisualizer
-
-    picture = TfgVisualizer(meshcat, world, radius=scenario.robot.radius)
-    builder.AddNamedSystem("visualizer", picture)
-    builder.Connect(plant.GetOutputPort("pose"), picture.GetInputPort("truth"))
-    if walking is not None:
-        builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
 
 
 def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: System, scanner: System) -> None:

@@ -50,5 +50,4 @@ class ChangingWorld(LeafSystem):
             made += 1
         if made == count:
             return EventStatus.DidNothing()
-        self._now.set(state, WorldNow(self._worlds[made], made, time))
-        return EventStatus.Succeeded()
+        return self._now.set(state, WorldNow(self._worlds[made], made, time))

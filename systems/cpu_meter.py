@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from pydrake.systems.framework import Diagram, System
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 
 
 class CpuMeter:
@@ -48,14 +49,20 @@ class CpuMeter:
             self._inner = outside + spent
 
 
+def measured(system: System, name: str, function: Callable[..., T], *args: Any) -> T:
+    """What a function returns, its CPU time charged to a name where the system has a meter."""
+    meter = getattr(system, "cpu_meter", None)
+    result: T = function(*args) if meter is None else meter.call(name, function, *args)
+    return result
+
+
 def metered(name: str) -> Callable[[F], F]:
     """Decorates a system's method: its calls are charged to a name where the system has a meter."""
 
     def decorate(function: F) -> F:
         @functools.wraps(function)
         def inner(system: System, *args: Any) -> Any:
-            meter = getattr(system, "cpu_meter", None)
-            return function(system, *args) if meter is None else meter.call(name, function, system, *args)
+            return measured(system, name, function, system, *args)
 
         return inner  # type: ignore[return-value]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
@@ -59,9 +60,9 @@ class DifferentialDrivePlant(LeafSystem):
         state = self.xd_ticket()
         self.DeclareVectorOutputPort("pose", 5, self._CalcPose, {state, self.time_ticket()})
         declare_message_output(self, "hazards", self._Hazards, {state, self.time_ticket()})
-        self.DeclareVectorOutputPort("contacts", 1, self._CalcContacts, {state})
-        self.DeclareVectorOutputPort("clearance", 1, self._CalcClearance, {state})
-        self.DeclareVectorOutputPort("contacts_received", 1, self._CalcReceived, {state})
+        told = {"contacts": drive.CONTACTS, "clearance": drive.CLEARANCE, "contacts_received": drive.RECEIVED}
+        for name, entry in told.items():
+            self.DeclareVectorOutputPort(name, 1, partial(self._CalcEntry, entry), {state})
 
     @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
@@ -88,11 +89,5 @@ class DifferentialDrivePlant(LeafSystem):
     def _Hazards(self, context: Context) -> Hazards:
         return Hazards(context.get_time(), int(self._State(context)[drive.BUMPER]), cliff=0, wheel_drop=0)
 
-    def _CalcContacts(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._State(context)[drive.CONTACTS])
-
-    def _CalcClearance(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._State(context)[drive.CLEARANCE])
-
-    def _CalcReceived(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._State(context)[drive.RECEIVED])
+    def _CalcEntry(self, entry: int, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._State(context)[entry])

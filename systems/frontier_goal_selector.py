@@ -10,7 +10,7 @@ from tfg_drake.config import RobotConfig
 from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
 from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.systems.cpu_meter import metered
+from tfg_drake.systems.cpu_meter import measured, metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
@@ -62,17 +62,13 @@ class FrontierGoalSelector(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         now, (grid, mission) = self._state(context), self._inputs.each(context, "grid", "mission")
         if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
-            after = self._Choose(context, now, grid)
+            pose = self._inputs(context, "pose")
+            after = _SelectorState(*measured(self, "goal", self._choose, grid, pose, now.tried))
         elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
             after = _SelectorState(replace(now.goal, spent=True), now.tried)
         else:
             return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
-
-    @metered("goal")
-    def _Choose(self, context: Context, now: _SelectorState, grid: GridMap) -> _SelectorState:
-        return _SelectorState(*self._choose(grid, self._inputs(context, "pose"), now.tried))
+        return self._state.set(state, after)
 
     @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:

@@ -75,5 +75,4 @@ class GridMapper(LeafSystem):
         moved = process_odometry(now.filter, odometry)
         updated = process_scan(moved, scan, force=due)
         grid = grid_map(updated, stage) if updated is not moved or due else now.grid
-        self._state.set(state, _MapperState(updated, grid))
-        return EventStatus.Succeeded()
+        return self._state.set(state, _MapperState(updated, grid))

@@ -91,10 +91,7 @@ class GridPlanner(LeafSystem):
             after = self._Plan(now, grid, scan, pose, goal.p_MG, mission)
         elif mission.phase == "follow" and now.status.free and scan.stamp > now.scan_stamp:
             after = self._Watch(now, grid, scan, pose)
-        if after is now:
-            return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
+        return self._state.set(state, after)
 
     @metered("grid_planner")
     def _Plan(

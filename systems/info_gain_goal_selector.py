@@ -110,8 +110,7 @@ class InfoGainGoalSelector(LeafSystem):
         goal = self._Choose(context, now.goal, promise, estimate.given_shared(), tfg, near)
         stop_gain = self._parameters.explorer.stop_gain
         chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise, stop_gain))
-        self._state.set(state, self._Send(context, chosen, mission))
-        return EventStatus.Succeeded()
+        return self._state.set(state, self._Send(context, chosen, mission))
 
     @metered("goal")
     def _Choose(

@@ -163,10 +163,7 @@ class ManualDriver(LeafSystem):
             x, y, theta = self._inputs(context, "pose").X_MB.tolist()
             points = np.array([[x, y], [x + AHEAD * np.cos(theta), y + AHEAD * np.sin(theta)]])
             now = replace(now, path=Path(now.path.id + 1, mission.stage, points))
-        if now is before:
-            return EventStatus.DidNothing()
-        self._state.set(state, now)
-        return EventStatus.Succeeded()
+        return self._state.set(state, now)
 
     def _Press(self, now: _Driving, context: Context) -> _Driving:
         """After the keys that are due; a place that the robot is sent to is one, too."""

@@ -42,7 +42,7 @@ class MessageDelay(LeafSystem):
         self._queue = MessageState(self, _Queue(()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
         # Until there is a first message, the input's own.
-        tickets = self._queue.tickets | {self.input_port_ticket(self._input.get_index())}
+        tickets = self._queue.tickets | {self._input.ticket()}
         declare_message_output(self, name, self._Shown, tickets)
 
     def _Shown(self, context: Context) -> object:
@@ -58,5 +58,4 @@ class MessageDelay(LeafSystem):
             messages = messages[1:]
         if messages is queue.messages:
             return EventStatus.DidNothing()
-        self._queue.set(state, _Queue(messages))
-        return EventStatus.Succeeded()
+        return self._queue.set(state, _Queue(messages))

@@ -92,11 +92,7 @@ class MissionSequencer(LeafSystem):
             enable=flag(self._enable, context, True),
             stop=flag(self._stop, context, False),
         )
-        updated = step(status, inputs)
-        if updated is status:
-            return EventStatus.DidNothing()
-        self._status.set(state, updated)
-        return EventStatus.Succeeded()
+        return self._status.set(state, step(status, inputs))
 
 
 def flag(port, context: Context, default: bool) -> bool:

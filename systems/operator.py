@@ -100,5 +100,4 @@ class Operator(LeafSystem):
         for command in commands:
             _log.info("%.2f s: %s", context.get_time(), command)
             after = replace(after, operation=requested(after.operation, command))
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
+        return self._state.set(state, after)

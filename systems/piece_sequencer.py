@@ -86,8 +86,7 @@ class PieceSequencer(LeafSystem):
         elif min(one.stage for one in self._inputs.each(context, *self._maps)) > status.stage:
             now = replace(now, length=0.0, scans=0)
             status = replace(status, phase="glance", since=time, stage=status.stage + 1)
-        self._state.set(state, replace(now, status=status))
-        return EventStatus.Succeeded()
+        return self._state.set(state, replace(now, status=status))
 
     def _driven(self, context: Context, now: _PieceState) -> _PieceState:
         odometry, scan = self._inputs.each(context, "odometry", "scan")

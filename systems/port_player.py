@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -32,10 +33,12 @@ class PortPlayer(LeafSystem):
     as of the station. base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges:
     LaserScan, base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
 
-    The inputs change nothing: what the robot did it has done. It has no state, the time says all.
+    It is the station of a mission that is driven once more: at any time its outputs are those of the recorded station;
+    what was late then is as late again. The inputs change nothing: what the robot did it has done. It has no state, the
+    time says all.
     """
 
-    def __init__(self, recording: PortRecording, source: object = None) -> None:
+    def __init__(self, recording: PortRecording, source: Any = None) -> None:
         """source: what the recording was made from, kept for whoever asks."""
         super().__init__()
         self.recording, self.source = recording, source

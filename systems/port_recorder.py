@@ -8,7 +8,8 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Leaf
 
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.planning.requested_goal import RequestedGoal
-from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, PortWriter
+from tfg_drake.storage.foxglove import PATH, POSE
+from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, Enabled, PortWriter, Velocity
 from tfg_drake.systems.ports import MessageInputs
 
 # The explorer's: it sees no message that is not recorded.
@@ -80,17 +81,17 @@ class PortRecorder(LeafSystem):
         now = context.get_time()
         for name in MESSAGES:
             self._writer.write(name, now, self._inputs(context, name))
-        self._writer.write_command(now, self._command.Eval(context))
-        self._writer.write_enabled(now, float(self._enabled.Eval(context)[0]))
+        self._writer.write(COMMAND, now, Velocity(*self._command.Eval(context).tolist()))
+        self._writer.write(ENABLED, now, Enabled(*self._enabled.Eval(context).tolist()))
         requested = self._inputs.optional(context, GOAL)
         if requested is not None and requested.count:
             self._writer.write(GOAL, now, requested)
         look = functools.partial(self._inputs.optional, context)
         pose, path = look("pose"), look("path")
         if pose is not None:
-            self._writer.write_pose(now, pose)
+            self._writer.write(POSE, now, pose)
         if path is not None:
-            self._writer.write_path(now, path)
+            self._writer.write(PATH, now, path)
         if pose is not None and self._writer.wants_map(pose.stage):
             estimate, tfg = look("map"), look("tfg")
             # Surfaces come into the TFG a moment after the landmarks.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar, cast
 
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, InputPort, LeafSystem, OutputPort, State
+from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, OutputPort, State
 
 T = TypeVar("T")
 
@@ -93,9 +93,14 @@ class MessageState(Generic[T]):
             raise TypeError(f"abstract state {self._number} must hold {self._kind.__name__}, not {found}.")
         return value
 
-    def set(self, state: State, value: T) -> None:
-        """Puts another message there."""
-        state.get_mutable_abstract_state(self._number).set_value(value)
+    def set(self, state: State, value: T) -> EventStatus:
+        """Puts a message there. Returns the status of an event that does nothing else: if it was there, that it did
+        nothing."""
+        variable = state.get_mutable_abstract_state(self._number)
+        if variable.get_value() is value:
+            return EventStatus.DidNothing()
+        variable.set_value(value)
+        return EventStatus.Succeeded()
 
     def declare_output(self, system: LeafSystem, name: str, part: Callable[[T], object]) -> OutputPort:
         """Declares an output port of the same system for what a part of the message is, or is made of it alone."""

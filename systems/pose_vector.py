@@ -33,9 +33,7 @@ class PoseVector(LeafSystem):
 
     def _CalcVector(self, context: Context, output: BasicVector) -> None:
         pose = eval_message(self._pose, context, PoseEstimate)
-        vector = np.empty(4)
-        vector[0], vector[1:] = pose.stamp, pose.X_MB
-        output.SetFromVector(vector)
+        output.SetFromVector(np.append(pose.stamp, pose.X_MB))
 
     def _CalcWithCovariance(self, context: Context, output: BasicVector) -> None:
         pose = eval_message(self._pose, context, PoseEstimate)

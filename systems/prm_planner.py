@@ -8,7 +8,6 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, Robo
 from tfg_drake.messages import GoalChoice, LaserScan, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
 from tfg_drake.planning.planner import (
     Now,
-    PlannerState,
     extended,
     initial_state,
     looked,
@@ -19,7 +18,7 @@ from tfg_drake.planning.planner import (
 )
 from tfg_drake.planning.roadmap import EdgeCost, RoadmapParameters, cost_of_edge
 from tfg_drake.systems.blas_threads import keep_to_one_thread
-from tfg_drake.systems.cpu_meter import metered
+from tfg_drake.systems.cpu_meter import measured
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 PERIOD = 1 / 16
@@ -71,9 +70,7 @@ class PrmPlanner(LeafSystem):
             self, map=MapEstimate, tfg=TfgMap, pose=PoseEstimate, goal=GoalChoice, scan=LaserScan, mission=MissionStatus
         )
         self._state = MessageState(self, initial_state())
-        whole = {
-            self.input_port_ticket(port.get_index()) for port in (self._inputs.ports["map"], self._inputs.ports["tfg"])
-        }
+        whole = {self._inputs.ports[name].ticket() for name in ("map", "tfg")}
         declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
         self._state.declare_output(self, "local_roadmap", lambda now: now.roadmap)
         self._state.declare_output(self, "path", lambda now: now.path)
@@ -94,24 +91,9 @@ class PrmPlanner(LeafSystem):
         seen = after = looked(before, now)
         # What is not due is not metered: that would cost more than to find it out.
         if now.tfg.stage > seen.nodes.stage:
-            after = self._Extend(seen, now)
+            after = measured(self, "roadmap", extended, seen, now)
         elif now.mission.phase == "plan":
-            after = self._Plan(seen, now)
+            after = measured(self, "path", planned, seen, now)
         if after is seen:
-            after = self._Watch(seen, now)
-        if after is before:
-            return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
-
-    @metered("roadmap")
-    def _Extend(self, state: PlannerState, now: Now) -> PlannerState:
-        return extended(state, now)
-
-    @metered("path")
-    def _Plan(self, state: PlannerState, now: Now) -> PlannerState:
-        return planned(state, now)
-
-    @metered("prm_planner")
-    def _Watch(self, state: PlannerState, now: Now) -> PlannerState:
-        return watched(state, now)
+            after = measured(self, "prm_planner", watched, seen, now)
+        return self._state.set(state, after)

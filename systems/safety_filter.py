@@ -161,8 +161,7 @@ class SafetyFilter(LeafSystem):
                 told = HELD if unseen else _BLOCKED
                 told = _KEPT_OUT if self._Meets(barred, wanted) and not self._Meets(scan, wanted) else told
                 _log.warning("%.2f s: the base stands: %s", context.get_time(), told)
-        self._watch.set(state, after)
-        return EventStatus.Succeeded()
+        return self._watch.set(state, after)
 
     def _Meets(self, scan: LaserScan, speed: float) -> bool:
         """Whether the scan shows what keeps a base that stands from driving straight on."""

@@ -61,5 +61,4 @@ class ScriptedDriver(LeafSystem):
             path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
         else:
             return EventStatus.DidNothing()
-        self._state.set(state, _Driving(goal, path, mission.replans))
-        return EventStatus.Succeeded()
+        return self._state.set(state, _Driving(goal, path, mission.replans))

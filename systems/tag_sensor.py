@@ -89,8 +89,7 @@ class TagSensor(LeafSystem):
                 return EventStatus.DidNothing()
             stamp += reality.clock_jitter * late
         if 0.0 < reality.blurring_turn_rate < abs(pose[4]):
-            self._state.set(state, _SensorState(replace(no_detections(), stamp=stamp), noise))
-            return EventStatus.Succeeded()
+            return self._state.set(state, _SensorState(replace(no_detections(), stamp=stamp), noise))
         errors = None
         if self.has_tag_errors:
             errors = self._tag_errors.Eval(context).reshape(-1, 2)
@@ -103,5 +102,4 @@ class TagSensor(LeafSystem):
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = people_at(self._people, context)
         frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
-        self._state.set(state, _SensorState(frame, noise))
-        return EventStatus.Succeeded()
+        return self._state.set(state, _SensorState(frame, noise))

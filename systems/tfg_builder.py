@@ -85,10 +85,7 @@ class TfgBuilder(LeafSystem):
             after = self._AddView(now, landmarks or estimate, mission.moving)
         else:
             after = self._Collect(context, now, mission.phase)
-        if after is now:
-            return EventStatus.DidNothing()
-        self._state.set(state, after)
-        return EventStatus.Succeeded()
+        return self._state.set(state, after)
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
         pose = self._inputs(context, "pose")

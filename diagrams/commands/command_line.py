@@ -100,43 +100,41 @@ def wait_for_enter() -> None:
         print()
 
 
-def compile_kernels() -> WarmUp | None:
-    """The processes that compile the missing kernels, None where none is missing; the caller closes it.
+@contextlib.contextmanager
+def compiling_beside() -> Iterator[WarmUp | None]:
+    """The processes that compile the missing kernels while the command goes on, None where none is missing.
 
     To be called before kernels are imported. Raises BadInput where there is no folder to keep them in.
     """
+    warm_up: Any = contextlib.nullcontext()
     try:
-        if kernels.are_compiled():
-            return None
-        print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
-        return WarmUp()
+        if not kernels.are_compiled():
+            print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
+            warm_up = contextlib.closing(WarmUp())
     except ChildProcessError as error:
         bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")
     except OSError as error:
         given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
         bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
+    with warm_up as beside:
+        yield beside
 
 
-@contextlib.contextmanager
-def compiling_beside() -> Iterator[WarmUp | None]:
-    """Those who compile the kernels while the command goes on, see `compile_kernels`; closed at the end."""
-    warm_up = compile_kernels()
-    with contextlib.closing(warm_up) if warm_up is not None else contextlib.nullcontext():
-        yield warm_up
-
-
-def wait_for_kernels(show: Callable[[str], object]) -> None:
-    """Until all is compiled that a mission needs, or somebody interrupts it."""
-    with compiling_beside() as warm_up:
-        while warm_up is not None and not (warm_up.ended or interruption.is_set()):
-            show(warm_up.word)
+def wait_for_kernels(show: Callable[[str], object], warm_up: WarmUp | None = None, *, all_of_them: bool = True) -> None:
+    """Until all is compiled that a mission needs, or what it begins with, or somebody interrupts it. warm_up: who
+    compiles already; by default it is begun here."""
+    with compiling_beside() if warm_up is None else contextlib.nullcontext(warm_up) as at_work:
+        while at_work is not None and not interruption.is_set():
+            if at_work.ended if all_of_them else at_work.ready:
+                break
+            show(at_work.word)
             time.sleep(0.1)
 
 
 @functools.cache
 def make_kernels_ready() -> None:
     """For a program of somebody's own, which may wait for them: compiles what is missing, and tells so on standard
-    error; silent where nothing is. Raises BadInput as `compile_kernels` does."""
+    error; silent where nothing is. Raises BadInput as `compiling_beside` does."""
     if not kernels.are_compiled():
         with contextlib.redirect_stdout(sys.stderr), Screen() as show:
             wait_for_kernels(show)

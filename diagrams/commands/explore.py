@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import logging
 import math
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands.command_line import bad_input
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
-    from tfg_drake.diagrams.warm_up import WarmUp
 
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
@@ -76,13 +77,6 @@ def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
     return method if told["own"] else str(told["method"])
 
 
-def is_real(robot: str) -> bool:
-    """Whether what is driven is neither simulated nor replayed."""
-    from tfg_drake.config import ROBOTS
-
-    return robot in ROBOTS
-
-
 def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
     """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's."""
     from tfg_drake.diagrams.scenario import WorldConfig
@@ -97,8 +91,6 @@ def check_robot(
     robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float, *, checked: bool = True
 ) -> None:
     """Raises BadInput: what fits a simulated robot only is refused for a real one, and the other way round."""
-    from tfg_drake.config import ROBOTS
-
     if robot not in ROBOTS:
         if not checked:
             bad_input(f"--skip-checks: is for a real robot; give --robot {', '.join(ROBOTS)} too")
@@ -119,7 +111,6 @@ def check_robot(
 def check_kept(out: Path, replayed: Path | None = None, inputs: Sequence[Path] = ()) -> None:
     """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
     the files that are read has the name of the scenario that a run leaves, and is none."""
-    from tfg_drake.config import ROBOTS
     from tfg_drake.storage.port_recording import recorded_robot
 
     for file in inputs:
@@ -179,8 +170,6 @@ def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Itera
     robot is simulated."""
     if robot != "sim":
         bad_input(f"--method {method.name}: is for a simulated robot; leave --robot out")
-    import dataclasses
-
     from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
     from tfg_drake.hardware.keyboard import Keyboard
     from tfg_drake.mission.manual_drive import HELP, KEYS
@@ -198,8 +187,6 @@ def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Itera
 def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
     """Shows the remarks of base, operator, Meshcat's picture and the run's files on a screen, by default standard
     output."""
-    import logging
-
     handler = logging.StreamHandler(screen or sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
     loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
@@ -214,8 +201,6 @@ def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
 
 def open_meshcat() -> Meshcat:
     """A Meshcat for this machine only, its address printed."""
-    import logging
-
     from pydrake.common import use_native_cpp_logging
     from pydrake.geometry import Meshcat, MeshcatParams
 
@@ -240,15 +225,6 @@ def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[s
     return both
 
 
-def wait_for_beginning(
-    warm_up: WarmUp, show: Callable[[str], object], interrupted: threading.Event, real: bool
-) -> None:
-    """Until there are the kernels that a mission begins with; a real robot's are all there before it moves."""
-    while not ((warm_up.ended if real else warm_up.ready) or interrupted.is_set()):
-        show(warm_up.word)
-        time.sleep(0.1)
-
-
 def progress_line(progress: Progress) -> str:
     """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
     if progress.outcome:
@@ -260,11 +236,6 @@ def progress_line(progress: Progress) -> str:
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return f"{where}{progress.landmarks:>9} {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
-
-
-def unwritten_rows(unwritten: dict[str, str]) -> list[tuple[str, str]]:
-    """What the closing table says of files that could not be written, or not all of them: which, and why."""
-    return [("not whole", f"{name}: {reason}") for name, reason in unwritten.items()]
 
 
 def is_kept(unwritten: dict[str, str]) -> bool:

@@ -8,19 +8,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from pydrake.common import RandomGenerator
-from pydrake.systems.analysis import Simulator
 
-from tfg_drake.comparison.paper_tables import METHODS, parameter_table, performance_table
+from tfg_drake.comparison.paper_tables import METHODS as COMPARED
+from tfg_drake.comparison.paper_tables import parameter_table, performance_table
 from tfg_drake.comparison.runs import Run
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams.commands.compare import run_sweep
-from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
+from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.comparison_report import write_comparison
+from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.files import write_atomic
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg
 from tfg_drake.planning.candidates import GoalParameters
@@ -70,26 +71,18 @@ def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tup
 
     Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
     """
-    diagram, _, pose_log, _ = MakeMissionDiagram(scenario, MakeWorld(scenario.world))
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    diagram.SetRandomContext(context, RandomGenerator(scenario.seed))
-    explorer = diagram.GetSubsystemByName("explorer")
-    own = explorer.GetMyContextFromRoot(context)
-    simulator.Initialize()
-    stages: list[Stage] = []
-    while context.get_time() < LONGEST:
-        simulator.AdvanceTo(context.get_time() + STEP)
-        goal = explorer.GetOutputPort("goal").Eval(own)
+    mission, stages = Mission(scenario, METHODS["tfg"], None, "figures"), list[Stage]()
+    mission.begin()
+    while mission.time < LONGEST and mission.status.phase != "done":
+        mission.advance(mission.time + STEP)
+        goal = mission.look("goal", GoalChoice)
         if goal.stage > len(stages):
-            estimate, tfg, roadmap = (explorer.GetOutputPort(name).Eval(own) for name in ("map", "tfg", "roadmap"))
-            stages.append(Stage(estimate, tfg, roadmap, goal))
-            if on_stage(goal.stage, context.get_time()):
+            seen = mission.look("map", MapEstimate), mission.look("tfg", TfgMap), mission.look("roadmap", Roadmap)
+            stages.append(Stage(*seen, goal))
+            if on_stage(goal.stage, mission.time):
                 break
-        if explorer.GetOutputPort("mission").Eval(own).phase == "done":
-            break
-    data = pose_log.FindLog(context).data()
-    return stages, data[0], data[1:3].T
+    stamps, X_WB = mission.estimated_poses()
+    return stages, stamps, transform(inverse(mission.X_WM), X_WB[:, :2])
 
 
 def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[Path]:
@@ -135,7 +128,7 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         write_comparison(runs, tasks, sweep, "tfg-drake figures")
         return runs
 
-    runs = compared("table-2", scenarios, "paper", METHODS)
+    runs = compared("table-2", scenarios, "paper", COMPARED)
     for name, feels in (("felt", True), ("unfelt", False)):
         pushed = LoadScenario(FindScenario("house"))
         pushed.disturbances = [dataclasses.replace(PUSH, gyro_feels=feels)]

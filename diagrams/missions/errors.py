@@ -16,7 +16,7 @@ from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
-from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_surface, reachable_tags
+from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_surface, reachable_tags
 from tfg_drake.world.world import World
 
 # What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
@@ -46,10 +46,12 @@ class KnownWorld:
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
-        segments = _mapped_surfaces(mission.X_WM, tfg, mission.grid)
+        world, walls = self._world, _mapped_surfaces(mission.X_WM, tfg, mission.grid)
+        surface = reachable_surface(world, self._grid, self._cells, self._scenario.scan.range)
         return {
-            **landmark_figures(self._world, self.reachable, estimate, mission.grid is None, mission.X_WM),
-            **_surfaces(self._scenario, self._world, self._grid, self._cells, segments),
+            **landmark_figures(world, self.reachable, estimate, mission.grid is None, mission.X_WM),
+            "surface_coverage": metrics.surface_coverage(surface, walls),
+            "surface_phantom_m": metrics.surface_phantom(walls, world.walls),
         }
 
     def way_figures(
@@ -57,17 +59,38 @@ class KnownWorld:
     ) -> dict[str, Any]:
         """How far the estimated poses X_WB (n, 3) at stamps (n,), s, are from the true ones (m, 3), and what was seen
         from those."""
-        X_WD_true = poses_at(np.array([one.stamp for one in mission.departures]), true_stamps, X_WB_true)
+        departures = mission.departures
+        X_WD_true = poses_at(np.array([one.stamp for one in departures]), true_stamps, X_WB_true)
+        X_MD = np.array([one.X_MD for one in departures]).reshape(-1, 3)
+        of_departures = np.array([one.covariance for one in departures]).reshape(-1, 3, 3)
         published, X_MB, covariance = mission.published_poses()
         X_WB_then = poses_at(published, true_stamps, X_WB_true)
-        area = _area(self._scenario, self._world, self._grid, self._cells, mission, true_stamps, X_WB_true)
         return {
             "distance_m": path_length(X_WB_true),
-            **_consistency(mission, compose(inverse(mission.X_WM), X_WD_true)),
+            "pose_anees": metrics.pose_anees(X_MD, compose(inverse(mission.X_WM), X_WD_true), of_departures),
             "online_pose_anees": online_pose_anees(X_MB, covariance, X_WB_then, mission.X_WM),
             **pose_errors(X_WB, poses_at(stamps, true_stamps, X_WB_true)),
-            **area,
+            **self._area(mission, true_stamps, X_WB_true),
         }
+
+    def _area(self, mission: Mission, stamps: FloatArray, X_WB: FloatArray) -> dict[str, float]:
+        """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
+
+        Seen from where the turns and glances began, by a method that maps only there; by the scanner on the whole
+        way by one that maps all along.
+        """
+        scan = self._scenario.scan
+        thinned = np.zeros_like(self._cells)
+        thinned[::EVERY, ::EVERY] = self._cells[::EVERY, ::EVERY]
+        seen = self._grid.centers(thinned), self._world.walls, scan.range, scan.field_of_view
+        rows, share = scan_coverage(X_WB, *seen)
+        nearly = np.flatnonzero(share >= NEARLY_ALL)
+        coverage = float(share[-1]) if len(share) else math.nan
+        if mission.grid is None:
+            looked = [_looked(one, stamps, X_WB) for one in mission.departures]
+            _, share = scan_coverage(X_WB[np.concatenate([np.zeros(0, dtype=np.int64), *looked])], *seen)
+            coverage = float(share[-1]) if len(share) else 0.0
+        return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
 
 
 def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WM: FloatArray) -> float:
@@ -141,13 +164,6 @@ def landmark_figures(
     }
 
 
-def _consistency(mission: Mission, X_MD_true: FloatArray) -> dict[str, Any]:
-    """The ANEES of the departures, judged by the true ones (n, 3)."""
-    X_MD = np.array([one.X_MD for one in mission.departures]).reshape(-1, 3)
-    covariance = np.array([one.covariance for one in mission.departures]).reshape(-1, 3, 3)
-    return {"pose_anees": metrics.pose_anees(X_MD, X_MD_true, covariance)}
-
-
 def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
     """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
     if tfg is not None:
@@ -157,43 +173,6 @@ def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None)
     else:
         p_MS = np.zeros((0, 4))
     return transform(X_WM, p_MS.reshape(-1, 2)).reshape(-1, 4)
-
-
-def _surfaces(scenario: Scenario, world: World, grid: Grid, cells: BoolArray, segments: FloatArray) -> dict[str, float]:
-    surface = reachable_surface(world, grid, cells, scenario.scan.range)
-    return {
-        "surface_coverage": metrics.surface_coverage(surface, segments),
-        "surface_phantom_m": metrics.surface_phantom(segments, world.walls),
-    }
-
-
-def _area(
-    scenario: Scenario,
-    world: World,
-    grid: Grid,
-    cells: BoolArray,
-    mission: Mission,
-    stamps: FloatArray,
-    X_WB: FloatArray,
-) -> dict[str, float]:
-    """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
-
-    Seen from where the turns and glances began, by a method that maps only there; by the scanner on the whole
-    way by one that maps all along.
-    """
-    scan = scenario.scan
-    thinned = np.zeros_like(cells)
-    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
-    rows, share = scan_coverage(X_WB, grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
-    nearly = np.flatnonzero(share >= NEARLY_ALL)
-    coverage = float(share[-1]) if len(share) else math.nan
-    if mission.grid is None:
-        looked = np.concatenate(
-            [np.zeros(0, dtype=np.int64), *(_looked(one, stamps, X_WB) for one in mission.departures)]
-        )
-        _, share = scan_coverage(X_WB[looked], grid.centers(thinned), world.walls, scan.range, scan.field_of_view)
-        coverage = float(share[-1]) if len(share) else 0.0
-    return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
 
 
 def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:

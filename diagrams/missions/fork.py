@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.methods import METHODS
@@ -89,13 +89,11 @@ class Fork:
         Raises:
             ForkError: the stage has no such goal.
         """
-        explorer = mission.explorer
-        context = explorer.GetMyContextFromRoot(root)
-        choice = _eval(explorer, "goal", context, GoalChoice)
+        choice = mission.look("goal", GoalChoice)
         if self._over or choice.stage < self.stage or choice.stage <= self._seen:
             return
         first, self._seen = not self.reached, choice.stage
-        roadmap = _eval(explorer, "roadmap", context, Roadmap)
+        roadmap = mission.look("roadmap", Roadmap)
         if first:
             self.candidates = _candidates(choice, roadmap, mission.X_WM)
             try:
@@ -103,8 +101,8 @@ class Fork:
             except ForkError as error:
                 self.failure = error
                 raise
-        estimate = _eval(explorer, "map", context, MapEstimate)
-        status = _eval(explorer, "mission", context, MissionStatus)
+        estimate = mission.look("map", MapEstimate)
+        status = mission.look("mission", MissionStatus)
         row = int(roadmap.nodes(np.array([self._node]))[0])
         # Until it has looked round there, or cannot get there any more.
         arrived = not first and not status.moving and np.hypot(*(roadmap.points[row] - estimate.X_MA[-1, :2])) < 0.5
@@ -112,7 +110,7 @@ class Fork:
             self._over = True
             return
         held = goal_there(choice, self._node, roadmap, f"It was asked for at stage {self.stage}.")
-        selector = next(one for one in explorer.GetSystems() if isinstance(one, InfoGainGoalSelector))
+        selector = next(one for one in mission.explorer.GetSystems() if isinstance(one, InfoGainGoalSelector))
         selector.Choose(selector.GetMyMutableContextFromRoot(root), held)
 
     def _asked(self, roadmap: Roadmap, X_WM: FloatArray) -> int:
@@ -132,12 +130,6 @@ class Fork:
             x, y = self._goal
             raise ForkError(f"goal {x:g},{y:g}: no place known at stage {self.stage} that can be reached{near}")
         return int(roadmap.node_ids(reachable[[distance.argmin()]])[0])
-
-
-def _eval(explorer: Diagram, port: str, context: Context, kind: type) -> Any:
-    value = explorer.GetOutputPort(port).Eval(context)
-    assert isinstance(value, kind)
-    return value
 
 
 def _candidates(choice: GoalChoice, roadmap: Roadmap, X_WM: FloatArray) -> list[Candidate]:

@@ -8,7 +8,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydrake.common import RandomGenerator
@@ -86,6 +86,8 @@ AT_GOAL = 0.3
 # A mission that is so far behind the clock does not keep real time, s.
 LATE = 1.0
 
+T = TypeVar("T")
+
 _log = logging.getLogger("tfg_drake.run")
 _pace_log = logging.getLogger("tfg_drake.pace")
 
@@ -132,9 +134,9 @@ STATE: Mapping[str, Any] = {
     "resumed": list[float],
     "_choice": GoalChoice | None,
     "notes": list[Note],
+    "cpu_time": float,
+    "wall_time": float,
 }
-# And of what it has cost.
-_COSTS = ("cpu_time", "wall_time")
 _LOGS = list[tuple[FloatArray, FloatArray]]
 
 
@@ -205,17 +207,15 @@ class Mission:
         takes a line a stage. Raises CheckpointError where it does not fit the state of the mission before."""
         self._write = write
         self._build(monitor)
-        if self._before is None:
-            self.simulator.Initialize()
-            self.observe()
-            return
         try:
-            self._go_on(self._before)
+            if self._before is not None:
+                self._go_on(self._before)
             self.simulator.Initialize()
             self.observe()
-        except CheckpointError:
-            raise
-        except (Exception, SystemExit) as error:  # Anything may come of values that are not what they should be.
+        except (Exception, SystemExit) as error:
+            if self._before is None or isinstance(error, CheckpointError):
+                raise
+            # Anything may come of values that are not what they should be.
             raise self._before.complaint(error) from error
 
     def state(self) -> dict[str, tuple[Any, Any]]:
@@ -228,7 +228,6 @@ class Mission:
             **state_of(self.simulator.get_system(), self._context, self._kinds),
             "logs": (_LOGS, [(times[times < self.time], data[:, times < self.time]) for times, data in logs]),
             "spent": (dict[str, float], self.meter.spent),
-            **{name: (float, getattr(self, name)) for name in _COSTS},
             **{name: (hint, getattr(self, name)) for name, hint in STATE.items()},
         }
 
@@ -249,12 +248,11 @@ class Mission:
             for stamp, column in zip(times, data.T, strict=True):
                 log.AddData(stamp, column)
         self.meter.spent.update(before.take("spent", dict[str, float]))
-        cpu_time, wall_time = (before.take(name, float) for name in _COSTS)
-        self.wall_start -= wall_time
-        self._cpu_start -= cpu_time
         told = {name: before.take(name, hint) for name, hint in STATE.items()}
         self.notes[:0] = told["notes"]
         vars(self).update(told | {"notes": self.notes})
+        self.wall_start -= self.wall_time
+        self._cpu_start -= self.cpu_time
         if (known := self.newest_map()) is not None:
             whole_map(to_arrays(known, REGISTRY))
         self.resumed = [*self.resumed, self.time]
@@ -310,8 +308,7 @@ class Mission:
 
     def stage_now(self) -> int:
         """The stage that the mission is in at this instant, which may be later than when it was last looked at."""
-        status: MissionStatus = self._eval(self.explorer, "mission", MissionStatus)
-        return status.stage
+        return self.look("mission", MissionStatus).stage
 
     @property
     def time(self) -> float:
@@ -424,10 +421,7 @@ class Mission:
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
-        if self._context is None or not self.explorer.HasOutputPort("pressed"):
-            return None
-        pressed: tuple[Pressed, ...] = self._eval(self.explorer, "pressed", tuple)
-        return pressed
+        return None if self._context is None else self.look_for("pressed", tuple)
 
     @property
     def _maps(self) -> bool:
@@ -496,12 +490,12 @@ class Mission:
         """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
         if self._cockpit is None or self.robot.real:  # Else somebody may hold the clock, and sees how fast it goes.
             self._notice_delay()
-        self.status = self._eval(self.explorer, "mission", MissionStatus)
+        self.status = self.look("mission", MissionStatus)
         if self._cockpit is not None:
             self._cockpit.at_stage(self.status.stage)
-        self.pose = self._eval(self.explorer, "pose", PoseEstimate)
-        self.tfg, estimate = self._look("tfg", TfgMap), self._look("map", MapEstimate)
-        self.grid = self._look("grid", GridMap)
+        self.pose = self.look("pose", PoseEstimate)
+        self.tfg, estimate = self.look_for("tfg", TfgMap), self.look_for("map", MapEstimate)
+        self.grid = self.look_for("grid", GridMap)
         record = None
         if estimate is not None and estimate.stage > len(self.stages):
             record = self._stage_record(estimate)
@@ -521,7 +515,7 @@ class Mission:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
             self._write(stage_lines([record]))
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
-        self._choice = self._look("goal", GoalChoice)
+        self._choice = self.look_for("goal", GoalChoice)
         if self.truth is not None:
             self.truth.look(self._context)
         # A stage is planned within a moment of its map, long before the next: what was charged since the last look
@@ -549,7 +543,10 @@ class Mission:
         arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
         if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None
-        row = int(np.flatnonzero(choice.candidates == choice.node)[0]) if choice is not None else -1
+        parts: dict[str, float | None] = dict.fromkeys(("exploitation", "exploration", "pose_price", "gain"))
+        if choice is not None:
+            row = int(np.flatnonzero(choice.candidates == choice.node)[0])
+            parts = {name: float(getattr(choice, name)[row]) for name in parts}
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
@@ -557,10 +554,7 @@ class Mission:
         fields = (
             estimate.stage,
             [float(value) for value in X_WA],
-            float(choice.exploitation[row]) if choice is not None else None,
-            float(choice.exploration[row]) if choice is not None else None,
-            float(choice.pose_price[row]) if choice is not None else None,
-            float(choice.gain[row]) if choice is not None else None,
+            *parts.values(),
             prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
             estimate.stamp,
             estimate.entropy,
@@ -575,12 +569,13 @@ class Mission:
         X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
         return float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
 
-    def _look(self, port: str, kind: type) -> Any:
-        """The explorer's message, None where its method has no such port."""
-        return self._eval(self.explorer, port, kind) if self.explorer.HasOutputPort(port) else None
-
-    def _eval(self, system: System, port: str, kind: type) -> Any:
-        value = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._context))
+    def look(self, port: str, kind: type[T]) -> T:
+        """The message at an output of the explorer now. Raises TypeError where it is of another kind."""
+        value = self.explorer.GetOutputPort(port).Eval(self.explorer.GetMyContextFromRoot(self._context))
         if not isinstance(value, kind):
-            raise TypeError(f"{system.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
+            raise TypeError(f"{self.explorer.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
         return value
+
+    def look_for(self, port: str, kind: type[T]) -> T | None:
+        """The same, None where the method has no such port."""
+        return self.look(port, kind) if self.explorer.HasOutputPort(port) else None

@@ -51,7 +51,7 @@ def RobotOf(
     scenario: Scenario,
     devices: RobotDevices,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
-    MakeStation: Callable[[Scenario], Diagram] | None = None,
+    MakeStation: Callable[[Scenario], System] | None = None,
     *,
     enabled: bool = False,
 ) -> Robot:
@@ -79,7 +79,7 @@ def DevicesOf(station: System) -> RobotDevices | None:
     return next((found for found in map(DevicesOf, parts) if found is not None), None)
 
 
-def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, Diagram, Diagram], object] | None:
+def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, System, System], object] | None:
     publisher, frames = devices.publisher, devices.frames
     if publisher is None or frames is None:
         return None

@@ -107,13 +107,8 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
         interrupted=threading.Event(),
         record=False,  # A megabyte and a half a minute, and what one seed gives again.
     )
-    write_receipt(task, folder)
-    return result.summary
-
-
-def write_receipt(task: Task, folder: Path) -> None:
-    """Say that a run's folder is whole."""
     write_atomic(folder / "task.json", json.dumps(task.receipt(), indent=2) + "\n")
+    return result.summary
 
 
 def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:

@@ -9,9 +9,10 @@ from mcap.reader import make_reader
 from tests.diagrams.rooms import lasting, room
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.replay_station import MakeReplayStation, ReplayRobot
+from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.storage.port_recording import read_recording
+from tfg_drake.systems.port_player import PortPlayer
 
 EXACT = ("map.npz", "stages.jsonl", "trajectory.tum", "scenario.yaml")
 
@@ -29,7 +30,7 @@ def names(system):
 
 
 def test_its_ports_are_those_of_any_station(finished):
-    inputs, outputs = names(MakeReplayStation(read_recording(finished.folder)))
+    inputs, outputs = names(PortPlayer(read_recording(finished.folder)))
     simulated_inputs, simulated_outputs = names(MakeTurtlebotStation(room()))
     assert inputs == {name for name in simulated_inputs if not name.startswith("truth.")} | {"base.enable"}
     others = {"base.enabled", "operator.goal"}

@@ -18,7 +18,7 @@ def pose(stamp, theta=0.5):
 
 
 def test_a_pose_ties_base_to_map():
-    read = FrameTransform.FromString(foxglove.pose_message(pose(12.5)))
+    read = FrameTransform.FromString(foxglove.pose_message(13.0, pose(12.5)))
     assert (read.parent_frame_id, read.child_frame_id) == ("map", "base")
     assert (read.translation.x, read.translation.y, read.translation.z) == (1.0, -2.0, 0.0)
     assert 2.0 * np.arctan2(read.rotation.z, read.rotation.w) == pytest.approx(0.5)
@@ -28,14 +28,14 @@ def test_a_pose_ties_base_to_map():
 @pytest.mark.parametrize("count", [0, 1, 2, 1000])
 def test_a_path_is_a_strip_of_its_points(count):
     points = np.random.default_rng(count).normal(size=(count, 2))
-    (entity,) = SceneUpdate.FromString(foxglove.path_message(foxglove.ShownPath(3.0, Path(1, 1, points)))).entities
+    (entity,) = SceneUpdate.FromString(foxglove.path_message(3.0, Path(1, 1, points))).entities
     assert (entity.id, entity.frame_id, entity.lines[0].type) == ("path", "map", 0)
     assert [(p.x, p.y, p.z) for p in entity.lines[0].points] == [(x, y, 0.0) for x, y in points]
 
 
 def test_a_map_is_its_surfaces_and_landmarks(small_map):
     estimate = dataclasses.make_dataclass("Estimate", ["ids", "p_ML"])(small_map.ids, small_map.p_ML)
-    data = foxglove.map_message(foxglove.ShownMap(2.0, estimate, small_map.tfg))
+    data = foxglove.map_message(2.0, (estimate, small_map.tfg))
     surfaces, landmarks = SceneUpdate.FromString(data).entities
     assert (surfaces.id, surfaces.lines[0].type, landmarks.id) == ("surfaces", 2, "landmarks")
     ends = np.array([(p.x, p.y) for p in surfaces.lines[0].points])
@@ -67,6 +67,6 @@ def test_what_is_shown_is_not_played(tmp_path):
     with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
         for port, one in messages(0.0).items():
             writer.write(port, 0.0, one)
-        writer.write_pose(0.5, pose(0.5))
-        writer.write_path(0.5, Path(1, 1, np.zeros((2, 2))))
+        writer.write(foxglove.POSE, 0.5, pose(0.5))
+        writer.write(foxglove.PATH, 0.5, Path(1, 1, np.zeros((2, 2))))
     assert read_recording(tmp_path).end_time == 0.0

@@ -128,7 +128,7 @@ def test_a_command_is_recorded_where_it_changes(tmp_path):
         for port in MESSAGES:
             writer.write(port, 0.0, messages(0.0)[port])
         for time, v in ((0.0, 0.0), (1.0, 0.0), (2.0, 0.3), (3.0, 0.3), (4.0, 0.0)):
-            writer.write_command(time, np.array([v, 0.0]))
+            writer.write(COMMAND, time, Velocity(v, 0.0))
     recording = read_recording(tmp_path)
     assert recording.log_times[COMMAND].tolist() == [0, 2_000_000_000, 4_000_000_000]
     assert [one.v for one in recording.messages[COMMAND]] == [0.0, 0.3, 0.0]
@@ -139,7 +139,7 @@ def test_whether_it_may_move_is_recorded_where_it_changes(tmp_path):
         for port in MESSAGES:
             writer.write(port, 0.0, messages(0.0)[port])
         for time, enabled in ((0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (3.0, 1.0)):
-            writer.write_enabled(time, enabled)
+            writer.write(ENABLED, time, Enabled(enabled))
     recording = read_recording(tmp_path)
     assert recording.log_times[ENABLED].tolist() == [0, 2_000_000_000]
     assert [recording.enabled(time) for time in (0.0, 1.9, 2.0, 9.0)] == [0.0, 0.0, 1.0, 1.0]

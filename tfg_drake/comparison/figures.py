@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
@@ -143,8 +142,8 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
         axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
         draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
-        doubtful = np.isin(one.saved.ids, one.saved.doubtful)
-        draw_landmarks(axes, one.saved.X_WM, one.saved.p_ML, one.saved.landmark_covariance, doubtful, symbol)
+        saved = one.saved
+        draw_landmarks(axes, saved.X_WM, saved.p_ML, saved.landmark_covariance, saved.is_doubtful, symbol)
 
 
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:
@@ -179,9 +178,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
 
 
 def _figure(height: float) -> Figure:
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(_WIDTH, height), layout="constrained")
 
 
 def _tidy(axes: Axes) -> None:

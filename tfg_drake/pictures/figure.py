@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D
@@ -68,9 +67,7 @@ def run_figure(
         shown.append(X_WB_estimated[:, :2])
         shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
         shown += [_corners(grid)] if grid is not None else []
-    points = np.vstack(shown)
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
+    figure, axes, symbol = _canvas(title, np.vstack(shown))
 
     if world is not None:
         # Grey and wide below lines, but a thin colour on the grey of cells.
@@ -120,14 +117,12 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     """
     X_WM, tfg = saved.X_WM, saved.tfg
     shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
-    points = transform(X_WM, np.vstack(shown))
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    figure, axes, symbol = _canvas(title, (x_min, x_max), (y_min, y_max))
+    figure, axes, symbol = _canvas(title, transform(X_WM, np.vstack(shown)))
     stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
     draw_surfaces(axes, X_WM, tfg)
     _draw_walls(axes, X_WM, saved.graph, 0.4 * symbol)
-    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, np.isin(saved.ids, saved.doubtful), symbol)
+    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, saved.is_doubtful, symbol)
     _draw_views(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
@@ -135,18 +130,19 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     write_figure(path, _with_legend(figure))
 
 
-def _canvas(title: str, x: tuple[float, float], y: tuple[float, float]) -> tuple[Figure, Axes, float]:
-    """Figure and axes for an area, m, and a symbol's size in points, from the scale of the drawing."""
-    height = float(np.clip(_WIDTH * (y[1] - y[0]) / (x[1] - x[0]), 3.5, 12.0))
+def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
+    """Figure and axes for an area with some points (n, 2), m, and a symbol's size in points, from the scale of the
+    drawing."""
+    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    height = float(np.clip(_WIDTH * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
     figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.set(xlim=x, ylim=y, aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.tick_params(labelsize=8, colors="0.35")
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set_title(title, loc="left", fontsize=10)
-    return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x[1] - x[0]), 1.2, 6.0))
+    return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x_max - x_min), 1.2, 6.0))
 
 
 def _with_legend(figure: Figure) -> Figure:

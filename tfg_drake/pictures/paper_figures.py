@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 
@@ -106,7 +105,6 @@ def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     panel = _WIDTH / columns
     height = rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.55) + (0.4 if columns == 1 else 0.15)
     figure = Figure(figsize=(_WIDTH, max(height, 1.5)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
     for axis in axes:
         axis.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xticks=[], yticks=[])

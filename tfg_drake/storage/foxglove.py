@@ -7,23 +7,21 @@ the fields of our message, too, under numbers that Foxglove has not given: so no
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan as FoxgloveScan
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2
 
-from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap, message
+from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
 
 MAP, BASE = "map", "base"
-# Topics, and the names of their schemas.
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
-TOPICS: dict[str, Any] = {POSE: FrameTransform, PATH: SceneUpdate, SURFACES: SceneUpdate}
 # Our fields of a scan have numbers from here on, but for the ranges, which are Foxglove's; and what is only Foxglove's.
 FIRST_OWN = 1000
 RANGES = FoxgloveScan.DESCRIPTOR.fields_by_name["ranges"].number
@@ -34,29 +32,7 @@ _WALL, _WAY, _LANDMARK = 0.04, 0.05, 0.14
 _WALL_COLOUR, _WAY_COLOUR = (0.25, 0.3, 0.38, 1.0), (0.1, 0.45, 0.9, 1.0)
 _LANDMARK_COLOUR = (0.85, 0.35, 0.1, 1.0)
 # Bytes of a map in the file, about: of a surface and of a landmark.
-_SURFACE_BYTES, _LANDMARK_BYTES = 58, 110
-# A point in protobuf's wire format: its field of a line and its length, then x, y and z.
-_POINT = np.dtype(
-    [("tag", "u1"), ("size", "u1")] + [(f"{a}{i}", t) for a in "xyz" for i, t in (("t", "u1"), ("", "<f8"))]
-)
-_POINTS_FIELD = LinePrimitive.DESCRIPTOR.fields_by_name["points"].number
-
-
-@message
-class ShownPath:
-    """A path and when the robot took it. stamp: s."""
-
-    stamp: float
-    path: Path
-
-
-@message
-class ShownMap:
-    """A map and when it was shown. stamp: s."""
-
-    stamp: float
-    estimate: MapEstimate
-    tfg: TfgMap
+_SURFACE_BYTES, _LANDMARK_BYTES = 40, 110
 
 
 def file_set(kind: Any) -> descriptor_pb2.FileDescriptorSet:
@@ -92,7 +68,7 @@ def scan_header(scan: LaserScan) -> bytes:
     return bytes(written.SerializeToString())
 
 
-def pose_message(pose: PoseEstimate) -> bytes:
+def pose_message(_time: float, pose: PoseEstimate) -> bytes:
     """The estimated pose, as a FrameTransform from map to base."""
     written = FrameTransform(parent_frame_id=MAP, child_frame_id=BASE)
     _stamp(written.timestamp, pose.stamp)
@@ -102,22 +78,31 @@ def pose_message(pose: PoseEstimate) -> bytes:
     return bytes(written.SerializeToString())
 
 
-def path_message(shown: ShownPath) -> bytes:
-    """A path, as a SceneUpdate."""
-    return _scene([_entity(shown.stamp, "path")], [_lines(shown.path.points, 0, _WAY, _WAY_COLOUR)])
+def path_message(time: float, path: Path) -> bytes:
+    """A path that the robot takes from a time, s, on, as a SceneUpdate."""
+    return _scene(_entity(time, "path", [_lines(path.points, 0, _WAY, _WAY_COLOUR)]))
 
 
-def map_message(shown: ShownMap) -> bytes:
-    """Surfaces and landmarks, as a SceneUpdate."""
-    surfaces, landmarks = _entity(shown.stamp, "surfaces"), _entity(shown.stamp, "landmarks")
-    estimate, tfg = shown.estimate, shown.tfg
+def map_message(time: float, shown: tuple[MapEstimate, TfgMap]) -> bytes:
+    """Surfaces and landmarks at a time, s, as a SceneUpdate."""
+    estimate, tfg = shown
+    lines = _lines(tfg.segments.reshape(-1, 2), 2, _WALL, _WALL_COLOUR)
+    surfaces, landmarks = _entity(time, "surfaces", [lines]), _entity(time, "landmarks")
     for tag, (x, y) in zip(estimate.ids.tolist(), estimate.p_ML.tolist(), strict=True):
         cube = landmarks.cubes.add()
         cube.pose.position.x, cube.pose.position.y, cube.pose.orientation.w = x, y, 1.0
         cube.size.x = cube.size.y = cube.size.z = _LANDMARK
         _colour(cube.color, _LANDMARK_COLOUR)
         landmarks.metadata.add(key=str(tag), value=f"{x:.3f}, {y:.3f}")
-    return _scene([surfaces, landmarks], [_lines(tfg.segments.reshape(-1, 2), 2, _WALL, _WALL_COLOUR), b""])
+    return _scene(surfaces, landmarks)
+
+
+# What is shown, by topic: its schema, and what makes its bytes of a time, s, and what is recorded then.
+TOPICS: dict[str, tuple[Any, Callable[[float, Any], bytes]]] = {
+    POSE: (FrameTransform, pose_message),
+    PATH: (SceneUpdate, path_message),
+    SURFACES: (SceneUpdate, map_message),
+}
 
 
 def map_size(estimate: MapEstimate, tfg: TfgMap) -> int:
@@ -130,8 +115,8 @@ def _stamp(timestamp: Any, time: float) -> None:
         timestamp.seconds, timestamp.nanos = divmod(round(time * 1e9), 10**9)
 
 
-def _entity(time: float, name: str) -> Any:
-    entity = SceneEntity(frame_id=MAP, id=name)
+def _entity(time: float, name: str, lines: Sequence[Any] = ()) -> Any:
+    entity = SceneEntity(frame_id=MAP, id=name, lines=lines)
     _stamp(entity.timestamp, time)
     return entity
 
@@ -140,36 +125,16 @@ def _colour(field: Any, colour: tuple[float, float, float, float]) -> None:
     field.r, field.g, field.b, field.a = colour
 
 
-def _lines(points: FloatArray, kind: Any, thickness: float, colour: tuple[float, float, float, float]) -> bytes:
+def _lines(points: FloatArray, kind: Any, thickness: float, colour: tuple[float, float, float, float]) -> Any:
     """A line through points (n, 2), kind 0, or the lines between each two of them, kind 2."""
-    line = LinePrimitive(type=kind, thickness=thickness)
+    line = LinePrimitive(type=kind, thickness=thickness, points=[Point3(x=x, y=y) for x, y in points.tolist()])
     line.pose.orientation.w = 1.0
     _colour(line.color, colour)
-    rows = np.zeros(len(points), dtype=_POINT)
-    rows["tag"], rows["size"] = _POINTS_FIELD << 3 | 2, _POINT.itemsize - 2
-    for number, axis in enumerate("xyz", start=1):
-        rows[f"{axis}t"] = number << 3 | 1
-    rows["x"], rows["y"] = points.T
-    return bytes(line.SerializeToString()) + rows.tobytes()
+    return line
 
 
-def _scene(entities: Sequence[Any], lines: Sequence[bytes]) -> bytes:
-    """A SceneUpdate of entities, each with a line primitive, or b"" for none."""
-    on_line = SceneEntity.DESCRIPTOR.fields_by_name["lines"].number
-    on_entity = SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number
-    return b"".join(
-        piece
-        for entity, line in zip(entities, lines, strict=True)
-        for piece in _block(on_entity, bytes(entity.SerializeToString()) + b"".join(_block(on_line, line)))
-    )
-
-
-def _block(field: int, data: bytes) -> Iterator[bytes]:
-    """A field's bytes in protobuf's wire format, nothing of no bytes."""
-    if data:
-        yield bytes([field << 3 | 2])
-        yield length(len(data))
-        yield data
+def _scene(*entities: Any) -> bytes:
+    return bytes(SceneUpdate(entities=entities).SerializeToString())
 
 
 def length(size: int) -> bytes:

@@ -16,7 +16,6 @@ import io
 import logging
 import math
 import struct
-import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,19 +31,17 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
+from tfg_drake.mapfile.message_arrays import dtype_of, hints_of
 from tfg_drake.messages import (
-    FloatArray,
     Hazards,
     IntArray,
     LaserScan,
     MapEstimate,
     Odometry,
-    PoseEstimate,
     TagDetections,
     TfgMap,
     message,
 )
-from tfg_drake.messages import Path as PathMessage
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
 
@@ -135,16 +132,12 @@ class PortWriter:
         self._channels: dict[str, int] = {}
         for port, kind in PORTS.items():
             self._register(port, *_schema(kind))
-        for topic, shown in foxglove.TOPICS.items():
+        for topic, (shown, _) in foxglove.TOPICS.items():
             self._register(topic, shown.DESCRIPTOR.full_name, foxglove.file_set(shown))
         self._encoders: dict[str, Callable[[Any], bytes]] = {port: _encoder(kind) for port, kind in PORTS.items()}
-        self._encoders[foxglove.POSE] = foxglove.pose_message
-        self._encoders |= {foxglove.PATH: foxglove.path_message, foxglove.SURFACES: foxglove.map_message}
         # Bytes of the ports since a map was shown, inf before the first; stage of the newest that might have been.
         self._bytes, self._stage = math.inf, 0
-        self._shown_path: PathMessage | None = None
         self._newest: dict[str, object] = {}
-        self._told: dict[str, list[float]] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
         # Messages that were added, and of these what the operating system has.
@@ -187,7 +180,8 @@ class PortWriter:
         self.close()
 
     def write(self, port: str, time: float, value: object) -> None:
-        """Records what a port carries at a time, s: one of PORTS' messages, each once."""
+        """Records what a port carries at a time, s, one of PORTS' messages, or the pose or path to be shown: each once,
+        and not one that is no other than that before."""
         if value is self._newest.get(port):
             return
         self._newest[port] = value
@@ -197,37 +191,14 @@ class PortWriter:
             self._flushed = time
             self._write_waiting()
 
-    def write_command(self, time: float, velocity: FloatArray) -> None:
-        """Records the velocity (2,), m/s and rad/s, that the base is told at a time, s, where it is another."""
-        self._write_changed(COMMAND, time, Velocity, velocity.tolist())
-
-    def write_enabled(self, time: float, enabled: float) -> None:
-        """Records at a time, s, whether the base may move, where that has changed."""
-        self._write_changed(ENABLED, time, Enabled, [enabled])
-
-    def write_pose(self, time: float, pose: PoseEstimate) -> None:
-        """Records at a time, s, where the robot thinks to be, to be shown."""
-        self.write(foxglove.POSE, time, pose)
-
-    def write_path(self, time: float, path: PathMessage) -> None:
-        """Records the path that the robot takes from a time, s, on, to be shown."""
-        if path is not self._shown_path:
-            self._shown_path = path
-            self.write(foxglove.PATH, time, foxglove.ShownPath(time, path))
-
     def wants_map(self, stage: int) -> bool:
         """Whether the map of a stage would be a new one."""
         return stage > self._stage
 
     def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
         """Records the map at a time, s, to be shown, unless maps would take too much of the file."""
-        self.write(foxglove.SURFACES, time, foxglove.ShownMap(time, estimate, tfg))
+        self.write(foxglove.SURFACES, time, (estimate, tfg))
         self._stage = tfg.stage
-
-    def _write_changed(self, port: str, time: float, kind: type, told: list[float]) -> None:
-        if self._told.get(port) != told:
-            self._told[port] = told
-            self.write(port, time, kind(*told))
 
     def close(self) -> None:
         """Writes what is left, and the index. What was told is let go: Drake keeps the systems that hold the writer."""
@@ -249,9 +220,9 @@ class PortWriter:
             return
         try:
             for port, time, value in waiting:
-                if port == foxglove.SURFACES and foxglove.map_size(value.estimate, value.tfg) > MAP_SHARE * self._bytes:
+                if port == foxglove.SURFACES and foxglove.map_size(*value) > MAP_SHARE * self._bytes:
                     continue
-                data = self._encoders[port](value)
+                data = self._encoders[port](value) if port in PORTS else foxglove.TOPICS[port][1](time, value)
                 if data == self._last_data.get(port):
                     continue
                 now, stamp = nanoseconds(time), getattr(value, "stamp", time)
@@ -401,18 +372,16 @@ def _unpacked(chunk: Chunk) -> Chunk:
 def _encoder(kind: type) -> Callable[[Any], bytes]:
     """What puts a message of a kind into protobuf's wire format: its arrays as they are in memory, an order of
     magnitude quicker than by protobuf itself."""
-    hints = typing.get_type_hints(kind)
     parts: list[tuple[str, bytes, Any]] = []
-    for number, field in _numbered(kind):
-        hint = hints[field.name]
-        entry = _entry(hint)
-        wire = _BLOCK if entry is not None else _BYTE if hint is bool else _EIGHT_BYTES
+    for number, name, hint in _numbered(kind):
+        dtype = dtype_of(hint)
+        wire = _BLOCK if dtype is not None else _BYTE if hint is bool else _EIGHT_BYTES
         write: Any
-        if entry is not None:
-            write = functools.partial(_block, np.dtype(entry).newbyteorder("<"))
+        if dtype is not None:
+            write = functools.partial(_block, dtype.newbyteorder("<"))
         else:
             write = struct.Struct({float: "<d", int: "<q", bool: "<?"}[hint]).pack
-        parts.append((field.name, foxglove.length(number << 3 | wire), write))
+        parts.append((name, foxglove.length(number << 3 | wire), write))
 
     def encode(value: Any) -> bytes:
         fields = value.__dict__
@@ -425,11 +394,6 @@ def _block(entries: np.dtype[Any], array: NDArray[Any]) -> bytes:
     """An array's bytes after their number."""
     data = array.astype(entries, copy=False).tobytes()
     return foxglove.length(len(data)) + data
-
-
-def _entry(hint: Any) -> Any:
-    """The type of an array's entries, None of an annotation that is no array."""
-    return typing.get_args(typing.get_args(hint)[1])[0] if typing.get_origin(hint) is np.ndarray else None
 
 
 def _decoder(path: Path, port: str, schema: Schema) -> Any:
@@ -449,26 +413,21 @@ def _decoder(path: Path, port: str, schema: Schema) -> Any:
 def _read_message(kind: type, proto: Any, before: Any) -> Any:
     """A message of a kind; an array that is that of the message before is shared with it, as a scan's angles are."""
     fields: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):
-        descriptor = proto.DESCRIPTOR.fields_by_name[field.name]
-        value = getattr(proto, descriptor.name)
-        if isinstance(value, (float, int)):
-            fields[descriptor.name] = value
+    for name, hint in hints_of(kind).items():
+        value, dtype = getattr(proto, name), dtype_of(hint)
+        if dtype is None:
+            fields[name] = hint(value)
             continue
-        entries = np.float64 if descriptor.type == descriptor.TYPE_DOUBLE else np.int64
-        array = np.array(value, dtype=entries)
-        old = getattr(before, descriptor.name, None)
-        shared = old is not None and array.tobytes() == old.tobytes()
-        fields[descriptor.name] = old if shared else array
+        array, old = np.array(value, dtype=dtype), getattr(before, name, None)
+        fields[name] = old if old is not None and array.tobytes() == old.tobytes() else array
     return kind(**fields)
 
 
-def _numbered(kind: type) -> list[tuple[int, Any]]:
-    """The fields of a message with their numbers in protobuf."""
-    fields = enumerate(dataclasses.fields(kind), start=1)
-    if kind is not LaserScan:
-        return list(fields)
-    return [(foxglove.RANGES if one.name == "ranges" else foxglove.FIRST_OWN + n, one) for n, one in fields]
+def _numbered(kind: type) -> list[tuple[int, str, Any]]:
+    """The fields of a message: number in protobuf, name and annotation."""
+    of_scan = kind is LaserScan
+    fields = enumerate(hints_of(kind).items(), start=foxglove.FIRST_OWN + 1 if of_scan else 1)
+    return [(foxglove.RANGES if of_scan and name == "ranges" else n, name, hint) for n, (name, hint) in fields]
 
 
 def _schema(kind: type) -> tuple[str, Any]:
@@ -476,11 +435,10 @@ def _schema(kind: type) -> tuple[str, Any]:
     of them."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{kind.__name__}.proto", package="tfg_drake", syntax="proto3")
     declared = file.message_type.add(name=kind.__name__)
-    hints = typing.get_type_hints(kind)
-    for number, field in _numbered(kind):
-        entry = _entry(hints[field.name])
-        label = _Field.LABEL_OPTIONAL if entry is None else _Field.LABEL_REPEATED
-        declared.field.add(name=field.name, number=number, label=label, type=_TYPES[entry or hints[field.name]])
+    for number, name, hint in _numbered(kind):
+        dtype = dtype_of(hint)
+        label = _Field.LABEL_OPTIONAL if dtype is None else _Field.LABEL_REPEATED
+        declared.field.add(name=name, number=number, label=label, type=_TYPES[hint if dtype is None else dtype.type])
     if kind is LaserScan:
         return foxglove.scan_files([field for field in declared.field if field.number >= foxglove.FIRST_OWN])
     return f"{file.package}.{kind.__name__}", descriptor_pb2.FileDescriptorSet(file=[file])
