@@ -113,32 +113,25 @@ class Deframer:
 
     def feed(self, data: bytes) -> list[bytes]:
         """The payloads that are complete with these bytes, whose checksums are right."""
-        buffer, found = self._buffer, []
+        buffer, found, at = self._buffer, [], 0
         buffer += data
-        at = 0
-        while True:
-            start = buffer.find(HEADER, at)
-            if start < 0:
-                # Half a header may be the last byte.
-                at = len(buffer) - (buffer[-1:] == HEADER[:1])
-                break
+        while (start := buffer.find(HEADER, at)) >= 0:
             at = start
             if len(buffer) < at + 3:
                 break
             length = buffer[at + 2]
             end = at + 4 + length
-            if length < MIN_PAYLOAD:
-                self.bad += 1
-                at += 1
-                continue
-            if len(buffer) < end:
+            if length >= MIN_PAYLOAD and len(buffer) < end:
                 break
             body = bytes(buffer[at + 2 : end - 1])
-            if checksum(body) == buffer[end - 1] and _tiled(body[1:]):
+            if length >= MIN_PAYLOAD and checksum(body) == buffer[end - 1] and _tiled(body[1:]):
                 found.append(body[1:])
                 at = end
             else:
                 self.bad += 1
                 at += 1
+        else:
+            # Half a header may be the last byte.
+            at = len(buffer) - (buffer[-1:] == HEADER[:1])
         del buffer[:at]
         return found

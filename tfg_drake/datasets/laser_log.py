@@ -22,7 +22,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, said_of_scanner
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
@@ -115,7 +115,7 @@ def load_carmen(
     arrivals = logged if raw and not untrue and (np.diff(logged) >= 0.0).all() else np.empty(0)
     return Recording(
         name=path.name.split(".")[0],
-        odometry=_told_odometry(stamps, poses) if raw else _noisy_odometry(stamps, poses, model, seed),
+        odometry=odometry_along(stamps, poses, tells_rest=True) if raw else _noisy_odometry(stamps, poses, model, seed),
         scans=tuple(_from_body(one, place) for one in scans),
         model=model,
         truth=None if raw else GroundTruth(stamps, poses, np.empty(0, dtype=np.int64), np.empty((0, 2))),
@@ -233,16 +233,6 @@ def _from_body(scan: LaserScan, place: FloatArray) -> LaserScan:
         return scan
     at_once, (x, y) = np.zeros(len(scan.angles)), place.tolist()
     return scan_of(Sweep(scan.stamp, scan.angles, scan.ranges, at_once, x, y, scan.range_max, scan.sigma), np.zeros(2))
-
-
-def _told_odometry(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
-    """What wheels have said at stamps (n,): poses (n, 3)."""
-    steps = np.vstack([np.zeros((1, 3)), se2.between(X_OB[:-1], X_OB[1:])])
-    steps[:, 2] = se2.wrap_angle(steps[:, 2])
-    dt = np.append(1.0, np.diff(stamps))
-    V_B = steps[:, [0, 2]] / np.where(dt > 0.0, dt, 1.0)[:, None]
-    told = zip(stamps, X_OB, V_B, (steps == 0.0).all(axis=1), strict=True)
-    return tuple(Odometry(float(stamp), X, V, bool(still)) for stamp, X, V, still in told)
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:
