@@ -20,10 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from tfg_drake.datasets.batch_smoother import smooth
 from tfg_drake.datasets.evaluation import landmark_error, robot_error
-from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import Recording
+from tfg_drake.hardware.recordings import load_dataset
 from tfg_drake.messages import TagDetections, replace
 
 BEARING = 0.3

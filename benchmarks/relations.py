@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.recording import Recording
 from tfg_drake.datasets.relations import read_relations, relation_errors
 from tfg_drake.geometry import se2
+from tfg_drake.hardware.recordings import load_dataset
 from tfg_drake.messages import FloatArray, LaserScan
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y
 

@@ -18,8 +18,9 @@ PERIOD = 0.02
 MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
 # A full battery, 0.1 V.
 FULL = 165
-# The unit of the gyro's raw samples, rad/s.
-_RAW_GYRO_UNIT = math.radians(0.00875)
+# What a base says besides in every frame, by ids and lengths of its sub-payloads: dock, cliff sensors' voltages,
+# currents, samples of the gyro, expansion port.
+_BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
 
 
 class EmulatedBase:
@@ -50,12 +51,10 @@ class EmulatedBase:
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
         self.turned = 0.0
-        # What the left and the right wheel have gone, m, the gyro's rate, rad/s, and frames so far.
+        # What the left and the right wheel have gone, m, and the gyro's rate, rad/s.
         self._wheels = [0.0, 0.0]
         self._turn_rate = 0.0
-        self._frames = 0
         self._answers: list[p.SubPayload] = []
-        self._gains = p.Gains(0, 100_000, 100, 2000)
 
     @property
     def time(self) -> float:
@@ -82,10 +81,6 @@ class EmulatedBase:
                 answers = {1: p.HardwareVersion(4, 0, 1), 2: p.FirmwareVersion(patch, minor, major)}
                 answers[8] = p.UniqueId(1, 2, 3)
                 self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
-            case p.SetGains():
-                self._gains = p.Gains(part.kind, part.p, part.i, part.d)
-            case p.GetGains():
-                self._answers.append(self._gains)
 
     def step(self) -> None:
         """Moves on by one PERIOD."""
@@ -104,8 +99,6 @@ class EmulatedBase:
         """What it says now: what it streams by itself, then the answers to what it was asked."""
         left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
         angle = (round(self.turned / GYRO_UNIT) + 18000) % 36000 - 18000
-        sample = (0, 0, round(self._turn_rate / _RAW_GYRO_UNIT))
-        self._frames += 1
         answers, self._answers = self._answers, []
         return [
             p.CoreSensors(
@@ -122,11 +115,7 @@ class EmulatedBase:
                 battery=self.battery,
                 overcurrent=self.overcurrent,
             ),
-            p.DockInfrared(0, 0, 0),
             p.Inertia(angle, round(self._turn_rate / GYRO_UNIT)),
-            p.CliffAdc(2000, 2000, 2000),
-            p.Current(0, 0),
-            p.RawGyro(self._frames % 256, (sample, sample)),
-            p.GeneralInput(0, 0, 0, 0, 0),
+            *_BESIDES,
             *answers,
         ]

@@ -16,6 +16,7 @@ from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
 from tfg_drake.hardware.ros import conversions
+from tfg_drake.hardware.ros.map_messages import Fields, pose_fields, transform
 from tfg_drake.hardware.ros.preset import Preset
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
 from tfg_drake.simulation import differential_drive, laser_scanner, odometry, tag_sensor
@@ -28,8 +29,6 @@ SENSE_EVERY = 3
 ACCELERATION = 0.9
 # Commands and poses remembered: ten minutes.
 _REMEMBERED = 20_000
-
-Fields = dict[str, Any]
 
 
 class EmulatedTurtlebot:
@@ -98,7 +97,7 @@ class EmulatedTurtlebot:
         wheels = odometry.message(self._odometry)
         messages = {
             "odometry": _odometry({"stamp": stamp, "frame_id": frames.odom}, frames.base, wheels),
-            "tf": _transform({"stamp": stamp, "frame_id": frames.odom}, frames.base, wheels.X_OB),
+            "tf": transform({"stamp": stamp, "frame_id": frames.odom}, frames.base, wheels.X_OB),
         }
         if self._steps % SENSE_EVERY == 0:
             X_WS = se2.compose(X_WB, np.array([mount.x, mount.y, mount.yaw]))
@@ -142,27 +141,14 @@ class EmulatedTurtlebot:
         return np.zeros(n) if self._random is None else self._random.normal(size=n)
 
 
-def _pose(X: FloatArray) -> tuple[Fields, Fields]:
-    """Position and orientation."""
-    x, y, theta = X.tolist()
-    return {"x": x, "y": y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
-
-
 def _odometry(header: Fields, base: str, message: Odometry) -> Fields:
-    position, orientation = _pose(message.X_OB)
     v, w = message.V_B.tolist()
     return {
         "header": header,
         "child_frame_id": base,
-        "pose": {"pose": {"position": position, "orientation": orientation}},
+        "pose": {"pose": pose_fields(message.X_OB)},
         "twist": {"twist": conversions.twist(v, w)},
     }
-
-
-def _transform(header: Fields, base: str, X_OB: FloatArray) -> Fields:
-    translation, turn = _pose(X_OB)
-    transform = {"translation": translation, "rotation": turn}
-    return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
 
 
 def _scan(header: Fields, scan: LaserScan) -> Fields:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot, Fields
+from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
+from tfg_drake.hardware.ros.map_messages import Fields
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.ros2 import Ros2Graph
 

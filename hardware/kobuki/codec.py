@@ -14,7 +14,7 @@ import struct
 from collections.abc import Callable, Mapping
 
 from tfg_drake.hardware.kobuki import payloads
-from tfg_drake.hardware.kobuki.payloads import FirmwareVersion, HardwareVersion, RawGyro, SubPayload
+from tfg_drake.hardware.kobuki.payloads import FirmwareVersion, HardwareVersion, Other, SubPayload
 
 BAUD_RATE = 115200
 HEADER = b"\xaa\x55"
@@ -25,51 +25,19 @@ MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
 Kinds = Mapping[int, type[SubPayload]]
 COMMANDS: Kinds = {
     1: payloads.BaseControl,
-    3: payloads.Sound,
     4: payloads.SoundSequence,
     9: payloads.RequestExtra,
     12: payloads.GeneralOutput,
-    13: payloads.SetGains,
-    14: payloads.GetGains,
 }
 FEEDBACK: Kinds = {
     1: payloads.CoreSensors,
-    3: payloads.DockInfrared,
     4: payloads.Inertia,
-    5: payloads.CliffAdc,
-    6: payloads.Current,
     10: payloads.HardwareVersion,
     11: payloads.FirmwareVersion,
-    13: payloads.RawGyro,
-    16: payloads.GeneralInput,
     19: payloads.UniqueId,
-    21: payloads.Gains,
 }
 _ID = {kind: number for kinds in (COMMANDS, FEEDBACK) for number, kind in kinds.items()}
 
-# The data of each kind but RawGyro, whose length varies.
-_DATA: dict[type[SubPayload], struct.Struct] = {
-    kind: struct.Struct("<" + fields)
-    for kind, fields in (
-        (payloads.BaseControl, "hh"),
-        (payloads.Sound, "HB"),
-        (payloads.SoundSequence, "B"),
-        (payloads.RequestExtra, "H"),
-        (payloads.GeneralOutput, "H"),
-        (payloads.SetGains, "BIII"),
-        (payloads.GetGains, "B"),
-        (payloads.CoreSensors, "HBBBHHbbBBBB"),
-        (payloads.DockInfrared, "BBB"),
-        (payloads.Inertia, "hh3x"),
-        (payloads.CliffAdc, "HHH"),
-        (payloads.Current, "BB"),
-        (payloads.HardwareVersion, "BBBx"),
-        (payloads.FirmwareVersion, "BBBx"),
-        (payloads.GeneralInput, "HHHHH6x"),
-        (payloads.UniqueId, "III"),
-        (payloads.Gains, "BIII"),
-    )
-}
 # Versions that old firmware writes in two bytes, as (patch, minor, major).
 _OLD_VERSIONS: dict[type[SubPayload], dict[int, tuple[int, int, int]]] = {
     HardwareVersion: {104: (4, 0, 1)},
@@ -84,19 +52,18 @@ def checksum(body: bytes) -> int:
 
 def encode(*parts: SubPayload) -> bytes:
     """The frame that carries these sub-payloads. Raises ValueError where a number or the whole does not fit."""
-    payload = b"".join(bytes([_ID[type(part)], len(data)]) + data for part in parts for data in [_data(part)])
+    payload = b"".join(bytes([number, len(data)]) + data for number, data in map(_numbered, parts))
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload of {len(payload)} bytes; a frame carries {MIN_PAYLOAD} to {MAX_PAYLOAD}")
     body = bytes([len(payload)]) + payload
     return HEADER + body + bytes([checksum(body)])
 
 
-def _data(part: SubPayload) -> bytes:
+def _numbered(part: SubPayload) -> tuple[int, bytes]:
+    if isinstance(part, Other):
+        return part.number, part.content
     try:
-        if isinstance(part, RawGyro):
-            numbers = [number for sample in part.samples for number in sample]
-            return struct.pack(f"<BB{len(numbers)}h", part.frame_id, len(numbers), *numbers)
-        return _DATA[type(part)].pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
+        return _ID[type(part)], part.DATA.pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
     except struct.error as error:
         raise ValueError(f"{part}: {error}") from None
 
@@ -117,16 +84,11 @@ def decode(payload: bytes, kinds: Kinds) -> tuple[SubPayload, ...]:
 
 
 def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
-    if kind is RawGyro:
-        if len(data) < 2 or data[1] % 3 or len(data) != 2 + 2 * data[1]:
-            return None
-        numbers = struct.unpack(f"<{data[1]}h", data[2:])
-        return RawGyro(data[0], tuple(zip(numbers[0::3], numbers[1::3], numbers[2::3], strict=True)))
     make: Callable[..., SubPayload] = kind
     if kind in _OLD_VERSIONS and len(data) == 2:
         version = _OLD_VERSIONS[kind].get(int.from_bytes(data, "little"))
         return None if version is None else make(*version)
-    return make(*_DATA[kind].unpack(data)) if len(data) == _DATA[kind].size else None
+    return make(*kind.DATA.unpack(data)) if len(data) == kind.DATA.size else None
 
 
 def _tiled(payload: bytes) -> bool:
@@ -151,32 +113,25 @@ class Deframer:
 
     def feed(self, data: bytes) -> list[bytes]:
         """The payloads that are complete with these bytes, whose checksums are right."""
-        buffer, found = self._buffer, []
+        buffer, found, at = self._buffer, [], 0
         buffer += data
-        at = 0
-        while True:
-            start = buffer.find(HEADER, at)
-            if start < 0:
-                # Half a header may be the last byte.
-                at = len(buffer) - (buffer[-1:] == HEADER[:1])
-                break
+        while (start := buffer.find(HEADER, at)) >= 0:
             at = start
             if len(buffer) < at + 3:
                 break
             length = buffer[at + 2]
             end = at + 4 + length
-            if length < MIN_PAYLOAD:
-                self.bad += 1
-                at += 1
-                continue
-            if len(buffer) < end:
+            if length >= MIN_PAYLOAD and len(buffer) < end:
                 break
             body = bytes(buffer[at + 2 : end - 1])
-            if checksum(body) == buffer[end - 1] and _tiled(body[1:]):
+            if length >= MIN_PAYLOAD and checksum(body) == buffer[end - 1] and _tiled(body[1:]):
                 found.append(body[1:])
                 at = end
             else:
                 self.bad += 1
                 at += 1
+        else:
+            # Half a header may be the last byte.
+            at = len(buffer) - (buffer[-1:] == HEADER[:1])
         del buffer[:at]
         return found

@@ -2,17 +2,30 @@
 
 Source: the vendor's driver kobuki_core 1.4.0 (packets/*.hpp, command.cpp) and the protocol appendix of its developer
 guide; where they disagree, the driver's code. tfg_drake.hardware.kobuki.codec makes bytes of them,
-tfg_drake.hardware.kobuki.odometry SI units. "Gains times 1000", "0.1 V" and so on is the unit of the number.
+tfg_drake.hardware.kobuki.odometry SI units. "0.1 V" and so on is the unit of the number. What else a base says, of its
+dock, its motors' currents or its expansion port, nobody here reads.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from struct import Struct
+from typing import ClassVar
 
 
 @dataclasses.dataclass(frozen=True)
 class SubPayload:
-    """One sub-payload of a frame; each kind is a frozen dataclass."""
+    """One sub-payload of a frame; each kind is a frozen dataclass. DATA: how its fields stand in bytes."""
+
+    DATA: ClassVar[Struct]
+
+
+@dataclasses.dataclass(frozen=True)
+class Other(SubPayload):
+    """One that nobody here reads. number: its id. content: its bytes."""
+
+    number: int
+    content: bytes
 
 
 # --- Host to base ---
@@ -22,22 +35,16 @@ class SubPayload:
 class BaseControl(SubPayload):
     """How to drive. speed: of the outer wheel, mm/s. radius: of the arc, mm; 0 straight ahead, 1 turn in place."""
 
+    DATA = Struct("<hh")
     speed: int
     radius: int
-
-
-@dataclasses.dataclass(frozen=True)
-class Sound(SubPayload):
-    """A tone. note: 1 / (f * 2.75e-6 s) for the frequency f. duration: ms."""
-
-    note: int
-    duration: int
 
 
 @dataclasses.dataclass(frozen=True)
 class SoundSequence(SubPayload):
     """A tune. number: 0 on, 1 off, 2 recharge, 3 button, 4 error, 5 cleaning starts, 6 cleaning ends."""
 
+    DATA = Struct("<B")
     number: int
 
 
@@ -45,6 +52,7 @@ class SoundSequence(SubPayload):
 class RequestExtra(SubPayload):
     """Asks for what is not in every frame. flags: 1 hardware version, 2 firmware version, 8 unique id."""
 
+    DATA = Struct("<H")
     flags: int
 
 
@@ -53,24 +61,8 @@ class GeneralOutput(SubPayload):
     """All outputs at once. bits: 0x000F digital, 0x00F0 power (3.3 V, 5 V, 12 V 5 A, 12 V 1.5 A), 0x0F00 the LEDs' (red
     1, green 1, red 2, green 2). Power bits of 0 cut the power of sensors that hang on them."""
 
+    DATA = Struct("<H")
     bits: int
-
-
-@dataclasses.dataclass(frozen=True)
-class SetGains(SubPayload):
-    """Gains of the wheels' speed controller. kind: 0 the factory's, 1 the user's. p, i, d: gains times 1000."""
-
-    kind: int
-    p: int
-    i: int
-    d: int
-
-
-@dataclasses.dataclass(frozen=True)
-class GetGains(SubPayload):
-    """Asks for the gains; the base answers with Gains."""
-
-    unused: int = 0
 
 
 # --- Base to host ---
@@ -86,6 +78,7 @@ class CoreSensors(SubPayload):
     0.1 V. overcurrent: bits 1 left, 2 right.
     """
 
+    DATA = Struct("<HBBBHHbbBBBB")
     stamp: int
     bumper: int
     wheel_drop: int
@@ -101,64 +94,19 @@ class CoreSensors(SubPayload):
 
 
 @dataclasses.dataclass(frozen=True)
-class DockInfrared(SubPayload):
-    """The dock's beams at three receivers, as bits: 1, 2, 4 near left, centre, right; 8, 16, 32 far centre, left,
-    right."""
-
-    right: int
-    centre: int
-    left: int
-
-
-@dataclasses.dataclass(frozen=True)
 class Inertia(SubPayload):
     """The gyro about the vertical axis. angle: 0.01 degrees, integrated by the base. rate: 0.01 degrees/s."""
 
+    DATA = Struct("<hh3x")
     angle: int
     rate: int
-
-
-@dataclasses.dataclass(frozen=True)
-class CliffAdc(SubPayload):
-    """The cliff sensors' raw voltages, 0 to 4095."""
-
-    right: int
-    centre: int
-    left: int
-
-
-@dataclasses.dataclass(frozen=True)
-class Current(SubPayload):
-    """The motors' currents, 10 mA."""
-
-    left: int
-    right: int
-
-
-@dataclasses.dataclass(frozen=True)
-class RawGyro(SubPayload):
-    """Samples of the gyro since the frame before. frame_id: counts. samples: (x, y, z) of the chip's axes, 0.00875
-    degrees/s; about the body's axes that is (-y, x, z)."""
-
-    frame_id: int
-    samples: tuple[tuple[int, int, int], ...]
-
-
-@dataclasses.dataclass(frozen=True)
-class GeneralInput(SubPayload):
-    """The expansion port. digital: bits. analog_0 to analog_3: 0 to 4095."""
-
-    digital: int
-    analog_0: int
-    analog_1: int
-    analog_2: int
-    analog_3: int
 
 
 @dataclasses.dataclass(frozen=True)
 class HardwareVersion(SubPayload):
     """Version of the board."""
 
+    DATA = Struct("<BBBx")
     patch: int
     minor: int
     major: int
@@ -168,6 +116,7 @@ class HardwareVersion(SubPayload):
 class FirmwareVersion(SubPayload):
     """Version of the firmware."""
 
+    DATA = Struct("<BBBx")
     patch: int
     minor: int
     major: int
@@ -177,16 +126,7 @@ class FirmwareVersion(SubPayload):
 class UniqueId(SubPayload):
     """Three words that no other base has."""
 
+    DATA = Struct("<III")
     a: int
     b: int
     c: int
-
-
-@dataclasses.dataclass(frozen=True)
-class Gains(SubPayload):
-    """Gains of the wheels' speed controller, as SetGains."""
-
-    kind: int
-    p: int
-    i: int
-    d: int

@@ -113,7 +113,7 @@ def _grid(cells: Cells, cell: float, corner: FloatArray, stamp: float, frames: F
             "resolution": float(cell),
             "width": width,
             "height": height,
-            "origin": _pose(np.array([*corner, 0.0])),
+            "origin": pose_fields(np.array([*corner, 0.0])),
         },
         "data": array.array("b", cells.tobytes()),
     }
@@ -136,7 +136,7 @@ def markers(
     found: list[Fields] = [{"header": header, "action": DELETE_ALL}]
 
     def add(ns: str, kind: int, size: float, colour: Colour, **fields: Any) -> None:
-        marker = {"ns": ns, "id": len(found), "type": kind, "pose": _pose(np.zeros(3)), "color": _colour(colour)}
+        marker = {"ns": ns, "id": len(found), "type": kind, "pose": pose_fields(np.zeros(3)), "color": _colour(colour)}
         # Lines have no height and no thickness but x; letters only a height, z.
         scale = {"x": size, "y": 0.0 if kind == LINE_LIST else size, "z": 0.0 if kind == LINE_LIST else size}
         found.append({"header": header, "action": 0, **marker, "scale": scale, **fields})
@@ -153,14 +153,14 @@ def markers(
         outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance, corners=ELLIPSE_CORNERS))
         add("ellipses", LINE_LIST, 0.01, LANDMARK, points=_points(outlines.reshape(-1, 2)))
         for name, place in zip(estimate.ids.tolist(), estimate.p_ML, strict=True):
-            add("ids", TEXT, 0.2, LANDMARK, text=str(name), pose=_pose(np.array([*place, 0.0]), height=0.2))
+            add("ids", TEXT, 0.2, LANDMARK, text=str(name), pose=pose_fields(np.array([*place, 0.0]), height=0.2))
     if goal is not None and roadmap is not None and goal.stage == roadmap.stage and len(goal.candidates):
         share = np.clip(goal.gain / max(float(goal.gain.max()), 1e-9), 0.0, 1.0)
         colours = [_colour(colour) for colour in gain_colours(share)]
         places = _points(roadmap.points[goal.candidates])
         add("candidates", SPHERE_LIST, 0.12, FRONTIER, points=places, colors=colours)
     if goal is not None and goal.node >= 0:
-        add("goal", CYLINDER, 0.25, GOAL, pose=_pose(np.array([*goal.p_MG, 0.0])))
+        add("goal", CYLINDER, 0.25, GOAL, pose=pose_fields(np.array([*goal.p_MG, 0.0])))
     return {"markers": found}
 
 
@@ -170,7 +170,7 @@ def path(message: Path, stamp: float, frames: Frames) -> Fields:
     yaw = np.arctan2(along[:, 1], along[:, 0])
     header = _header(stamp, frames.map)
     poses = np.column_stack([message.points, np.append(yaw, yaw[-1:]) if len(yaw) else np.zeros(len(message.points))])
-    return {"header": header, "poses": [{"header": header, "pose": _pose(pose)} for pose in poses]}
+    return {"header": header, "poses": [{"header": header, "pose": pose_fields(pose)} for pose in poses]}
 
 
 def pose(message: PoseEstimate, frames: Frames) -> Fields:
@@ -179,7 +179,7 @@ def pose(message: PoseEstimate, frames: Frames) -> Fields:
     covariance[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance
     return {
         "header": _header(message.stamp, frames.map),
-        "pose": {"pose": _pose(message.X_MB), "covariance": covariance.ravel().tolist()},
+        "pose": {"pose": pose_fields(message.X_MB), "covariance": covariance.ravel().tolist()},
     }
 
 
@@ -187,17 +187,22 @@ def map_to_odom(message: PoseEstimate, odometry: Odometry, frames: Frames) -> Fi
     """tf2_msgs/TFMessage with X_MO = X_MB X_BO at the odometry's stamp (REP 105): with odom -> base_link, which the
     base publishes, it makes the estimate."""
     X_MO = compose(pose_at(message, odometry.stamp), inverse(odometry.X_OB))
-    at = _pose(X_MO)
-    transform = {"translation": at["position"], "rotation": at["orientation"]}
-    header = _header(odometry.stamp, frames.map)
-    return {"transforms": [{"header": header, "child_frame_id": frames.odom, "transform": transform}]}
+    return transform(_header(odometry.stamp, frames.map), frames.odom, X_MO)
+
+
+def transform(header: Fields, child: str, X: FloatArray) -> Fields:
+    """tf2_msgs/TFMessage of the pose X (3,) of a frame, its child, in the header's."""
+    at = pose_fields(X)
+    moved = {"translation": at["position"], "rotation": at["orientation"]}
+    return {"transforms": [{"header": header, "child_frame_id": child, "transform": moved}]}
 
 
 def _header(stamp: float, frame: str) -> Fields:
     return {"stamp": float(stamp), "frame_id": frame}
 
 
-def _pose(X: FloatArray, height: float = 0.0) -> Fields:
+def pose_fields(X: FloatArray, height: float = 0.0) -> Fields:
+    """geometry_msgs/Pose of a pose (3,) in the plane, so high above the floor, m."""
     x, y, theta = (float(value) for value in X)
     orientation = {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}
     return {"position": {"x": x, "y": y, "z": height}, "orientation": orientation}

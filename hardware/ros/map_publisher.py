@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
+from tfg_drake.hardware.announcements import Publisher
 from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
@@ -24,13 +23,6 @@ _KINDS = {
     "path": Path,
     "grid": GridMap,
 }
-
-
-class PublishingDevice(Protocol):
-    """Such as a tfg_drake.hardware.sensor_source.SensorSource on a ROS graph."""
-
-    def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message by its key in the preset's `publish`."""
 
 
 class MapPublisher(LeafSystem):
@@ -55,7 +47,7 @@ class MapPublisher(LeafSystem):
     exactly what was published. Stamps of what has none are those of the pose.
     """
 
-    def __init__(self, device: PublishingDevice, frames: Frames, clock: HostClock) -> None:
+    def __init__(self, device: Publisher, frames: Frames, clock: HostClock) -> None:
         """clock: the station's."""
         super().__init__()
         self.set_name("map_publisher")
@@ -70,7 +62,7 @@ class MapPublisher(LeafSystem):
         builder: DiagramBuilder,
         station: System,
         explorer: System,
-        device: PublishingDevice,
+        device: Publisher,
         frames: Frames,
         clock: HostClock,
     ) -> MapPublisher:

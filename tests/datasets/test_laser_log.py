@@ -10,8 +10,8 @@ import pytest
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.laser_log import METRES_PER_COUNT, SCANNER_AHEAD, SCANS_LATE, load_breezyslam, load_carmen
-from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.recording import DatasetError
+from tfg_drake.hardware.recordings import load_dataset
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 EXACT = OdometryConfig(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ def distances(x):
     columns = np.concatenate([2 * PAIRS[:, :1] + (0, 1), 2 * PAIRS[:, 1:] + (0, 1)], axis=1)
     toward = (d / length[:, None])[:, None]
     jacobian = np.concatenate([toward, -toward], axis=2) / 0.1
-    return [Rows(((length - DISTANCE) / 0.1)[:, None], columns, jacobian)]
+    return Rows(((length - DISTANCE) / 0.1)[:, None], columns, jacobian)
 
 
 def test_the_values_are_those_of_a_dense_solver():
@@ -34,7 +34,7 @@ def test_the_values_are_those_of_a_dense_solver():
     def residual(values):
         moved = start.copy()
         moved[free] = values
-        return distances(moved)[0].residual[:, 0]
+        return distances(moved).residual[:, 0]
 
     dense = least_squares(residual, start[free], xtol=1e-14, ftol=1e-14, gtol=1e-12)
     assert least == pytest.approx(dense.cost, rel=1e-6)
@@ -47,7 +47,7 @@ def test_an_unknown_that_nothing_determines_stays_near_its_value():
     """The sum of two unknowns is measured, a third is measured by nothing."""
 
     def linearise(x):
-        return [Rows(np.array([[x[0] + x[1] - 3.0]]), np.array([[0, 1]]), np.ones((1, 1, 2)))]
+        return Rows(np.array([[x[0] + x[1] - 3.0]]), np.array([[0, 1]]), np.ones((1, 1, 2)))
 
     x, least = minimise(linearise, np.array([1.0, 1.0, 7.0]), np.empty(0, dtype=np.int64), np.arange(3))
     np.testing.assert_allclose(x, [1.5, 1.5, 7.0], atol=1e-6)

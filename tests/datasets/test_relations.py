@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tfg_drake.datasets.load import load_dataset
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.relations import read_relations, relation_errors
 from tfg_drake.geometry import se2
+from tfg_drake.hardware.recordings import load_dataset
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "radish"
 

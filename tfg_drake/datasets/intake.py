@@ -162,7 +162,7 @@ def _moving(scans: Sequence[LaserScan], odometry: Sequence[Odometry], notes: lis
     """The scans without those that stay equal while the robot moves."""
     stamps = [one.stamp for one in odometry]
     kept: list[LaserScan] = []
-    for _, equal in itertools.groupby(scans, _Content):
+    for _, equal in itertools.groupby(scans, lambda scan: scan.ranges.tobytes()):
         run = list(equal)
         begin, end = (odometry[max(0, bisect.bisect_right(stamps, one.stamp) - 1)] for one in (run[0], run[-1]))
         step = np.abs(se2.between(begin.X_OB, end.X_OB))
@@ -172,16 +172,6 @@ def _moving(scans: Sequence[LaserScan], odometry: Sequence[Odometry], notes: lis
             run = run[:1]
         kept += run
     return tuple(kept)
-
-
-class _Content:
-    """Scans of the same ranges are the same."""
-
-    def __init__(self, scan: LaserScan) -> None:
-        self._ranges = scan.ranges
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Content) and np.array_equal(self._ranges, other._ranges)
 
 
 def _contradicted(odometry: Sequence[Odometry], stretches: FloatArray) -> list[Doubt]:

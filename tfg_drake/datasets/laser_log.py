@@ -22,7 +22,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, said_of_scanner
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
 from tfg_drake.datasets.rows import Rows, ShortRowError
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
@@ -37,6 +37,8 @@ NO_RETURN = 49.9
 SAME_GREATEST, LEAST_SAME, QUANTUM = 0.005, 100, 0.005
 # Of the scanners' ranges, m: their resolution of 1 cm and what the corrected poses have wrong.
 CARMEN_SIGMA = 0.02
+# Of any scanner but the rover's, m: rays that met something farther off are free so far and tell no more.
+OTHER_RANGE_MAX = 20.0
 # The poses are the scanner's own.
 EXACT_SCANNER = ScanConfig(yaw_deviation=0.0, mount_deviation=0.0, clock_deviation=0.0, sweep_deviation=0.0)
 _SAY_SPAN = "say what it spans, rad, by --set hardware.scanner.field_of_view=RAD"
@@ -67,22 +69,18 @@ ROVER_SIGMA = 0.03
 # What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
 SCANS_LATE = 0.17
 ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
-# Of another scanner in such a log, m: rays that met something farther off are free so far. Nobody knows its clock.
-OTHER_RANGE_MAX = 20.0
+# Of another scanner in such a log nobody knows the clock.
 OTHER_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05, clock_deviation=0.1)
 # Rays at either end that see the rover itself.
 _OWN = 70
 _FIRST = 24
 
 
-def load_carmen(
-    path: Path, model: OdometryConfig, seed: int, range_max: float = 20.0, scanner: Mapping[str, Any] | None = None
-) -> Recording:
+def load_carmen(path: Path, model: OdometryConfig, seed: int, scanner: Mapping[str, Any] | None = None) -> Recording:
     """The run in a file, which may be packed (.gz, .bz2).
 
-    model: errors of the odometry that is made from corrected poses. seed: of their draws. range_max: m; rays that met
-    something farther off are free so far and tell no more, rays without a return are left out. scanner: fields of
-    `RobotScannerConfig` that somebody has said; they win over what the log says.
+    model: errors of the odometry that is made from corrected poses. seed: of their draws. scanner: fields of
+    `RobotScannerConfig` that somebody has said; they win over what the log says. Rays without a return are left out.
 
     Raises:
         DatasetError: the file cannot be read, a line is broken, there are fewer than two scans in it, or what they span
@@ -106,7 +104,7 @@ def load_carmen(
         angles, order = rays[kind]
         ranges = one.ranges[order]
         met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
-        farthest = min(range_max, one.range_max, greatest)
+        farthest = min(OTHER_RANGE_MAX, one.range_max, greatest)
         within = np.where(ranges[met] <= farthest, ranges[met], math.inf)
         scans.append(LaserScan(float(stamp), angles[met], within, farthest, CARMEN_SIGMA))
     place = np.array([said.get("x", X_BS[0]), said.get("y", X_BS[1])]) if raw else np.zeros(2)
@@ -115,7 +113,7 @@ def load_carmen(
     arrivals = logged if raw and not untrue and (np.diff(logged) >= 0.0).all() else np.empty(0)
     return Recording(
         name=path.name.split(".")[0],
-        odometry=_told_odometry(stamps, poses) if raw else _noisy_odometry(stamps, poses, model, seed),
+        odometry=odometry_along(stamps, poses, tells_rest=True) if raw else _noisy_odometry(stamps, poses, model, seed),
         scans=tuple(_from_body(one, place) for one in scans),
         model=model,
         truth=None if raw else GroundTruth(stamps, poses, np.empty(0, dtype=np.int64), np.empty((0, 2))),
@@ -233,16 +231,6 @@ def _from_body(scan: LaserScan, place: FloatArray) -> LaserScan:
         return scan
     at_once, (x, y) = np.zeros(len(scan.angles)), place.tolist()
     return scan_of(Sweep(scan.stamp, scan.angles, scan.ranges, at_once, x, y, scan.range_max, scan.sigma), np.zeros(2))
-
-
-def _told_odometry(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
-    """What wheels have said at stamps (n,): poses (n, 3)."""
-    steps = np.vstack([np.zeros((1, 3)), se2.between(X_OB[:-1], X_OB[1:])])
-    steps[:, 2] = se2.wrap_angle(steps[:, 2])
-    dt = np.append(1.0, np.diff(stamps))
-    V_B = steps[:, [0, 2]] / np.where(dt > 0.0, dt, 1.0)[:, None]
-    told = zip(stamps, X_OB, V_B, (steps == 0.0).all(axis=1), strict=True)
-    return tuple(Odometry(float(stamp), X, V, bool(still)) for stamp, X, V, still in told)
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:

@@ -1,12 +1,12 @@
 """Sparse nonlinear least squares by the method of Levenberg and Marquardt.
 
-Whoever calls it linearises all residuals of one kind at once, in arrays; the normal equations are factored by SuperLU.
+Whoever calls it linearises all residuals at once, in arrays; the normal equations are factored by SuperLU.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMo
 
 @dataclass(frozen=True)
 class Rows:
-    """m residuals of one kind, linearised.
+    """m residuals, linearised.
 
     residual: (m, d), whitened. columns: (m, w), the unknowns that each depends on. jacobian: (m, d, w).
     """
@@ -40,12 +40,12 @@ class Rows:
 
 
 # The residuals at values (n,) of all unknowns.
-Linearise = Callable[[FloatArray], Sequence[Rows]]
+Linearise = Callable[[FloatArray], Rows]
 
 
-def cost(rows: Sequence[Rows]) -> float:
+def cost(rows: Rows) -> float:
     """Half the sum of the squared lengths of all residuals."""
-    return 0.5 * sum(float(np.sum(one.residual**2)) for one in rows)
+    return 0.5 * float(np.sum(rows.residual**2))
 
 
 def minimise(
@@ -85,33 +85,29 @@ def minimise(
     return x, least
 
 
-def _elimination_order(rows: Sequence[Rows], held: IntArray, blocks: IntArray) -> IntArray:
+def _elimination_order(rows: Rows, held: IntArray, blocks: IntArray) -> IntArray:
     """The free unknowns, by minimum degree: block by block, for that is found many times faster than one by one."""
     free = np.zeros(len(blocks), dtype=bool)
-    for one in rows:
-        free[one.columns] = True
+    free[rows.columns] = True
     free[held] = False
-    count = int(blocks.max()) + 1
-    ties = [blocks[one.columns] for one in rows]
-    incidence = _matrix([(np.ones((len(at), 1, at.shape[1])), at) for at in ties], count)
+    count, ties = int(blocks.max()) + 1, blocks[rows.columns]
+    incidence = _matrix(np.ones((len(ties), 1, ties.shape[1])), ties, count)
     pattern = incidence.T @ incidence + sparse.eye_array(count)
     position = splu(pattern.tocsc(), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
     unknowns = np.flatnonzero(free)
     return unknowns[np.argsort(position[blocks[unknowns]], kind="stable")]
 
 
-def _normal_equations(rows: Sequence[Rows], free: IntArray, n: int) -> tuple[sparse.csc_array, FloatArray]:
+def _normal_equations(rows: Rows, free: IntArray, n: int) -> tuple[sparse.csc_array, FloatArray]:
     """J^T J and J^T r by the free ones of n unknowns."""
-    J = _matrix([(one.jacobian, one.columns) for one in rows], n)[:, free]
-    return (J.T @ J).tocsc(), J.T @ np.concatenate([one.residual.ravel() for one in rows])
+    J = _matrix(rows.jacobian, rows.columns, n)[:, free]
+    return (J.T @ J).tocsc(), J.T @ rows.residual.ravel()
 
 
-def _matrix(parts: Sequence[tuple[FloatArray, IntArray]], n: int) -> sparse.csr_array:
-    """The sparse matrix of n columns with dense rows (m, d, w) at columns (m, w), those of a part below the last's."""
-    data = np.concatenate([values.ravel() for values, _ in parts])
-    columns = np.concatenate([np.repeat(at, values.shape[1], axis=0).ravel() for values, at in parts])
-    widths = np.concatenate([np.full(values.shape[0] * values.shape[1], values.shape[2]) for values, _ in parts])
-    return sparse.csr_array((data, columns, np.append(0, np.cumsum(widths))), shape=(len(widths), n))
+def _matrix(values: FloatArray, at: IntArray, n: int) -> sparse.csr_array:
+    """The sparse matrix of n columns with dense rows (m, d, w) at columns (m, w)."""
+    m, d, w = values.shape
+    return sparse.csr_array((values.ravel(), np.repeat(at, d, axis=0).ravel(), w * np.arange(m * d + 1)), (m * d, n))
 
 
 def _step(hessian: sparse.csc_array, gradient: FloatArray, damping: float) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.datasets.least_squares import cost
-from tfg_drake.datasets.planar_graph import Motions, PlanarGraph, Sightings
+from tfg_drake.datasets.planar_graph import PlanarGraph
 from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
@@ -44,8 +44,8 @@ class PoseGraph:
 
 def half_chi_square(graph: PoseGraph) -> float:
     """Half the sum of squared whitened errors at the graph's values."""
-    factors = _factors(graph)
-    return cost(factors.linearise(factors.unknowns(graph.X_MB, graph.p_ML)))
+    planar, rows = _planar(graph)
+    return cost(planar.linearise(_unknowns(graph.X_MB, graph.p_ML, rows)))
 
 
 def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None) -> PoseGraph:
@@ -56,50 +56,60 @@ def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None)
     the first one is held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is
     tied to no earlier one, or a landmark was never seen.
     """
-    factors = _factors(graph)
-    starts = []
+    planar, rows = _planar(graph)
+    starts, k = [], len(graph.pose_ids)
     if np.isfinite(graph.X_MB).all() and np.isfinite(graph.p_ML).all():
-        starts.append(factors.unknowns(graph.X_MB, graph.p_ML))
-    X_MB = np.full_like(graph.X_MB, np.nan)
-    X_MB[0] = 0.0
-    given = factors.held[np.isfinite(graph.X_MB[factors.held]).all(axis=1)]
-    X_MB[given] = graph.X_MB[given]
-    loose = np.setdiff1d(np.flatnonzero(np.isnan(X_MB[:, 0])), factors.motions.later())
+        starts.append(_unknowns(graph.X_MB, graph.p_ML, rows))
+    X_MB = np.where(planar.held[rows[:k], None], graph.X_MB, np.nan)
+    X_MB[0] = np.nan_to_num(X_MB[0])
+    loose = np.setdiff1d(graph.pose_ids[np.isnan(X_MB[:, 0])], graph.edges.max(axis=1))
     unseen = np.setdiff1d(graph.landmark_ids, graph.sightings[:, 1])
     if not len(loose) and not len(unseen):
-        x = factors.unknowns(X_MB, np.full_like(graph.p_ML, np.nan))
-        starts.append(factors.grown(x, lambda share: report(0.9 * share)))
+        x = _unknowns(X_MB, np.full_like(graph.p_ML, np.nan), rows)
+        starts.append(planar.grown(x, lambda share: report(0.9 * share)))
     elif not starts:
-        loose_pose = f"pose {graph.pose_ids[loose[0]]} is tied to no earlier pose" if len(loose) else ""
-        raise ValueError(loose_pose or f"landmark {unseen[0]} has no sighting")
-    x, _ = min((factors.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
-    x, _ = factors.solved(x)
+        raise ValueError(
+            f"pose {loose[0]} is tied to no earlier pose" if len(loose) else f"landmark {unseen[0]} has no sighting"
+        )
+    x, _ = min((planar.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
+    x, _ = planar.solved(x)
     report(1.0)
-    X_MB, p_ML = factors.parts(x)
-    return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=p_ML)
+    X_MB, X_ML = np.split(x.reshape(-1, 3)[rows], [k])
+    return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=X_ML[:, :2])
 
 
-def _factors(graph: PoseGraph) -> PlanarGraph:
-    fixed = graph.fixed if len(graph.fixed) else graph.pose_ids[:1]
+def _unknowns(X_MB: FloatArray, p_ML: FloatArray, rows: IntArray) -> FloatArray:
+    """The vector of poses and landmarks that stand in these rows of a PlanarGraph, poses first."""
+    X_M = np.empty((len(rows), 3))
+    X_M[rows] = np.vstack([X_MB, np.column_stack([p_ML, np.zeros(len(p_ML))])])
+    return X_M.ravel()
+
+
+def _planar(graph: PoseGraph) -> tuple[PlanarGraph, IntArray]:
+    """The graph as it grows, each landmark after the pose that sees it first, and the rows of its poses, then of its
+    landmarks."""
+    k, n = len(graph.pose_ids), len(graph.landmark_ids)
     ends = np.searchsorted(graph.pose_ids, graph.edges)
+    pose = np.searchsorted(graph.pose_ids, graph.sightings[:, 0])
+    landmark = np.searchsorted(graph.landmark_ids, graph.sightings[:, 1])
+    first_seen = np.full(n, k)
+    np.minimum.at(first_seen, landmark, pose)
+    order = np.argsort(np.append(np.arange(k), first_seen), kind="stable")
+    rows = np.argsort(order)
+    fixed = graph.fixed if len(graph.fixed) else graph.pose_ids[:1]
     # g2o has the error as it is seen from the measured pose.
     R_ji = np.zeros_like(graph.edge_information)
     c, s = np.cos(graph.X_ij[:, 2]), np.sin(graph.X_ij[:, 2])
     R_ji[:, 0, 0], R_ji[:, 0, 1], R_ji[:, 1, 0], R_ji[:, 1, 1], R_ji[:, 2, 2] = c, s, -s, c, 1.0
-    motions = Motions(ends[:, 0], ends[:, 1], graph.X_ij, _root(graph.edge_information) @ R_ji)
-    sightings = Sightings(
-        pose=np.searchsorted(graph.pose_ids, graph.sightings[:, 0]),
-        landmark=np.searchsorted(graph.landmark_ids, graph.sightings[:, 1]),
-        p_BL=graph.p_BL,
-        whitener=_root(graph.sighting_information),
-    )
-    return PlanarGraph(
-        poses=len(graph.pose_ids),
-        landmarks=len(graph.landmark_ids),
-        motions=motions.take(np.lexsort((ends.min(axis=1), ends.max(axis=1)))),
-        sightings=sightings.take(np.argsort(sightings.pose, kind="stable")),
-        held=np.searchsorted(graph.pose_ids, fixed),
-    )
+    whitener = np.zeros((len(ends) + len(pose), 3, 3))
+    whitener[: len(ends)] = _root(graph.edge_information) @ R_ji
+    whitener[len(ends) :, :2, :2] = _root(graph.sighting_information)
+    X_ij = np.vstack([graph.X_ij, np.column_stack([graph.p_BL, np.zeros(len(pose))])])
+    measured = rows[np.vstack([ends, np.column_stack([pose, k + landmark])])]
+    growing = np.lexsort((measured.min(axis=1), measured.max(axis=1)))
+    first, second = measured[growing].T
+    held = np.append(np.isin(graph.pose_ids, fixed), np.zeros(n, dtype=np.bool_))[order]
+    return PlanarGraph(order >= k, held, first, second, X_ij[growing], whitener[growing]), rows
 
 
 def _root(information: FloatArray) -> FloatArray:

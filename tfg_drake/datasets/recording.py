@@ -12,6 +12,7 @@ import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.config import OdometryConfig, ScanConfig
+from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
 from tfg_drake.notes import Note
 
@@ -80,6 +81,17 @@ def said_of_scanner(path: Path, said: Mapping[str, Any] | None) -> Mapping[str, 
             known = ", ".join(SAID_OF_SCANNER)
             raise DatasetError(f"--set hardware.scanner.{key}: {path} is a recording, of its scanner say {known}")
     return said or {}
+
+
+def odometry_along(stamps: FloatArray, X_OB: FloatArray, tells_rest: bool = False) -> tuple[Odometry, ...]:
+    """Odometry of which only the poses (n, 3) at stamps (n,), s, are known. tells_rest: a pose that stays tells that no
+    wheel has turned."""
+    steps = np.vstack([np.zeros((1, 3)), se2.between(X_OB[:-1], X_OB[1:])])
+    steps[:, 2] = se2.wrap_angle(steps[:, 2])
+    dt = np.append(1.0, np.diff(stamps))
+    V_B = steps[:, [0, 2]] / np.where(dt > 0.0, dt, 1.0)[:, None]
+    told = zip(stamps, X_OB, V_B, tells_rest & (steps == 0.0).all(axis=1), strict=True)
+    return tuple(Odometry(float(stamp), X, V, bool(still)) for stamp, X, V, still in told)
 
 
 def make_frames(

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.datasets.recording import DatasetError, Recording, odometry_along
 from tfg_drake.datasets.rows import read_table
 from tfg_drake.io.clock_unit import in_seconds
 from tfg_drake.messages import FloatArray, Odometry, TagDetections
@@ -114,7 +114,9 @@ def load_video(
         raise DatasetError(f"{odometry}: reaches from {span}: they need one clock")
     if len(inside) < len(seen):
         notes.append(f"{len(seen) - len(inside)} frames outside the odometry were left out")
-    return Recording(name, _moving(stamps, X_OB), tuple(inside), odometry_model(), None, (*mended, *_noted(notes)))
+    return Recording(
+        name, odometry_along(stamps, X_OB), tuple(inside), odometry_model(), None, (*mended, *_noted(notes))
+    )
 
 
 def _noted(lines: list[str]) -> tuple[Note, ...]:
@@ -125,14 +127,6 @@ def _standing(seen: list[TagDetections]) -> tuple[Odometry, ...]:
     """Odometry that says nothing, at every frame, and a moment before the first and after the last."""
     stamps = [seen[0].stamp - MOMENT, *(one.stamp for one in seen), seen[-1].stamp + MOMENT]
     return tuple(Odometry(stamp, np.zeros(3), np.zeros(2)) for stamp in stamps)
-
-
-def _moving(stamps: FloatArray, X_OB: FloatArray) -> tuple[Odometry, ...]:
-    d, dt = np.diff(X_OB, axis=0), np.diff(stamps)
-    c, s = np.cos(X_OB[:-1, 2]), np.sin(X_OB[:-1, 2])
-    turn = np.pi - np.mod(np.pi - d[:, 2], 2.0 * np.pi)
-    V_B = np.vstack([np.zeros((1, 2)), np.column_stack([c * d[:, 0] + s * d[:, 1], turn]) / dt[:, None]])
-    return tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
 
 
 def read_poses(path: Path) -> tuple[FloatArray, FloatArray, tuple[Note, ...]]:

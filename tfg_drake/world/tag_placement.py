@@ -39,7 +39,9 @@ def place_tags(
     tree = cKDTree(reachable)
     length = np.hypot(walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1])
     is_short = length < 0.5 * spacing
-    placed = _Placed(spacing)
+    # Wall, face and stretch of each tag, which are the order of the ids; where it is and the normal there.
+    keys: list[tuple[int, int, int]] = []
+    tags = np.zeros((0, 2, 2))
     for wall in np.argsort(is_short, kind="stable"):
         d = walls[wall, 2:] - walls[wall, :2]
         count = max(1, round(length[wall] / spacing))
@@ -49,44 +51,19 @@ def place_tags(
             for stretch in range(count):
                 for shift in _SHIFTS:
                     p = walls[wall, :2] + (stretch + 0.5 + shift) / count * d + TAG_OFFSET * normal
-                    if not placed.crowds(p, normal, apart) and _touched(p, normal, walls, tree, robot_radius):
-                        placed.add((int(wall), side, stretch), p, normal)
+                    if not _crowds(p, normal, tags, apart) and _touched(p, normal, walls, tree, robot_radius):
+                        keys.append((int(wall), side, stretch))
+                        tags = np.append(tags, [[p, normal]], axis=0)
                         break
-    return placed.tags()
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    p_WT, normals = tags[order, 0], tags[order, 1]
+    return np.arange(len(order)), p_WT, np.arctan2(normals[:, 1], normals[:, 0])
 
 
-class _Placed:
-    """The tags placed so far, in buckets of one spacing."""
-
-    def __init__(self, spacing: float) -> None:
-        self._spacing = spacing
-        self._keys: list[tuple[int, int, int]] = []  # (wall, side, stretch), the order of the ids
-        self._tags: list[tuple[FloatArray, FloatArray]] = []
-        self._buckets: dict[tuple[int, int], list[int]] = {}
-
-    def _bucket(self, p: FloatArray) -> tuple[int, int]:
-        return int(p[0] // self._spacing), int(p[1] // self._spacing)
-
-    def add(self, key: tuple[int, int, int], p: FloatArray, normal: FloatArray) -> None:
-        self._buckets.setdefault(self._bucket(p), []).append(len(self._tags))
-        self._keys.append(key)
-        self._tags.append((p, normal))
-
-    def crowds(self, p: FloatArray, normal: FloatArray, apart: float) -> bool:
-        """Whether a tag nearer than apart faces about the same way: the far face of a wall is another surface."""
-        i, j = self._bucket(p)
-        for bucket in [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]:
-            for k in self._buckets.get(bucket, []):
-                q, other = self._tags[k]
-                if np.hypot(*(p - q)) < apart and normal @ other > -0.5:
-                    return True
-        return False
-
-    def tags(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        order = sorted(range(len(self._keys)), key=self._keys.__getitem__)
-        p_WT = np.array([self._tags[k][0] for k in order]).reshape(-1, 2)
-        normal = np.array([self._tags[k][1] for k in order]).reshape(-1, 2)
-        return np.arange(len(order)), p_WT, np.arctan2(normal[:, 1], normal[:, 0])
+def _crowds(p: FloatArray, normal: FloatArray, tags: FloatArray, apart: float) -> bool:
+    """Whether a tag (n, 2, 2), its place and its normal, nearer than apart faces about the same way: the far face of a
+    wall is another surface."""
+    return bool(((np.hypot(*(p - tags[:, 0]).T) < apart) & (tags[:, 1] @ normal > -0.5)).any())
 
 
 def _touched(p: FloatArray, normal: FloatArray, walls: FloatArray, reachable: cKDTree, robot_radius: float) -> bool:
