@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 
-from tfg_drake.diagrams.parts import Factory, MakePart
+from tfg_drake.diagrams.parts import Factory, MakePart, PartsOf
 from tfg_drake.diagrams.scenario import CheckScenario, MakeKeepOut, Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, replace
@@ -93,7 +93,7 @@ def MakeTfgExplorer(
     truth.pose of a simulated one: it becomes the explorer's.
 
     Args:
-        scenario: see Scenario.
+        scenario: see Scenario; its explorer.parts names parts, too, which count where none is given here.
         goal_selector: chooses where to go, in place of an InfoGainGoalSelector.
         estimator: in place of a SlamEstimator.
         planner: in place of a PrmPlanner; without roadmap and local_roadmap where its goal_selector needs none.
@@ -104,11 +104,15 @@ def MakeTfgExplorer(
         TypeError: a part is given that is no such function.
     """
     CheckScenario(scenario)
+    given = {"estimator": estimator, "goal_selector": goal_selector, "planner": planner, "follower": follower}
+    own = PartsOf(scenario) | {role: factory for role, factory in given.items() if factory is not None}
     wiring = Wiring(scenario.reality.planning_time)
-    slam, tfg_builder = wiring.AddMapping(scenario, estimator)
-    selector = wiring.Add("goal_selector", MakePart("goal_selector", goal_selector, MakeGoalSelector, scenario))
-    prm = wiring.Add("prm_planner", MakePart("planner", planner, MakePlanner, scenario))
-    pursuit = wiring.Add("follower", MakePart("follower", follower, MakeFollower, scenario))
+    slam, tfg_builder = wiring.AddMapping(scenario, own.get("estimator"))
+    selector = wiring.Add(
+        "goal_selector", MakePart("goal_selector", own.get("goal_selector"), MakeGoalSelector, scenario)
+    )
+    prm = wiring.Add("prm_planner", MakePart("planner", own.get("planner"), MakePlanner, scenario))
+    pursuit = wiring.Add("follower", MakePart("follower", own.get("follower"), MakeFollower, scenario))
     sequencer = wiring.Add("mission_sequencer", MissionSequencer(scenario.robot, scenario.explorer.glance_period))
 
     wiring.FeedAll(slam, tfg_builder, selector, prm, pursuit, sequencer)

@@ -18,6 +18,7 @@ from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
 from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
 from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
+from tfg_drake.diagrams.parts import PartsOf
 from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario
 from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
 from tfg_drake.mission.manual_drive import DriveError, read_drive
@@ -51,6 +52,11 @@ class Method:
     source: str = ""
     knows_map: bool = True
 
+    @property
+    def takes_parts(self) -> bool:
+        """Whether it minds explorer.parts, as far as is known of it."""
+        return self.has_candidates or self.source.endswith(".py") or self.name == "own"
+
     def Check(self, scenario: Scenario) -> None:
         """Raises MethodError where the scenario lacks what the method needs, ScenarioError where the robot must not be
         where it starts."""
@@ -62,6 +68,8 @@ class Method:
             raise MethodError(f"{self.name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
         if scenario.explorer.known_map and not self.knows_map:
             raise MethodError(f"{self.name}: cannot begin with a map; leave --map out, or take another method: tfg")
+        if (parts := PartsOf(scenario)) and not self.takes_parts:
+            raise MethodError(f"{self.name}: takes no explorer.parts.{next(iter(parts))}; take another method: tfg")
         MakeKeepOut(scenario)
 
 

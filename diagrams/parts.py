@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import inspect
+import sys
 from collections.abc import Callable
+from pathlib import Path as FilePath
 
 from pydrake.systems.framework import Diagram, PortDataType, System
 
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import Scenario, ScenarioError
 from tfg_drake.messages import FollowerStatus, GoalChoice, MapEstimate, Path, PathStatus, PoseEstimate
 
 # A diagram needs a part of its own, and a scenario says of what: so a part is given as a function that makes one.
@@ -27,6 +31,30 @@ def CheckFactory(role: str, factory: Factory | None) -> None:
     if factory is not None and (isinstance(factory, System) or not callable(factory)):
         kind = type(factory).__name__
         raise TypeError(f"{role}: must be a function that makes one, not a {kind}: write lambda scenario: ...")
+
+
+def PartsOf(scenario: Scenario) -> dict[str, Factory]:
+    """The factories that explorer.parts names, by their roles; a module may lie in the working folder.
+
+    Raises ScenarioError where there is nothing of that name.
+    """
+    names = dataclasses.asdict(scenario.explorer.parts)
+    return {role: _FindFactory(f"explorer.parts.{role}", name) for role, name in names.items() if name}
+
+
+def _FindFactory(key: str, name: str) -> Factory:
+    """The function or class of a dotted name. Raises ScenarioError where there is none."""
+    module, _, factory = name.rpartition(".")
+    here = str(FilePath.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    try:
+        found = getattr(importlib.import_module(module), factory)
+    except (Exception, SystemExit) as error:
+        raise ScenarioError(f"{key}: {name}: {error}; name a function of a scenario or a class: module.Name") from error
+    if not callable(found):
+        raise ScenarioError(f"{key}: {name} is no function of a scenario, and no class")
+    return found
 
 
 def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scenario) -> System:

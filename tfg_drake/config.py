@@ -396,6 +396,17 @@ def as_it_is(belief: S, reality: Any) -> S:
 
 
 @dataclasses.dataclass
+class PartsConfig:
+    """Parts of one's own: each the dotted name of a function of the scenario that makes one, or of a class that is made
+    with the scenario, such as my_module.MyEstimator; "" for the usual one."""
+
+    estimator: str = ""
+    goal_selector: str = ""
+    planner: str = ""
+    follower: str = ""
+
+
+@dataclasses.dataclass
 class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 
@@ -447,6 +458,7 @@ class ExplorerConfig:
     landmarks: str = "both"
     # The file of a map of the building, or the folder of a run, that the mission begins with; "": none.
     known_map: str = ""
+    parts: PartsConfig = dataclasses.field(default_factory=PartsConfig)
 
 
 @dataclasses.dataclass

@@ -167,10 +167,13 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
     if method not in METHODS or not METHODS[method].has_candidates:
         names = ", ".join(name for name, one in METHODS.items() if one.has_candidates)
         raise ForkError(f"{run.folder}: its method {method} chooses from no candidates; fork a run of {names}")
+    scenario = LoadScenario(run.folder / "scenario.yaml")
+    if own := scenario.explorer.parts.goal_selector:
+        raise ForkError(f"{run.folder}: its goal selector is {own}, which is not known to choose from candidates")
     last = len(run.stages)
     if not 1 <= stage <= last:
         raise ForkError(f"stage {stage}: {run.folder} has the stages 1 to {last}")
-    return run, LoadScenario(run.folder / "scenario.yaml")
+    return run, scenario
 
 
 def check_same(run: Run, stages: Sequence[dict[str, Any]], stage: int) -> None:

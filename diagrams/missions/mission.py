@@ -22,6 +22,7 @@ from tfg_drake.diagrams.methods import Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.context_state import kinds_of, restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
+from tfg_drake.diagrams.parts import OUTPUTS
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
@@ -211,6 +212,10 @@ class Mission:
             if self._before is not None:
                 self._go_on(self._before)
             self.simulator.Initialize()
+            for ports in OUTPUTS.values():
+                for name, kind in ports.items():
+                    if not isinstance(kind, int):
+                        self.look_for(name, kind)
             self.observe()
         except (Exception, SystemExit) as error:
             if self._before is None or isinstance(error, CheckpointError):
@@ -573,7 +578,8 @@ class Mission:
         """The message at an output of the explorer now. Raises TypeError where it is of another kind."""
         value = self.explorer.GetOutputPort(port).Eval(self.explorer.GetMyContextFromRoot(self._context))
         if not isinstance(value, kind):
-            raise TypeError(f"{self.explorer.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
+            part = next((one for one in self.explorer.GetSystems() if one.HasOutputPort(port)), self.explorer)
+            raise TypeError(f"{part.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")
         return value
 
     def look_for(self, port: str, kind: type[T]) -> T | None:

@@ -104,10 +104,17 @@ def element_of(hint: Any) -> Any | None:
 
 def dtype_of(hint: Any) -> np.dtype[Any] | None:
     """The type of an array's entries, None for an annotation of anything else."""
+    hint = spelled_out(hint)
     if typing.get_origin(hint) is not np.ndarray:
         return None
     entry: type[np.generic] = typing.get_args(typing.get_args(hint)[1])[0]
     return np.dtype(entry)
+
+
+def spelled_out(hint: Any) -> Any:
+    """An annotation with what an alias of it stands for: NDArray is one of ndarray from numpy 2.5 on."""
+    value = getattr(typing.get_origin(hint), "__value__", None)
+    return hint if value is None else value[typing.get_args(hint)]
 
 
 def _check_class(kind: Any, registry: Registry, name: str) -> None:

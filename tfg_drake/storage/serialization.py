@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake import messages
-from tfg_drake.mapfile.message_arrays import dtype_of
+from tfg_drake.mapfile.message_arrays import dtype_of, spelled_out
 from tfg_drake.slam import noise, turn
 
 # Types of an array's entries.
@@ -208,7 +208,7 @@ def _scalar(kind: type) -> _Codec:
 
 def _allowed(hint: Any) -> Any:
     """The class or classes of the values with an annotation."""
-    return (int, float) if hint is float else typing.get_origin(hint) or hint
+    return (int, float) if hint is float else typing.get_origin(spelled_out(hint)) or hint
 
 
 def _dataclass(kind: Any) -> _Codec:
