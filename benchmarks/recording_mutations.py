@@ -225,7 +225,7 @@ def row(seed: int, good: bool) -> dict:
             notes = run_slam(path, Path(folder) / "run").summary["notes"]
             table = np.loadtxt(Path(folder) / "run" / "trajectory.tum")
             X = np.column_stack([table[:, 1:3], 2.0 * np.arctan2(table[:, 6], table[:, 7])])
-            rmse = error(table[:, 0] % recorded_drives.EPOCH, X, mutated.drive.truth)
+            rmse = error(_since_epoch(table[:, 0]), X, mutated.drive.truth)
             near = [one for one in notes if one["kind"] in mutated.kinds and _is_near(one["time_s"], mutated.time)]
             result = "right" if rmse <= RIGHT else "told" if near else "wrong"
         except BadInput as refusal:
@@ -246,7 +246,13 @@ def row(seed: int, good: bool) -> dict:
 
 
 def _is_near(time_s: float | None, at: float) -> bool:
-    return math.isnan(at) or time_s is None or abs(time_s % recorded_drives.EPOCH - at) <= NEAR
+    return math.isnan(at) or time_s is None or abs(float(_since_epoch(time_s)) - at) <= NEAR
+
+
+def _since_epoch(stamps: FloatArray | float) -> FloatArray:
+    """Seconds since the drive began, of stamps with or without the epoch, s."""
+    half = 0.5 * recorded_drives.EPOCH
+    return np.asarray((stamps + half) % recorded_drives.EPOCH - half)
 
 
 def main() -> None:

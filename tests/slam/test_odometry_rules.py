@@ -53,6 +53,8 @@ def test_what_a_base_can_drive_passes_as_it_is(speed, turn_rate, dt, start):
     [
         ((4.0, 0.0, 0.0), "odometry jumps by 4.0 m and 3 degrees"),
         ((0.0, 0.7, 0.0), "odometry jumps by 0.7 m and 3 degrees"),
+        # No farther than lost messages explain, but none are lost.
+        ((0.0, 0.3, 0.0), "odometry jumps by 0.3 m and 3 degrees"),
         ((0.0, 0.0, 2.0), "odometry jumps by 0.0 m and 117 degrees"),
     ],
 )

@@ -21,6 +21,8 @@ FASTEST, FASTEST_TURN = 5.0, 20.0
 USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
 # And so far beyond that, m and rad: stamps are late and messages get lost.
 LEAP, LEAP_TURN = 0.5, 0.5
+# One message that is farther than this from the last, m, is a jump where that would be faster than any robot.
+SUDDEN = 0.15
 # Odometry cannot be reckoned over a silence longer than this, s; the last velocity is believed for so long at most.
 SILENCE, HELD = 2.0, 1.0
 
@@ -65,7 +67,7 @@ def watch(
         max(0.0, state.beyond[1] + turned - min(max(USUAL_TURN, fastest_turn), FASTEST_TURN) * dt),
     )
     X_OR, unknown = state.X_OR, False
-    if beyond[0] > LEAP or beyond[1] > LEAP_TURN:
+    if beyond[0] > LEAP or beyond[1] > LEAP_TURN or far > max(SUDDEN, FASTEST * dt):
         X_OB = _driven(believed, min(dt, HELD))
         x, y, _ = _composed((0.0, 0.0, X_OB[2] - told.X_OB[2]), told.X_OB)
         X_OR, beyond, unknown = (X_OB[0] - x, X_OB[1] - y, X_OB[2] - told.X_OB[2]), state.beyond, True

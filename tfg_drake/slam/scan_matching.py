@@ -50,8 +50,9 @@ MOVES, SURELY = (0.05, 0.05), 5.0
 CONTRADICTS = (0.1, 0.1)
 # What contradicts it again so soon, s, does so all the time.
 ONE_STRETCH = 1.0
-# So many pairs that move tell something; where fewer than this share are explained nothing explains them.
-PAIRS, EXPLAINED = 12, 0.5
+# So many pairs that move tell something; where fewer than this share are explained nothing explains them. So many that
+# are explained tell a factor, if that is sure.
+PAIRS, EXPLAINED, TELL = 12, 0.5, 5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
 AGAINST = "scans turn against the odometry"
@@ -334,7 +335,7 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
     if refusal:
         return Verdict(refusal=refusal, against=refusal.startswith(AGAINST))
     time = float(found.begin[0]) if len(found.begin) else 0.0
-    turns, travels = found.turning[1] >= PAIRS, found.travelling[1] >= PAIRS
+    turns, travels = found.turning[1] >= TELL, found.travelling[1] >= TELL
     sure = SURELY * found.deviations
     verdict, told = Verdict(), {}
     if turns and abs(turn - 1.0) > max(LEAST_SCALE, sure[0]):
@@ -362,7 +363,7 @@ def _refusal(found: Comparison) -> str:
     sure = SURELY * found.deviations
     if max(turning, travelling) >= PAIRS and found.stands:
         return "the odometry stands while the scans move: it tells nothing of the way; record odometry that moves"
-    if turning >= PAIRS and turns >= EXPLAINED * turning:
+    if turning >= TELL and turns >= EXPLAINED * turning:
         if found.turn + sure[0] < -0.1:
             return (
                 f"{AGAINST} ({found.turn:.2f} times as far): the scanner is mounted upside down or mirrored, or the "
@@ -374,7 +375,7 @@ def _refusal(found: Comparison) -> str:
             )
         if found.turn - sure[0] > MOST_SCALE:
             return f"scans turn {found.turn:.2g} times as far as the odometry: see its unit, rad"
-    if travelling >= PAIRS and travels >= EXPLAINED * travelling:
+    if travelling >= TELL and travels >= EXPLAINED * travelling:
         if found.travel + sure[1] < 0.15:
             return f"scans travel {found.travel:.2g} times as far as the odometry: see its unit, m; or its wheels slip"
         if found.travel - sure[1] > MOST_SCALE:
