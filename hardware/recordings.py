@@ -85,7 +85,7 @@ def load_dataset(
 
 
 def load_recording(path: Path, **options: Any) -> Recording | PoseGraph:
-    """What `load_dataset` reads, a recording as far as it is believed. Raises DatasetError likewise."""
+    """Load a data set as `load_dataset` does, a recording as far as it is believed. Raises DatasetError likewise."""
     loaded = load_dataset(path, **options)
     return believed(loaded) if isinstance(loaded, Recording) else loaded
 

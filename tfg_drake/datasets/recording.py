@@ -1,4 +1,4 @@
-"""What a data set is once it is loaded: odometry, tag detections, a model of the odometry, and the truth if known."""
+"""A data set once it is loaded: odometry, tag detections, a model of the odometry, and the truth if known."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DatasetError(BadInput):
 
 @message
 class GroundTruth:
-    """What is known of the truth, any part of which may be empty.
+    """The truth as far as it is known; any part may be empty.
 
     stamps: (n,) s, X_WB: (n, 3) the body's poses. ids: (m,) ascending, p_WL: (m, 2) landmarks, m.
     """
@@ -71,7 +71,7 @@ class Recording:
 
 
 def said_of_scanner(path: Path, said: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """What somebody has said of a recording's scanner, by fields of `RobotScannerConfig`.
+    """Settings that the user gives for a recording's scanner, by fields of `RobotScannerConfig`.
 
     Raises:
         DatasetError: one of them is of robots alone.

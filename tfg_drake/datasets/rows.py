@@ -175,7 +175,7 @@ class Rows:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What was mended in the file, in one, or none."""
+        """A note of what was mended in the file, or none."""
         return (Note("file", None, f"{self.path.name}: {'; '.join(self._mended)}"),) if self._mended else ()
 
     def _split(self) -> Iterator[tuple[int, list[str]]]:

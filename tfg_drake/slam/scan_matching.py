@@ -131,7 +131,7 @@ class Comparison:
 
 @message
 class Verdict:
-    """What to correct: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
+    """Corrections: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
     bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or "".
     against: it is that the scans turn the other way."""
 
@@ -145,7 +145,7 @@ class Verdict:
 
     @property
     def lines(self) -> list[str]:
-        """What somebody can mend, a line each."""
+        """A line for each thing that somebody can mend."""
         return [self.refusal] if self.refusal else [note.text for note in self.notes]
 
 
@@ -160,7 +160,7 @@ class _Way:
         self._lost, self._found = self.stamps[unknown], self.stamps[unknown + 1]
 
     def tells(self, begin: FloatArray, end: FloatArray) -> BoolArray:
-        """Whether it is known from begin to end, each (n,), s."""
+        """Mask (n,) of the intervals from begin to end (n,), s, in which the way is known."""
         lost = np.searchsorted(self._lost, end) > np.searchsorted(self._found, begin, "right")
         return np.asarray((self.stamps[0] <= begin) & (end <= self.stamps[-1]) & ~lost)
 
@@ -184,7 +184,7 @@ class _Robust:
 
 
 def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
-    """Of A (n, d, k), y (n, d), in deviations, and the prior's information on each of x (k,), which is 0 by it."""
+    """Robust least squares A x = y of A (n, d, k), y (n, d), whitened, with prior information (k,) about x = 0."""
     weight = np.ones(len(y))
     for bound in (8.0, 4.0, ROBUST, ROBUST, ROBUST, ROBUST):
         information = np.einsum("n,nda,ndb->ab", weight, A, A) + np.diag(prior)
@@ -224,7 +224,7 @@ class _Pairs:
         return of_turn, of_way, np.column_stack([A @ of_way.x, turned * of_turn.x[0]])
 
     def cost(self, way: _Way, lag: float) -> float:
-        """Of all of them by a lag, s."""
+        """Robust cost of all pairs at a lag, s."""
         return sum(fit.cost for fit in self.fits(way, lag)[:2])
 
     def lag(self, way: _Way) -> tuple[float, float]:
@@ -243,7 +243,7 @@ class _Pairs:
 
 
 def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
-    """What scans say of the odometry; both in the order of their stamps. mount_known: whether the bearings of the scans
+    """Hold odometry against scans, both in the order of their stamps. mount_known: whether the bearings of the scans
     are those in the body frame; else they may be the scanner's own."""
     chosen = list(scans[:1])
     for scan in scans[1:]:
@@ -329,7 +329,7 @@ def _ways(scans: Sequence[LaserScan]) -> _Pairs:
 
 
 def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
-    """What of it is beyond doubt, and more than is learnt with the map anyway; a lag is from least_lag, s, on."""
+    """The verdict: corrections that are significant and too large to be learnt with the map; a lag from least_lag, s, on."""
     turn, travel, lag, yaw = found.turn, found.travel, found.lag, found.yaw
     refusal = _refusal(found)
     if refusal:
