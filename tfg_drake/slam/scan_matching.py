@@ -329,7 +329,7 @@ def _ways(scans: Sequence[LaserScan]) -> _Pairs:
 
 
 def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
-    """Judge which corrections are significant, and too large to be learnt with the map; a lag, from least_lag, s, on."""
+    """Judge which corrections are significant and too large to be learnt with the map; a lag, from least_lag, s, on."""
     turn, travel, lag, yaw = found.turn, found.travel, found.lag, found.yaw
     refusal = _refusal(found)
     if refusal:
