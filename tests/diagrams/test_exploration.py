@@ -29,6 +29,7 @@ from tfg_drake.mapfile.saved_map import load_map, restored_estimate
 from tfg_drake.messages import replace
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
+from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.systems.prm_planner import PrmPlanner
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 from tfg_drake.systems.slam_estimator import SlamEstimator
@@ -115,6 +116,20 @@ def test_a_part_without_a_port_is_told_by_its_name_when_it_is_built(role, made, 
     with pytest.raises(TypeError) as caught:
         tfg_drake.explore(bare(), until=0.0, **{role: made})
     assert str(caught.value) == line
+
+
+def test_a_part_with_another_message_is_told_before_it_drives():
+    with pytest.raises(TypeError) as caught:
+        tfg_drake.explore(bare(), until=0.0, goal_selector=lambda _: NumberAsGoal())
+    assert str(caught.value) == "goal_selector.goal must hold GoalChoice, not int"
+
+
+class NumberAsGoal(LeafSystem):
+    """A goal selector that says a number."""
+
+    def __init__(self):
+        super().__init__()
+        declare_message_output(self, "goal", lambda _context: 3, {self.nothing_ticket()})
 
 
 class PoseAsVelocity(LeafSystem):
