@@ -21,6 +21,7 @@ from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
+from tfg_drake.percent import percent
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
@@ -157,6 +158,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "online_pose_anees": None,
         **pose_errors(NO_POSES, NO_POSES),
         "surface_coverage": None,
+        "surface_coverage_5cm": None,
         "surface_phantom_m": None,
         "area_coverage": None,
         "area_seen_s": None,
@@ -235,10 +237,12 @@ def _title(summary: dict[str, Any]) -> str:
         )
     elif mapped or summary["walls_mapped"]:
         parts.append(f"{mapped} landmarks" if mapped else f"{summary['walls_mapped']} walls as landmarks")
+    if (share := summary["surface_coverage_5cm"]) is not None:
+        parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
     if summary["contacts"] is not None:
         parts.append(
-            f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
-            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+            f"mean error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m from the first drive on,"
+            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad"
         )
     return (
         f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"

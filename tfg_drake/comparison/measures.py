@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from tfg_drake.percent import percent
+
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
@@ -19,6 +21,10 @@ class Measure:
     unit: str
     digits: int
     read: Callable[[dict[str, Any]], float | None]
+
+    def shown(self, value: float) -> str:
+        """A value of it as a table shows it."""
+        return f"{percent(0.01 * value, self.digits) if self.unit == '%' else value:.{self.digits}f}"
 
     @property
     def label(self) -> str:
@@ -58,6 +64,7 @@ def cpu_idle(summary: dict[str, Any]) -> float | None:
 
 TIME = Measure("time", "s", 0, _field("sim_time_s"))
 POSITION = Measure("position error, mean", "m", 4, _field("position_error_m.mean"))
+MOVING = Measure("position error from the first drive on, mean", "m", 4, _field("position_error_moving_m.mean"))
 HEADING = Measure("heading error, mean", "rad", 5, _field("heading_error_rad.mean"))
 VARIABLES = Measure("variables of the map", "", 0, variables)
 MAP_SIZE = Measure("map on disk", "kB", 1, _field("map_bytes", 1e-3))
@@ -69,6 +76,7 @@ MEASURES = (
     Measure("time until nothing was left to explore", "s", 0, _field("explored_s")),
     Measure("distance", "m", 1, _field("distance_m")),
     POSITION,
+    MOVING,
     Measure("position error, max", "m", 4, _field("position_error_m.max")),
     HEADING,
     VARIABLES,
@@ -84,7 +92,8 @@ MEASURES = (
     Measure("pose ANEES", "", 2, _field("pose_anees")),
     Measure("pose ANEES, online", "", 2, _field("online_pose_anees")),
     Measure("area covered", "%", 2, _field("area_coverage", 100.0)),
-    Measure("surface covered", "%", 2, _field("surface_coverage", 100.0)),
+    Measure("surface covered within 5 cm", "%", 2, _field("surface_coverage_5cm", 100.0)),
+    Measure("surface covered within 25 cm", "%", 2, _field("surface_coverage", 100.0)),
     Measure("surface mapped in error", "m", 2, _field("surface_phantom_m")),
     Measure("contacts", "", 2, _field("contacts")),
     Measure("least clearance", "m", 3, _field("min_clearance_m")),
