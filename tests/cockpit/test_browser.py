@@ -118,13 +118,17 @@ def test_the_end_has_the_numbers_of_the_terminal(page):
     page.seek(10.0)
     numbers, card = page.text("numbers").splitlines(), page.text("card").splitlines()
     shown = dict(zip(card[1:-1:2], card[2::2], strict=False))
-    told = dict(table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_m": {"mean": 0.015, "max": 0.02}}))
+    told = dict(
+        table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_moving_m": {"mean": 0.015, "max": 0.02}})
+    )
     driven = dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"]
     assert driven == shown["driven"] == told["driven"].split(",")[0]
     assert shown["time"].split(",")[0] == told["time"].split(",")[0] == page.text("clock")
     assert page.text("time").endswith(f"of {page.text('clock')}")
     assert f"{shown['tags']}, map error {shown['map error']}" == told["tags"]
     assert told["pose error"].startswith(shown["pose error"] + ",")
+    assert shown["coverage"] == told["coverage"] == "100.0 % of the area, 99.9 % of the surface within 5 cm"
+    assert page("return [0.29, 0.9994, 1 - 1e-9, 1].map(percent)") == ["29.0 %", "99.9 %", "99.9 %", "100.0 %"]
     assert told["safety"] == f"contacts: {shown['contacts']}; least clearance - m"
     assert shown["contacts"] == "0 by the robot, 1 by others"
     assert page("return [2.25, 2.75, -0.06].map((value) => number(value, 1))") == ["2.2", "2.8", f"{-0.06:.1f}"]
@@ -489,7 +493,6 @@ def hostile(told, numbers, name=""):
 # Of the summary what the end's card does not show.
 FIELDS = [
     "heading_error_rad",
-    "surface_coverage",
     "real_time_factor",
     "landmarks_doubtful",
     "min_clearance_m",
