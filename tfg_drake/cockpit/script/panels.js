@@ -27,8 +27,8 @@ function number(value, digits, unit) {
   return roundings[digits].format(value) + (unit ? ` ${unit}` : "");
 }
 
-/** A share in per cent: less than all stays below 100. */
-const percent = (share) => number(share < 1 ? Math.min(100 * share, 99.9) : 100 * share, 1, "%");
+/** A share in per cent, on one line: less than all stays below 100. */
+const percent = (share) => `${number(share < 1 ? Math.min(100 * share, 99.9) : 100 * share, 1)}\u00a0%`;
 
 /** A time as it is told: a mission has ended when its summary says so, its recording a moment later. */
 function asTold(t) {
@@ -70,7 +70,7 @@ function tell() {
   const figures = [
     ["stage", stage, "One look in the map and the choice after it"],
     [
-      wallsAlone() ? "walls mapped" : looks && !sighted ? "landmarks mapped" : "tags mapped",
+      `${sighted ? "tags" : counted()} mapped`,
       `${value(wallsAlone() ? series.walls : series.tags, time) ?? 0}${looks && sighted ? `, ${sighted} seen` : ""}`,
       "Landmarks in the map; what is seen in the first look is mapped when that ends",
     ],
