@@ -241,8 +241,8 @@ def _title(summary: dict[str, Any]) -> str:
         parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
     if summary["contacts"] is not None:
         parts.append(
-            f"mean error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m from the first drive on,"
-            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad"
+            f"pose error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m mean from the first drive on,"
+            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad mean"
         )
     return (
         f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"

@@ -58,7 +58,7 @@ def test_tables(comparison):
     assert list(outcomes.header) == ["method", "runs", "complete", "stuck", "fault", "failed", "contacts in all"]
     assert outcomes.rows == [["a", "4", "4", "0", "0", "0", "4"], ["b", "4", "1", "1", "1", "1", "3"]]
     figures = {row[0]: row[1:] for row in found["Figures"].rows}
-    assert figures["landmark RMSE (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
+    assert figures["map error, RMSE of tags (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
     assert figures["CPU idle at real time (%)"][0].startswith("75.4 ± ")
     ratios = found["Ratio to a"]
     assert list(ratios.header) == ["", "b (2 pairs)"]

@@ -43,7 +43,7 @@ def _field(path: str, factor: float = 1.0) -> Callable[[dict[str, Any]], float |
 
 
 def mapped_share(summary: dict[str, Any]) -> float | None:
-    """Reachable landmarks in the map, %; None for a method without landmarks."""
+    """Reachable tags in the map, %; None where there are none, or for a method that maps none."""
     mapped, reachable = summary.get("landmarks_mapped"), summary.get("landmarks_reachable")
     return None if mapped is None or not reachable else 100.0 * float(mapped) / float(reachable)
 
@@ -85,10 +85,11 @@ MEASURES = (
     CPU_IDLE,
     Measure("stage's planning, median", "CPU ms", 1, _field("stage_ms.median")),
     Measure("goals", "", 1, _field("stages")),
-    Measure("landmarks mapped", "%", 2, mapped_share),
-    Measure("landmark RMSE", "m", 4, _field("landmark_rmse_m")),
-    Measure("landmark RMSE, aligned", "m", 4, _field("landmark_rmse_aligned_m")),
-    Measure("landmark ANEES", "", 2, _field("landmark_anees")),
+    Measure("tags mapped", "%", 2, mapped_share),
+    Measure("walls mapped", "", 1, _field("walls_mapped")),
+    Measure("map error, RMSE of tags", "m", 4, _field("landmark_rmse_m")),
+    Measure("map error, RMSE of tags, aligned", "m", 4, _field("landmark_rmse_aligned_m")),
+    Measure("tag ANEES", "", 2, _field("landmark_anees")),
     Measure("pose ANEES", "", 2, _field("pose_anees")),
     Measure("pose ANEES, online", "", 2, _field("online_pose_anees")),
     Measure("area covered", "%", 2, _field("area_coverage", 100.0)),

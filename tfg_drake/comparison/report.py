@@ -134,11 +134,16 @@ def _outcome_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
 
 def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
     rows = []
-    for measure in MEASURES:
+    for measure in _measures(runs):
         spreads = [spread(sample(runs, method, measure.read)) for method in methods]
         rows.append([measure.label, *(text(one, measure) for one in spreads)])
     note = "Mean ± standard deviation over the runs, and the 95 % bootstrap interval of the mean."
     return Table("Figures", note, ("", *methods), rows)
+
+
+def _measures(runs: Sequence[Run]) -> list[Measure]:
+    """Those that some run has: where no tags are, none of them."""
+    return [one for one in MEASURES if any(run.summary and one.read(run.summary) is not None for run in runs)]
 
 
 def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
@@ -148,7 +153,7 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
     pairs = {method: len(seeds[first] & seeds[method]) for method in others}
     header = ("", *(f"{method} ({pairs[method]} pairs)" for method in others))
     differences, ratios = [], []
-    for measure in MEASURES:
+    for measure in _measures(runs):
         mine = values(runs, first, measure.read)
         both = [paired(mine, values(runs, method, measure.read)) for method in others]
         differences.append([measure.label, *(_signed(difference(*one), measure.digits, len(one[0])) for one in both)])

@@ -22,7 +22,7 @@ def test_nothing_changed_is_no_difference(call, original, tmp_path):
     for name in ("stages.jsonl", "trajectory.tum", "map.npz"):
         assert (out / name).read_bytes() == (original.folder / name).read_bytes(), name
     table = said.partition("\n\n")[2].splitlines()[2:-1]
-    assert len(table) == 10
+    assert len(table) == 11
     assert all(line.endswith("=") for line in table)
 
 
