@@ -17,7 +17,7 @@ SHOWN = 5
 # What is compared: name, how to read it of a summary, its format.
 _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], Any], str], ...] = (
     ("time", lambda s: s["sim_time_s"], "{:.1f} s"),
-    ("distance", lambda s: s["distance_m"], "{:.1f} m"),
+    ("driven", lambda s: s["distance_m"], "{:.1f} m"),
     ("stages", lambda s: s["stages"], "{:.0f}"),
     ("position error", lambda s: s.get("position_error_moving_m", {}).get("mean"), "{:.4f} m"),
     ("heading error", lambda s: s["heading_error_rad"]["mean"], "{:.5f} rad"),

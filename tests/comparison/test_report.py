@@ -130,7 +130,7 @@ def test_one_run_and_none_have_no_interval():
 
 
 def test_a_mean_of_shares_below_all_is_not_shown_as_all():
-    area = next(measure for measure in MEASURES if measure.name == "area covered")
+    area = next(measure for measure in MEASURES if measure.name == "area seen")
     runs = [Run("tfg", seed, Path(), summary(area_coverage=share)) for seed, share in enumerate((1.0, 0.99996))]
     shown = text(spread(sample(runs, "tfg", area.read)), area)
     assert shown == "99.99 ± 0.00 (99.99 to 100.00)"
