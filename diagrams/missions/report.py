@@ -228,23 +228,24 @@ def _title(summary: dict[str, Any]) -> str:
     def value(number: float | None, form: str) -> str:
         return "-" if number is None else form.format(number)
 
-    parts = []
+    parts, error = [], ""
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
     if mapped is not None and reachable:
         parts.append(
-            f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f"{mapped} of {reachable} tags, map error {value(summary['landmark_rmse_m'], '{:.3f}')} m RMSE"
             f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     elif mapped or summary["walls_mapped"]:
-        parts.append(f"{mapped} landmarks" if mapped else f"{summary['walls_mapped']} walls as landmarks")
+        parts.append(f"{mapped} tags" if mapped else f"{summary['walls_mapped']} walls")
     if (share := summary["surface_coverage_5cm"]) is not None:
         parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
     if summary["contacts"] is not None:
-        parts.append(
+        error = (
             f"pose error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m mean from the first drive on,"
             f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad mean"
         )
+    ended = f"{summary['outcome'].replace('_', ' ')} after {summary['sim_time_s']:.1f} s"
     return (
-        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
-        f" {summary['sim_time_s']:.1f} s, {summary['distance_m']:.1f} m, {summary['stages']} stages\n{'; '.join(parts)}"
-    )
+        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {ended}, {summary['distance_m']:.1f} m,"
+        f" {summary['stages']} stages\n{'; '.join(parts)}\n{error}"
+    ).rstrip()
