@@ -135,7 +135,7 @@ def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
     drawing."""
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     height = float(np.clip(_WIDTH * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
-    figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, height + 0.7 + 0.2 * len(title.splitlines())), layout="constrained")
     axes = figure.add_subplot()
     axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.tick_params(labelsize=8, colors="0.35")
