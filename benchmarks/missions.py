@@ -45,6 +45,7 @@ COLUMNS = {
     "online": lambda s: s["online_pose_anees"],
     "area": lambda s: s["area_coverage"],
     "surface": lambda s: s["surface_coverage"],
+    "within 5cm": lambda s: s["surface_coverage_5cm"],
     "phantom": lambda s: s["surface_phantom_m"],
     "time s": lambda s: s["sim_time_s"],
     "dist m": lambda s: s["distance_m"],

@@ -37,6 +37,7 @@ from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario,
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import PrepareScenario, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.mapfile.summary import landmark_counts
 from tfg_drake.messages import FloatArray, MapEstimate, MissionStatus, TfgMap
 from tfg_drake.storage.run import Run
 
@@ -371,8 +372,8 @@ class Exploration:
         return buffer.getvalue()
 
     def __repr__(self) -> str:
-        landmarks = len(self.map.ids) if self.map is not None else 0
+        landmarks = landmark_counts(len(self.map.ids) if self.map is not None else 0, self._mission.walls)
         return (
             f"<{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s,"
-            f" {len(self.stages)} stages, {landmarks} landmarks>"
+            f" {len(self.stages)} stages, {landmarks}>"
         )

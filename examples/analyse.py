@@ -1,4 +1,4 @@
-"""What a run's folder holds, as arrays: how the errors of position and landmarks compare with what was stated.
+"""What a run's folder holds, as arrays: how the errors of position and tags compare with what was stated.
 
 tfg-drake explore house --headless --out runs/analysed
 python examples/analyse.py runs/analysed
@@ -20,12 +20,13 @@ for quarter in np.array_split(np.arange(len(error)), 4):
     begin, end = run.stamps[quarter[[0, -1]]]
     print(f"{begin:5.0f} to {end:3.0f} s: position error {error[quarter].mean():.3f} m")
 
-deviation = np.sqrt(np.trace(run.map.landmark_covariance, axis1=1, axis2=2))
-print(f"landmarks: RMSE {run.summary['landmark_rmse_m']:.3f} m, stated {np.sqrt(np.mean(deviation**2)):.3f} m")
-
-tags = run.port("tags.detections")
-seen, times = np.unique(tags["ids"], return_counts=True)
-print(f"{len(tags['time'])} frames; tag {seen[times.argmax()]} was seen {times.max()} times")
+print(f"{run.summary['walls_mapped']} walls, {run.summary['surface_coverage_5cm']:.3f} of the surface within 5 cm")
+if len(run.map.ids):
+    deviation = np.sqrt(np.trace(run.map.landmark_covariance, axis1=1, axis2=2))
+    print(f"tags: RMSE {run.summary['landmark_rmse_m']:.3f} m, stated {np.sqrt(np.mean(deviation**2)):.3f} m")
+    tags = run.port("tags.detections")
+    seen, times = np.unique(tags["ids"], return_counts=True)
+    print(f"{len(tags['time'])} frames; tag {seen[times.argmax()]} was seen {times.max()} times")
 
 gains = [(s["predicted_gain"], s["realised_gain"]) for s in run.stages if s["predicted_gain"] is not None]
 print("gain at goals, nats, predicted and realised:", np.round(np.mean(gains, axis=0), 1) if gains else "no goal yet")

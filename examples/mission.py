@@ -5,10 +5,10 @@ import tfg_drake
 house = tfg_drake.explore("house", seed=3, until=60.0)  # s
 print(house)
 
-# What a port of explorer or station carries now, and how well the landmarks are known.
+# What a port of explorer or station carries now, and how well the tags are known.
 print("robot at", house.look("truth.pose")[:2], "goal:", house.look("goal").reason)
 deviation = house.map.landmark_covariance.trace(axis1=1, axis2=2) ** 0.5
-print(f"{len(house.map.ids)} landmarks, the least known to {deviation.max():.3f} m")
+print(f"{len(house.map.ids)} tags, the least known to {deviation.max():.3f} m")
 
 # Drake's objects: the diagram drawn by Graphviz, the Context cloned and driven on by itself.
 print(

@@ -26,6 +26,8 @@ from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.mission_diagram import ConnectStation
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
+from tfg_drake.mapfile.summary import landmark_counts
+from tfg_drake.messages import is_tag
 from tfg_drake.systems.visualizer import TfgVisualizer
 
 
@@ -76,7 +78,9 @@ def Run(scenario: Scenario, *, max_time: float, graphviz: Path | None, **made_of
     def Look(system: System, port: str) -> Any:
         return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(context))
 
-    print(f"{status.FormatMessage()}\n{len(Look(explorer, 'map').ids)} landmarks after {context.get_time():.0f} s")
+    tags = is_tag(Look(explorer, "landmarks").ids)
+    mapped = landmark_counts(np.count_nonzero(tags), np.count_nonzero(~tags) // 2)  # a wall has two points
+    print(f"{status.FormatMessage()}\n{mapped} after {context.get_time():.0f} s")
     if simulated:
         truth = diagram.GetSubsystemByName("truth_log").FindLog(context).data()
         driven = np.hypot(*np.diff(truth[:2], axis=1)).sum()

@@ -20,6 +20,7 @@ from tfg_drake.hardware.remarks import battery, where
 from tfg_drake.hardware.robot_devices import RobotDevices
 from tfg_drake.hardware.sensor import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.percent import percent
 
 # How long is listened, s, and how often it is looked whether anything has come.
 LISTENS, LOOKS_EVERY = 2.0, 0.02
@@ -105,7 +106,7 @@ def refuse(checks: Sequence[Check]) -> None:
 def _battery(state: BaseState | None) -> Check:
     if state is None:
         return Check("battery", "the base says nothing of it")
-    level = f"{100.0 * state.charge:.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
+    level = f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
     charger = f"take the robot off its {state.charger}" if state.charger else ""
     return Check("battery", level, "charge it" if battery(state) else charger)
 

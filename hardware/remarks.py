@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.messages import Hazards, message, replace
+from tfg_drake.percent import percent
 
 # What was over for so long is told anew when it begins again, s.
 QUIET = 1.0
@@ -87,7 +88,7 @@ def where(bits: int) -> str:
 
 def battery(state: BaseState) -> dict[str, Remark]:
     """What is to be told of a battery: "battery low", "battery dangerous" or nothing."""
-    left = f"{100.0 * state.charge:.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
+    left = f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
     if state.battery_level == "low":
         line = f"the battery is low, {left}: the mission ends, at home if explorer.return_home is set"
         return {"battery low": Remark(line, LOW_LASTS)}
@@ -129,7 +130,7 @@ def _counted(before: Watch, state: BaseState | None) -> Watch:
 def _frames(watch: Watch) -> dict[str, Remark]:
     counts = (("arrive corrupt", watch.bad), ("are lost", watch.lost))
     return {
-        what: Remark(f"{100.0 * shares[1]:.0f} % of the base's frames {what}; the robot drives on; check the cable")
+        what: Remark(f"{percent(shares[1], 0):.0f} % of the base's frames {what}; the robot drives on; check the cable")
         for what, shares in counts
         if min(shares) >= SHARE
     }

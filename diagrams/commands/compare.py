@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tfg_drake.comparison.measures import POSITION, TIME
+from tfg_drake.comparison.measures import MOVING, TIME
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.missions.sweep import Task, open_sweep, run_local
@@ -86,7 +86,8 @@ def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
     for method in methods:
         outcomes = Counter(run.outcome for run in runs if run.method == method)
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
-        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, POSITION))
-        means = f"; time {time:.0f} s, position error {position:.3f} m" if math.isfinite(time + position) else ""
+        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, MOVING))
+        error = f", position error {position:.3f} m from the first drive on" if math.isfinite(position) else ""
+        means = f"; time {time:.0f} s{error}" if math.isfinite(time) else ""
         lines.append(f"{method:<13} {counts}{means}")
     return lines

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.percent import percent
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -249,7 +250,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     def number(value: float | None, form: str, factor: float = 1.0) -> str:
         return "-" if value is None else form.format(factor * value)
 
-    position, heading = summary["position_error_m"] or {}, summary["heading_error_rad"] or {}
+    position, heading = summary["position_error_moving_m"] or {}, summary["heading_error_rad"] or {}
     mapped, present = summary["landmarks_mapped"], summary["landmarks_reachable"]
     rows = {
         "outcome": f"{summary['outcome']}: {summary['reason']}",
@@ -283,12 +284,13 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
             rows["known map"] = f"the robot found itself at {found:.0f} s; changed since: {told(changes)}"
     if position.get("mean") is not None:
         rows["pose error"] = (
-            f"{number(position['mean'], '{:.3f}')} m mean, {number(position['max'], '{:.3f}')} m max;"
+            f"{number(position['mean'], '{:.3f}')} m mean from the first drive on,"
+            f" {number(position['max'], '{:.3f}')} m max;"
             f" {number(heading.get('mean'), '{:.4f}')} rad mean"
         )
-    if summary["surface_coverage"] is not None:
-        shares = {"area": summary["area_coverage"], "surface": summary["surface_coverage"]}
-        known = [f"{100.0 * share:.1f} % of the {what}" for what, share in shares.items() if share is not None]
+    if summary["surface_coverage_5cm"] is not None:
+        shares = {"area": summary["area_coverage"], "surface within 5 cm": summary["surface_coverage_5cm"]}
+        known = [f"{percent(share):.1f} % of the {what}" for what, share in shares.items() if share is not None]
         rows["coverage"] = ", ".join(known)
     if summary["contacts"] is not None:
         clearance = number(summary["min_clearance_m"], "{:.2f}")

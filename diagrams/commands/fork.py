@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tfg_drake.percent import percent
+
 if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.fork import Candidate
 
@@ -15,20 +17,21 @@ SHOWN = 5
 # What is compared: name, how to read it of a summary, its format.
 _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], Any], str], ...] = (
     ("time", lambda s: s["sim_time_s"], "{:.1f} s"),
-    ("distance", lambda s: s["distance_m"], "{:.1f} m"),
+    ("driven", lambda s: s["distance_m"], "{:.1f} m"),
     ("stages", lambda s: s["stages"], "{:.0f}"),
-    ("position error", lambda s: s["position_error_m"]["mean"], "{:.4f} m"),
+    ("position error", lambda s: s.get("position_error_moving_m", {}).get("mean"), "{:.4f} m"),
     ("heading error", lambda s: s["heading_error_rad"]["mean"], "{:.5f} rad"),
-    ("landmark RMSE", lambda s: s["landmark_rmse_m"], "{:.4f} m"),
-    ("landmarks mapped", lambda s: s["landmarks_mapped"], "{:.0f}"),
-    ("surface covered", lambda s: _percent(s["surface_coverage"]), "{:.2f} %"),
+    ("map error", lambda s: s["landmark_rmse_m"], "{:.4f} m RMSE"),
+    ("tags mapped", lambda s: s["landmarks_mapped"] if s.get("landmarks_reachable") else None, "{:.0f}"),
+    ("walls mapped", lambda s: s.get("walls_mapped") or None, "{:.0f}"),
+    ("surface within 5 cm", lambda s: _percent(s.get("surface_coverage_5cm")), "{:.2f} %"),
     ("area seen", lambda s: _percent(s["area_coverage"]), "{:.2f} %"),
     ("entropy", lambda s: s["landmark_entropy_nats"], "{:.1f} nats"),
 )
 
 
 def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
+    return None if share is None else percent(share, 2)
 
 
 def difference_rows(before: dict[str, Any], after: dict[str, Any]) -> list[tuple[str, str, str, str]]:

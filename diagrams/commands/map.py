@@ -102,6 +102,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a map in another format. A grid (map_server) has its image beside OUT, a graph (gtsam) its .values."""
+    from tfg_drake.mapfile.summary import landmark_counts
+
     if name is None:
         name = next((one for one, (suffix, _, _) in FORMATS.items() if suffix == out.suffix.lower()), None)
         if name is None:
@@ -129,8 +131,7 @@ def export(
     files = [out, out.with_suffix(BESIDE[name])] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
     walls = (len(saved.graph.ids) - len(saved.ids)) // 2
-    landmarks = f"{len(saved.ids)} landmarks" if len(saved.ids) or not walls else f"{walls} walls"
-    print(f"{', '.join(map(str, files))}: {landmarks}, {size / 1e3:.0f} kB")
+    print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), walls)}, {size / 1e3:.0f} kB")
 
 
 def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
@@ -184,7 +185,7 @@ def _draw(saved: SavedMap, map_file: Path, out: Path) -> None:
     from tfg_drake.pictures.figure import draw_map
 
     rows = dict(map_rows(saved, map_file.stat().st_size))
-    known = "; ".join(rows[name] for name in ("deviation", "walls") if rows.get(name, "-") != "-")
+    known = "; ".join(f"{name} {rows[name]}" for name in ("tags", "walls") if name in rows)
     draw_map(out, f"{map_file}: {rows['landmarks']}, {rows['views']}\n{known}", saved)
 
 
@@ -199,13 +200,15 @@ def _write_page(saved: SavedMap, map_file: Path, out: Path) -> None:
 def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
     """Make one map of two of the same place, in the frame of the first."""
     from tfg_drake.mapfile.merge import merge as merged
+    from tfg_drake.mapfile.summary import landmark_counts
 
     a, b = _load(first), _load(second)
     both = merged(a, b)
     _save(both, out)
     tags = len(a.ids) + len(b.ids) - len(both.ids)
     walls = (len(a.graph.ids) + len(b.graph.ids) - len(both.graph.ids) - tags) // 2
-    print(f"{out}: {len(both.ids)} landmarks; {tags} of them and {walls} walls are in both maps")
+    of_both = landmark_counts(len(both.ids), (len(both.graph.ids) - len(both.ids)) // 2)
+    print(f"{out}: {of_both}; in both maps: {landmark_counts(tags, walls)}")
     if disputed := sorted({*both.doubtful.tolist()} - {*a.doubtful.tolist(), *b.doubtful.tolist()}):
         print(f"doubtful, for they stand elsewhere in {second}: tags {', '.join(map(str, disputed))}")
 

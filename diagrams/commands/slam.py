@@ -33,6 +33,7 @@ from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
 from tfg_drake.messages import is_tag, replace
 from tfg_drake.notes import Note
+from tfg_drake.percent import percent
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.trajectory import write_tum
@@ -65,7 +66,7 @@ class Progress:
         self._show, self._interrupted = show, interrupted
 
     def __call__(self, part: str, share: float) -> None:
-        self.say(f"{part} {100.0 * share:3.0f} %")
+        self.say(f"{part} {percent(share, 0):3.0f} %")
 
     def say(self, text: str) -> None:
         """Shows something else of the work. Raises Interrupted, likewise."""

@@ -16,14 +16,14 @@ from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
-from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_surface, reachable_tags
+from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
 from tfg_drake.world.world import World
 
 # What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
 # but corners that a scan happens to miss.
 EVERY = 4
 NEARLY_ALL = 0.99
-# Scans this near to where a turn or glance began count, m.
+# Scans this near to where a turn or glance began count, and a robot this near to its start has not driven yet, m.
 IN_PLACE = 0.1
 
 
@@ -47,10 +47,12 @@ class KnownWorld:
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
         world, walls = self._world, _mapped_surfaces(mission.X_WM, tfg, mission.grid)
-        surface = reachable_surface(world, self._grid, self._cells, self._scenario.scan.range)
+        faces, normals = reachable_faces(world, self._grid, self._cells, self._scenario.scan.range)
+        surface = faces[~second_faces(faces, normals)]
         return {
             **landmark_figures(world, self.reachable, estimate, mission.grid is None, mission.X_WM),
             "surface_coverage": metrics.surface_coverage(surface, walls),
+            "surface_coverage_5cm": metrics.face_coverage(faces, normals, walls, has_sides=mission.grid is None),
             "surface_phantom_m": metrics.surface_phantom(walls, world.walls),
         }
 
@@ -109,9 +111,15 @@ def path_length(X_WB: FloatArray) -> float:
 
 
 def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:
-    """Statistics of the distance of poses (n, 3) from the true ones, nan without any."""
+    """Statistics of the distance of poses (n, 3) from the true ones, of positions also from the first drive on, nan
+    without any: at the start the robot is at the map's origin by definition."""
     position, heading = metrics.pose_errors(X_WB, X_WB_true)
-    return {"position_error_m": metrics.statistics(position), "heading_error_rad": metrics.statistics(heading)}
+    has_driven = np.maximum.accumulate(np.hypot(*(X_WB_true[:, :2] - X_WB_true[:1, :2]).T)) > IN_PLACE
+    return {
+        "position_error_m": metrics.statistics(position),
+        "position_error_moving_m": metrics.statistics(position[has_driven]),
+        "heading_error_rad": metrics.statistics(heading),
+    }
 
 
 def landmark_figures(

@@ -19,6 +19,7 @@ from tfg_drake.diagrams.missions.mission import STEP, Mission
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
+from tfg_drake.mapfile.summary import landmark_counts
 from tfg_drake.mission.interruption import NAMES, Interruption
 from tfg_drake.storage.checkpoint import CheckpointError
 
@@ -217,9 +218,9 @@ class MissionRunner:
 
 
 def _landmarks(mission: Mission) -> str:
-    """The tags in the map or, where there is none, the walls."""
+    """The tags in the map or, where there is none, the walls; nothing before there are any."""
     tags = len(mission.map.ids) if mission.map is not None else 0
-    return f"{tags} tags" if tags or not mission.walls else f"{mission.walls} walls"
+    return landmark_counts(tags, 0 if tags else mission.walls) if tags or mission.walls else ""
 
 
 def _seen_area(mission: Mission) -> float:

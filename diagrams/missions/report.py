@@ -21,6 +21,7 @@ from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
+from tfg_drake.percent import percent
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
@@ -157,6 +158,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "online_pose_anees": None,
         **pose_errors(NO_POSES, NO_POSES),
         "surface_coverage": None,
+        "surface_coverage_5cm": None,
         "surface_phantom_m": None,
         "area_coverage": None,
         "area_seen_s": None,
@@ -226,21 +228,24 @@ def _title(summary: dict[str, Any]) -> str:
     def value(number: float | None, form: str) -> str:
         return "-" if number is None else form.format(number)
 
-    parts = []
+    parts, error = [], ""
     mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
     if mapped is not None and reachable:
         parts.append(
-            f"{mapped} of {reachable} landmarks, RMSE {value(summary['landmark_rmse_m'], '{:.3f}')} m"
+            f"{mapped} of {reachable} tags, map error {value(summary['landmark_rmse_m'], '{:.3f}')} m RMSE"
             f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
         )
     elif mapped or summary["walls_mapped"]:
-        parts.append(f"{mapped} landmarks" if mapped else f"{summary['walls_mapped']} walls as landmarks")
+        parts.append(f"{mapped} tags" if mapped else f"{summary['walls_mapped']} walls")
+    if (share := summary["surface_coverage_5cm"]) is not None:
+        parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
     if summary["contacts"] is not None:
-        parts.append(
-            f"pose error {value(summary['position_error_m']['mean'], '{:.3f}')} m,"
-            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad on average"
+        error = (
+            f"pose error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m mean from the first drive on,"
+            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad mean"
         )
+    ended = f"{summary['outcome'].replace('_', ' ')} after {summary['sim_time_s']:.1f} s"
     return (
-        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {summary['outcome']} after"
-        f" {summary['sim_time_s']:.1f} s, {summary['distance_m']:.1f} m, {summary['stages']} stages\n{'; '.join(parts)}"
-    )
+        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {ended}, {summary['distance_m']:.1f} m,"
+        f" {summary['stages']} stages\n{'; '.join(parts)}\n{error}"
+    ).rstrip()

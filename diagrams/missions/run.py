@@ -73,8 +73,9 @@ TOLD_AT_THE_END = (
     "walls_mapped",
     "landmark_rmse_m",
     "landmark_rmse_aligned_m",
-    "position_error_m",
+    "position_error_moving_m",
     "area_coverage",
+    "surface_coverage_5cm",
     "contacts",
     "contacts_received",
 )

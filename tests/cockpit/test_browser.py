@@ -118,13 +118,23 @@ def test_the_end_has_the_numbers_of_the_terminal(page):
     page.seek(10.0)
     numbers, card = page.text("numbers").splitlines(), page.text("card").splitlines()
     shown = dict(zip(card[1:-1:2], card[2::2], strict=False))
-    told = dict(table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_m": {"mean": 0.015, "max": 0.02}}))
+    told = dict(
+        table_rows({**dict.fromkeys(FIELDS), **SUMMARY, "position_error_moving_m": {"mean": 0.015, "max": 0.02}})
+    )
     driven = dict(zip(numbers[::2], numbers[1::2], strict=True))["driven"]
     assert driven == shown["driven"] == told["driven"].split(",")[0]
     assert shown["time"].split(",")[0] == told["time"].split(",")[0] == page.text("clock")
     assert page.text("time").endswith(f"of {page.text('clock')}")
     assert f"{shown['tags']}, map error {shown['map error']}" == told["tags"]
     assert told["pose error"].startswith(shown["pose error"] + ",")
+    assert (
+        shown["coverage"].replace("\u00a0", " ")
+        == told["coverage"]
+        == "100.0 % of the area, 99.9 % of the surface within 5 cm"
+    )
+    assert page("return [0.29, 0.9994, 1 - 1e-9, 1].map(percent)") == [
+        f"{shown}\u00a0%" for shown in ("29.0", "99.9", "99.9", "100.0")
+    ]
     assert told["safety"] == f"contacts: {shown['contacts']}; least clearance - m"
     assert shown["contacts"] == "0 by the robot, 1 by others"
     assert page("return [2.25, 2.75, -0.06].map((value) => number(value, 1))") == ["2.2", "2.8", f"{-0.06:.1f}"]
@@ -334,6 +344,27 @@ def test_every_layer_can_be_shown_and_hidden(page, flat):
         page.click("mode")
 
 
+def test_chart_and_numbers_count_walls_where_there_are_no_tags(page):
+    """The series of tags, then of walls too, emptied for a moment."""
+    without = """
+        const kept = [series.tags.values, series.walls.values], walls = arguments[0];
+        series.tags.values = kept[0].map(() => 0);
+        if (!walls) series.walls.values = kept[1].map(() => 0);
+        tell();
+        const said = [document.querySelector("#plots span").textContent, document.getElementById("numbers").innerText];
+        [series.tags.values, series.walls.values] = kept;
+        tell();
+        return said;
+    """
+    page.seek(9.0)
+    assert page("return document.querySelector('#plots span').textContent") == "tags mapped"
+    for walls, name, number in ((True, "walls mapped", "2"), (False, "landmarks mapped", "0")):
+        chart, numbers = page.driver.execute_script(without, walls)
+        assert chart == name
+        assert f"{name}\n{number}\n" in numbers
+        assert "tags" not in numbers
+
+
 def test_walls_that_are_landmarks_are_bands_of_three_deviations(page):
     band = "return [...groups.wall_landmarks.getObjectByName('spread').geometry.attributes.position.array]"
     named = "return groups.wall_landmarks.children.map((object) => object.name).sort()"
@@ -489,7 +520,6 @@ def hostile(told, numbers, name=""):
 # Of the summary what the end's card does not show.
 FIELDS = [
     "heading_error_rad",
-    "surface_coverage",
     "real_time_factor",
     "landmarks_doubtful",
     "min_clearance_m",

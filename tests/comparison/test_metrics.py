@@ -78,6 +78,23 @@ def test_surface_coverage_against_shapely():
     assert np.isnan(metrics.surface_coverage(np.zeros((0, 2)), segments))
 
 
+def test_face_coverage_against_shapely():
+    """A wall without thickness, mapped 3 cm off from above as far as x = 2, and 6 cm off from below."""
+    points = np.column_stack([np.arange(0.025, 4.0, 0.05), np.zeros(80)])
+    up, down = np.tile([0.0, 1.0], (80, 1)), np.tile([0.0, -1.0], (80, 1))
+    above, below, near_below = (np.array([[a, y, b, y]]) for a, b, y in ((0, 2, 0.03), (4, 0, -0.06), (4, 0, -0.04)))
+    near = np.mean([LineString(above.reshape(2, 2)).distance(Point(p)) <= 0.05 for p in points])
+    assert near == 41 / 80  # The first point beyond its end is 4 cm off.
+    assert metrics.face_coverage(points, up, above, has_sides=False) == near
+    assert metrics.face_coverage(points, up, above, has_sides=True) == near
+    assert metrics.face_coverage(points, down, above, has_sides=False) == near
+    assert metrics.face_coverage(points, down, above, has_sides=True) == 0.0
+    assert metrics.face_coverage(points, down, below, has_sides=True) == 0.0
+    assert metrics.face_coverage(points, down, near_below, has_sides=True) == 1.0
+    assert np.isnan(metrics.face_coverage(np.zeros((0, 2)), np.zeros((0, 2)), above, has_sides=True))
+    assert metrics.face_coverage(points, up, np.zeros((0, 4)), has_sides=True) == 0.0
+
+
 def test_surface_phantom_against_shapely():
     segments, walls = RANDOM.uniform(0, 5, (8, 4)), RANDOM.uniform(0, 5, (6, 4))
     near = MultiLineString(walls.reshape(-1, 2, 2).tolist()).buffer(0.25, quad_segs=64)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tfg_drake.comparison.measures import MEASURES, cpu_idle, mapped_share, variables
+from tfg_drake.comparison.measures import CPU_IDLE, MEASURES, cpu_idle, mapped_share, variables
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page, tables, text
-from tfg_drake.comparison.runs import Run, flatten, paired, to_csv, values
+from tfg_drake.comparison.runs import Run, flatten, paired, sample, to_csv, values
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.cli import EXIT_CODES
 
@@ -58,7 +58,7 @@ def test_tables(comparison):
     assert list(outcomes.header) == ["method", "runs", "complete", "stuck", "fault", "failed", "contacts in all"]
     assert outcomes.rows == [["a", "4", "4", "0", "0", "0", "4"], ["b", "4", "1", "1", "1", "1", "3"]]
     figures = {row[0]: row[1:] for row in found["Figures"].rows}
-    assert figures["landmark RMSE (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
+    assert figures["map error, RMSE of tags (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
     assert figures["CPU idle at real time (%)"][0].startswith("75.4 ± ")
     ratios = found["Ratio to a"]
     assert list(ratios.header) == ["", "b (2 pairs)"]
@@ -125,5 +125,13 @@ def test_measures_of_a_summary():
 
 
 def test_one_run_and_none_have_no_interval():
-    assert text(spread(np.array([1.25])), 1) == "1.2"
-    assert text(spread(np.zeros(0)), 1) == "-"
+    assert text(spread(np.array([1.25])), CPU_IDLE) == "1.2"
+    assert text(spread(np.zeros(0)), CPU_IDLE) == "-"
+
+
+def test_a_mean_of_shares_below_all_is_not_shown_as_all():
+    area = next(measure for measure in MEASURES if measure.name == "area seen")
+    runs = [Run("tfg", seed, Path(), summary(area_coverage=share)) for seed, share in enumerate((1.0, 0.99996))]
+    shown = text(spread(sample(runs, "tfg", area.read)), area)
+    assert shown == "99.99 ± 0.00 (99.99 to 100.00)"
+    assert text(spread(np.array([100.0, 100.0])), area) == "100.00 ± 0.00 (100.00 to 100.00)"

@@ -21,7 +21,7 @@ START = np.array([2.0, 1.5, 0.3])
 TRUTH = ["pose_anees", "online_pose_anees", "area_coverage", "area_seen_s"]
 TRUTH += ["contacts", "contacts_received", "min_clearance_m"]
 WORLD = ["landmarks_present", "landmarks_reachable", "landmarks_extra", "landmark_rmse_m", "landmark_rmse_aligned_m"]
-WORLD += ["landmark_anees", "landmark_nees", "surface_coverage", "surface_phantom_m"]
+WORLD += ["landmark_anees", "landmark_nees", "surface_coverage", "surface_coverage_5cm", "surface_phantom_m"]
 NOTHING = {"mean": None, "std": None, "max": None, "final": None}
 
 
@@ -65,7 +65,8 @@ def test_without_the_truth_its_figures_are_null_and_the_others_as_they_are(simul
     summary = truthless.summary
     assert list(summary) == list(simulated.summary)
     assert all(summary[name] is None for name in TRUTH)
-    assert summary["position_error_m"] == summary["heading_error_rad"] == NOTHING
+    errors = ("position_error_m", "position_error_moving_m", "heading_error_rad")
+    assert all(summary[name] == NOTHING for name in errors)
     for name in [*WORLD, "landmarks_mapped", "stages", "outcome", "sim_time_s", "landmark_entropy_nats", "map_bytes"]:
         assert summary[name] == simulated.summary[name], name
     assert summary["distance_m"] == pytest.approx(simulated.summary["distance_m"], abs=0.3)
@@ -92,7 +93,7 @@ def test_without_a_world_all_is_in_the_map_frame(simulated, worldless):
 def test_the_closing_table_shows_what_is_known(truthless, worldless):
     rows = dict(explore_command.table_rows(truthless.summary))
     assert rows["pose error"] == rows["safety"] == "-"
-    assert rows["coverage"] == "100.0 % of the surface"
+    assert rows["coverage"] == "100.0 % of the surface within 5 cm"
     rows = dict(explore_command.table_rows(worldless.summary))
     assert rows["tags"] == f"{worldless.summary['landmarks_mapped']} mapped"
     assert rows["coverage"] == "-"

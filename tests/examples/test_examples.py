@@ -40,7 +40,7 @@ def run_example(tmp_path, monkeypatch, capsys):
 def test_a_mission(run_example, tmp_path, caplog):
     said = run_example("mission.py", begin=("until=60.0", "until=40.0"), more=("advance(540.0)", "advance(2.0)"))
     assert re.search(
-        r"<house, seed 3: \w+ after 42 s, \d+ stages, \d+ landmarks> while the clone stands at 40.0 s", said
+        r"<house, seed 3: \w+ after 42 s, \d+ stages, \d+ tags, \d+ walls> while the clone stands at 40.0 s", said
     )
     assert (tmp_path / "mission.png").stat().st_size > 10_000
     assert not [line for line in caplog.messages if "see whether" in line]
@@ -65,13 +65,13 @@ def test_the_notebook(tmp_path, monkeypatch):
 
 def test_a_diagram_as_in_hardware_sim(run_example, tmp_path):
     said = run_example("robot_sim.py", "house", "--max-time", 40, "--graphviz", "house.dot")
-    assert re.search(r"\n\d\d landmarks after 40 s\n\d+ m driven, 0 contacts\n$", said)
+    assert re.search(r"\n\d\d tags, \d+ walls after 40 s\n\d+ m driven, 0 contacts\n$", said)
     assert (tmp_path / "house.dot").read_text().startswith("digraph")
 
 
 def test_a_multibody_plant(run_example):
     said = run_example("multibody_plant.py", time=("until=600.0", "until=42.0"))
-    assert re.search(r"<house, seed 0: \w+ after 42 s, \d+ stages, \d\d landmarks>, 0 contacts\n$", said)
+    assert re.search(r"<house, seed 0: \w+ after 42 s, \d+ stages, \d\d tags, \d+ walls>, 0 contacts\n$", said)
 
 
 def test_another_estimator(run_example):
@@ -97,6 +97,15 @@ def test_a_run_analysed(run_example, tmp_path):
     said = run_example("analyse.py", tmp_path / "run")
     assert said.startswith("time_limit after 15.0 s")
     assert said.count("position error") == 4
+
+
+def test_a_run_without_tags_analysed(run_example, tmp_path):
+    short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
+    short.world.tags = []
+    run.run_mission(short, out_dir=tmp_path / "run", max_time=15.0)
+    said = run_example("analyse.py", tmp_path / "run")
+    assert re.search(r"\n[1-9]\d* walls, 0\.\d{3} of the surface within 5 cm\n", said)
+    assert "tag" not in said
 
 
 def test_a_monte_carlo(run_example):

@@ -8,7 +8,7 @@ from tfg_drake.world.reachability import (
     free_cells,
     make_grid,
     reachable_cells,
-    reachable_surface,
+    reachable_faces,
     reachable_tags,
     second_faces,
 )
@@ -96,10 +96,26 @@ def test_incidence_decides():
 def test_reachable_surface():
     world = make_world()
     grid = make_grid(world)
-    surface = reachable_surface(world, grid, reachable_cells(grid, world, ROBOT_RADIUS), 10.0)
+    faces, normals = reachable_faces(world, grid, reachable_cells(grid, world, ROBOT_RADIUS), 10.0)
+    surface = faces[~second_faces(faces, normals)]
     # All but the closet's outer faces: 2 m of the top wall, 1.5 m of the right one.
     assert len(surface) * 0.05 == pytest.approx(20 - 3.5 + 3 + 2, abs=0.2)
     assert not ((surface[:, 0] > 4.1) & (surface[:, 1] > 2.6)).any()
+
+
+def test_both_faces_of_a_thin_wall_count_where_both_can_be_seen():
+    """A room of 4 x 3 m in two by a wall without thickness and with a door, and a closet that nobody can look into."""
+    world = make_world(
+        [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 1, 2, 3], [4, 1, 3, 1], [3, 1, 3, 0]]
+    )
+    grid = make_grid(world)
+    points, normals = reachable_faces(world, grid, reachable_cells(grid, world, ROBOT_RADIUS), 10.0)
+    on_wall = (abs(points - [2, 2]) < [0.1, 2]).all(axis=1)
+    for side in (1.0, -1.0):
+        assert 0.05 * np.sum(on_wall & (normals == [side, 0.0]).all(axis=1)) == pytest.approx(2.0)
+    # Of the closet its outer faces alone: 1 m each.
+    assert 0.05 * np.sum((abs(points - [3.5, 1]) < [0.5, 0.01]).all(axis=1)) == pytest.approx(1.0)
+    assert 0.05 * len(points) == pytest.approx(14.0 - 2.0 + 2.0 * 2.0 + 2.0)
 
 
 def test_two_faces_of_a_thick_wall_count_once():
@@ -121,5 +137,5 @@ def test_a_world_without_walls_is_a_square_round_the_start():
     grid = make_grid(world)
     reachable = reachable_cells(grid, world, ROBOT_RADIUS)
     assert reachable.all()
-    assert reachable_surface(world, grid, reachable, 10.0).shape == (0, 2)
+    assert [part.shape for part in reachable_faces(world, grid, reachable, 10.0)] == [(0, 2), (0, 2)]
     assert reachable_tags(world, grid, reachable, 10.0, 1.0).shape == (0,)

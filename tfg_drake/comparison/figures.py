@@ -15,6 +15,7 @@ from tfg_drake.comparison.curves import Band
 from tfg_drake.comparison.statistics import Spread
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GridMap
+from tfg_drake.percent import percent
 from tfg_drake.pictures.figure import draw_grid, draw_landmarks, draw_surfaces
 from tfg_drake.world.world import World
 
@@ -118,7 +119,8 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
         axes.set_xticks([], minor=True)
         axes.set_xticks([])  # The bars say their numbers.
         bars = axes.barh(methods, means, color=[palette[method] for method in methods], height=0.65)
-        axes.bar_label(bars, [_short(mean) for mean in means], padding=2, fontsize=_SMALL)
+        texts = [_short(percent(0.01 * mean) if title.endswith("(%)") else mean) for mean in means]
+        axes.bar_label(bars, texts, padding=2, fontsize=_SMALL)
         for row in np.flatnonzero(np.isnan(means)):
             axes.text(0.02, row, "-", transform=axes.get_yaxis_transform(), fontsize=_SMALL, va="center")
         axes.set_title(title, fontsize=_TEXT)

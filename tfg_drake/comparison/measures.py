@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from tfg_drake.percent import percent
+
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
@@ -19,6 +21,10 @@ class Measure:
     unit: str
     digits: int
     read: Callable[[dict[str, Any]], float | None]
+
+    def shown(self, value: float) -> str:
+        """A value of it as a table shows it."""
+        return f"{percent(0.01 * value, self.digits) if self.unit == '%' else value:.{self.digits}f}"
 
     @property
     def label(self) -> str:
@@ -37,7 +43,7 @@ def _field(path: str, factor: float = 1.0) -> Callable[[dict[str, Any]], float |
 
 
 def mapped_share(summary: dict[str, Any]) -> float | None:
-    """Reachable landmarks in the map, %; None for a method without landmarks."""
+    """Reachable tags in the map, %; None where there are none, or for a method that maps none."""
     mapped, reachable = summary.get("landmarks_mapped"), summary.get("landmarks_reachable")
     return None if mapped is None or not reachable else 100.0 * float(mapped) / float(reachable)
 
@@ -58,6 +64,7 @@ def cpu_idle(summary: dict[str, Any]) -> float | None:
 
 TIME = Measure("time", "s", 0, _field("sim_time_s"))
 POSITION = Measure("position error, mean", "m", 4, _field("position_error_m.mean"))
+MOVING = Measure("position error from the first drive on, mean", "m", 4, _field("position_error_moving_m.mean"))
 HEADING = Measure("heading error, mean", "rad", 5, _field("heading_error_rad.mean"))
 VARIABLES = Measure("variables of the map", "", 0, variables)
 MAP_SIZE = Measure("map on disk", "kB", 1, _field("map_bytes", 1e-3))
@@ -67,8 +74,9 @@ MEASURES = (
     TIME,
     Measure("time to see 99 % of the area", "s", 0, _field("area_seen_s")),
     Measure("time until nothing was left to explore", "s", 0, _field("explored_s")),
-    Measure("distance", "m", 1, _field("distance_m")),
+    Measure("driven", "m", 1, _field("distance_m")),
     POSITION,
+    MOVING,
     Measure("position error, max", "m", 4, _field("position_error_m.max")),
     HEADING,
     VARIABLES,
@@ -76,15 +84,17 @@ MEASURES = (
     Measure("peak memory", "MB", 0, _field("peak_rss_bytes", 1e-6)),
     CPU_IDLE,
     Measure("stage's planning, median", "CPU ms", 1, _field("stage_ms.median")),
-    Measure("goals", "", 1, _field("stages")),
-    Measure("landmarks mapped", "%", 2, mapped_share),
-    Measure("landmark RMSE", "m", 4, _field("landmark_rmse_m")),
-    Measure("landmark RMSE, aligned", "m", 4, _field("landmark_rmse_aligned_m")),
-    Measure("landmark ANEES", "", 2, _field("landmark_anees")),
+    Measure("stages", "", 1, _field("stages")),
+    Measure("tags mapped", "%", 2, mapped_share),
+    Measure("walls mapped", "", 1, _field("walls_mapped")),
+    Measure("map error, RMSE of tags", "m", 4, _field("landmark_rmse_m")),
+    Measure("map error, RMSE of tags, aligned", "m", 4, _field("landmark_rmse_aligned_m")),
+    Measure("tag ANEES", "", 2, _field("landmark_anees")),
     Measure("pose ANEES", "", 2, _field("pose_anees")),
     Measure("pose ANEES, online", "", 2, _field("online_pose_anees")),
-    Measure("area covered", "%", 2, _field("area_coverage", 100.0)),
-    Measure("surface covered", "%", 2, _field("surface_coverage", 100.0)),
+    Measure("area seen", "%", 2, _field("area_coverage", 100.0)),
+    Measure("surface within 5 cm", "%", 2, _field("surface_coverage_5cm", 100.0)),
+    Measure("surface within 25 cm", "%", 2, _field("surface_coverage", 100.0)),
     Measure("surface mapped in error", "m", 2, _field("surface_phantom_m")),
     Measure("contacts", "", 2, _field("contacts")),
     Measure("least clearance", "m", 3, _field("min_clearance_m")),

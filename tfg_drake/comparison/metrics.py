@@ -13,10 +13,13 @@ from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform, wrap_angle
 from tfg_drake.messages import FloatArray
+from tfg_drake.tfg.polyline import covered
 from tfg_drake.world.reachability import cut_walls
 
-# A true surface counts as mapped, and a mapped surface as true, within this distance, m.
+# A true surface counts as mapped, and a mapped surface as true, within this distance, m; a true face as mapped where
+# it is known to this, m.
 SURFACE_TOLERANCE = 0.25
+FACE_TOLERANCE = 0.05
 
 
 def rmse(error: FloatArray) -> float:
@@ -84,6 +87,17 @@ def surface_coverage(p_WS: FloatArray, segments: FloatArray) -> float:
     if not len(p_WS):
         return float("nan")
     return float(np.mean(point_distance(p_WS, np.ascontiguousarray(segments)) <= SURFACE_TOLERANCE))
+
+
+def face_coverage(p_WS: FloatArray, normals: FloatArray, segments: FloatArray, *, has_sides: bool) -> float:
+    """Share of the reachable faces, at p_WS (n, 2) with unit normals (n, 2) in W, within FACE_TOLERANCE of a mapped
+    segment (m, 4) in W, and on its left if the segments have sides."""
+    if not len(p_WS):
+        return float("nan")
+    segments = np.ascontiguousarray(segments)
+    if has_sides:
+        return float(np.mean(covered(p_WS, normals, segments, np.full(len(p_WS), FACE_TOLERANCE))))
+    return float(np.mean(point_distance(p_WS, segments) <= FACE_TOLERANCE))
 
 
 def surface_phantom(segments: FloatArray, walls: FloatArray) -> float:

@@ -10,6 +10,7 @@ from tfg_drake.comparison.measures import CPU_IDLE, HEADING, POSITION, TIME, VAR
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.config import GridConfig, ScanConfig, TagSensorConfig
+from tfg_drake.percent import percent
 
 # The methods of the paper's Table II, and what it says of them.
 METHODS = ("tfg", "grid-nearest")
@@ -61,7 +62,8 @@ def _cell(runs: Sequence[Run], method: str, read: Callable[[dict[str, Any]], flo
     if not len(values):
         return "-"
     one = spread(values)
-    return f"{one.mean.value:.{digits}f}" + (f" ± {one.std:.{digits}f}" if one.n > 1 else "")
+    mean = percent(0.01 * one.mean.value, digits) if read is CPU_IDLE.read else one.mean.value
+    return f"{mean:.{digits}f}" + (f" ± {one.std:.{digits}f}" if one.n > 1 else "")
 
 
 def _markdown(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

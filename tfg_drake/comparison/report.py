@@ -7,9 +7,9 @@ import dataclasses
 import html
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from tfg_drake.comparison.measures import MEASURES
+from tfg_drake.comparison.measures import MEASURES, Measure
 from tfg_drake.comparison.runs import Run, paired, sample, values
 from tfg_drake.comparison.statistics import Interval, Spread, difference, ratio, spread
 
@@ -99,14 +99,14 @@ def tables(comparison: Comparison) -> list[Table]:
     return found
 
 
-def text(mean: Spread, digits: int) -> str:
+def text(mean: Spread, measure: Measure) -> str:
     """Mean, spread and interval: "0.147 ± 0.115 (0.101 to 0.192)", "-" for no run."""
     if not mean.n:
         return "-"
-    value = f"{mean.mean.value:.{digits}f}"
+    value = measure.shown(mean.mean.value)
     if mean.n == 1:
         return value
-    return f"{value} ± {mean.std:.{digits}f} {_bounds(mean.mean, f'.{digits}f')}"
+    return f"{value} ± {mean.std:.{measure.digits}f} {_bounds(mean.mean, measure.shown)}"
 
 
 def _introduction(comparison: Comparison) -> list[str]:
@@ -134,11 +134,16 @@ def _outcome_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
 
 def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
     rows = []
-    for measure in MEASURES:
+    for measure in _measures(runs):
         spreads = [spread(sample(runs, method, measure.read)) for method in methods]
-        rows.append([measure.label, *(text(one, measure.digits) for one in spreads)])
+        rows.append([measure.label, *(text(one, measure) for one in spreads)])
     note = "Mean ± standard deviation over the runs, and the 95 % bootstrap interval of the mean."
     return Table("Figures", note, ("", *methods), rows)
+
+
+def _measures(runs: Sequence[Run]) -> list[Measure]:
+    """Those that some run has: where no tags are, none of them."""
+    return [one for one in MEASURES if any(run.summary and one.read(run.summary) is not None for run in runs)]
 
 
 def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
@@ -148,7 +153,7 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
     pairs = {method: len(seeds[first] & seeds[method]) for method in others}
     header = ("", *(f"{method} ({pairs[method]} pairs)" for method in others))
     differences, ratios = [], []
-    for measure in MEASURES:
+    for measure in _measures(runs):
         mine = values(runs, first, measure.read)
         both = [paired(mine, values(runs, method, measure.read)) for method in others]
         differences.append([measure.label, *(_signed(difference(*one), measure.digits, len(one[0])) for one in both)])
@@ -170,19 +175,20 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
 def _signed(one: Interval, digits: int, pairs: int) -> str:
     if math.isnan(one.value):
         return "-"
-    cell = f"{one.value:+.{digits}f} {_bounds(one, f'+.{digits}f')}".strip()
+    shown = f"{{:+.{digits}f}}".format
+    cell = f"{shown(one.value)} {_bounds(one, shown)}".strip()
     return f"**{cell}**" if pairs >= _ENOUGH and (one.low > 0.0 or one.high < 0.0) else cell
 
 
 def _times(one: Interval) -> str:
     if math.isnan(one.value):
         return "-"
-    form = ",.0f" if one.value >= 100.0 else "#.3g"
-    return f"{one.value:{form}} {_bounds(one, form)}".strip()
+    shown = ("{:,.0f}" if one.value >= 100.0 else "{:#.3g}").format
+    return f"{shown(one.value)} {_bounds(one, shown)}".strip()
 
 
-def _bounds(one: Interval, form: str) -> str:
-    return "" if math.isnan(one.low) else f"({one.low:{form}} to {one.high:{form}})"
+def _bounds(one: Interval, shown: Callable[[float], str]) -> str:
+    return "" if math.isnan(one.low) else f"({shown(one.low)} to {shown(one.high)})"
 
 
 def _html_table(table: Table) -> str:

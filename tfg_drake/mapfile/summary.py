@@ -24,8 +24,8 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("views", f"{saved.stage} turns and glances, the last at {saved.stamp:.1f} s"),
-        ("landmarks", f"{len(saved.ids)} landmarks" + _named_doubtful(saved)),
-        ("deviation", _deviation(saved)),
+        ("landmarks", landmark_counts(len(saved.ids), len(across)) + _named_doubtful(saved)),
+        *([("tags", _deviation(saved))] if len(saved.ids) else []),
         *([("walls", _walls(across))] if len(across) else []),
         ("entropy", f"{saved.entropy:.1f} nats"),
     ]
@@ -42,22 +42,26 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     return rows
 
 
+def landmark_counts(tags: int, walls: int) -> str:
+    """How many landmarks there are of each kind that there is: "4 tags, 1 wall"."""
+    counts = [f"{n} {kind}{'s' if n != 1 else ''}" for kind, n in (("tag", tags), ("wall", walls)) if n]
+    return ", ".join(counts) or "no landmarks"
+
+
 def _named_doubtful(saved: SavedMap) -> str:
     return f"; doubtful: tags {', '.join(map(str, saved.doubtful.tolist()))}" if len(saved.doubtful) else ""
 
 
 def _deviation(saved: SavedMap) -> str:
-    """Standard deviations of the landmarks along their worst direction."""
-    if not len(saved.ids):
-        return "-"
+    """Standard deviations of the tags along their worst direction."""
     sigma = np.sqrt(np.linalg.eigvalsh(saved.landmark_covariance)[:, -1])
     worst = int(np.argmax(sigma))
-    return f"1\u03c3 of a landmark {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
+    return f"1\u03c3 {np.median(sigma):.3f} m median, {sigma[worst]:.3f} m worst (tag {saved.ids[worst]})"
 
 
 def _walls(sigma: FloatArray) -> str:
-    """How many walls are landmarks, from the standard deviations (w, 2) of their points normal to them, m."""
-    return f"{len(sigma)} walls as landmarks, 1\u03c3 across {np.median(sigma):.4f} m median, {sigma.max():.4f} m worst"
+    """How well walls are known, from the standard deviations (w, 2) of their points normal to them, m."""
+    return f"1\u03c3 across {np.median(sigma):.4f} m median, {sigma.max():.4f} m worst"
 
 
 def _calibration(saved: SavedMap) -> str:

@@ -47,7 +47,7 @@ def run_figure(
     """The building, the map made of it, and the way the robot went.
 
     Args:
-        title: stands above the figure; one or two lines.
+        title: stands above the figure; one to three lines.
         world: walls, tags and start, in W; None where it is not known.
         estimate, tfg, grid: the map in M; None where there is none (yet).
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
@@ -94,7 +94,7 @@ def run_figure(
     if world is not None and grid is None:
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
         if len(missed):
-            label = "landmark missed"
+            label = "tag missed"
             axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
     start = X_WB_estimated[0] if len(X_WB_estimated) else X_WM
     axes.plot(*start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
@@ -135,7 +135,7 @@ def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
     drawing."""
     (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     height = float(np.clip(_WIDTH * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
-    figure = Figure(figsize=(_WIDTH, height + 1.1), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, height + 0.7 + 0.2 * len(title.splitlines())), layout="constrained")
     axes = figure.add_subplot()
     axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.tick_params(labelsize=8, colors="0.35")
@@ -198,7 +198,7 @@ def draw_landmarks(
     for some, colour, what in ((~doubtful, _MAPPED, "mapped"), (doubtful, _DOUBTFUL, "doubtful")):
         if not some.any():
             continue
-        label = f"landmark {what}, 3\u03c3"
+        label = f"tag {what}, 3\u03c3"
         axes.plot(*p_WL[some].T, "o", color=colour, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
         rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4)
         axes.add_collection(rings)

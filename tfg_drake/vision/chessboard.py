@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tfg_drake.messages import FloatArray
+from tfg_drake.percent import percent
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image, grey
 
@@ -105,7 +106,8 @@ def _doubts(
     spans = np.ptp(corners, axis=0) / size
     if spans.min() < GOOD_SPAN:
         remarks.append(
-            f"corners span {100 * spans[0]:.0f} x {100 * spans[1]:.0f} % of the image: show the board at its edges, too"
+            f"corners span {percent(spans[0], 0):.0f} x {percent(spans[1], 0):.0f} % of the image: show the board at"
+            " its edges, too"
         )
     return remarks
 

@@ -148,19 +148,16 @@ def _coarse(grid: Grid, mask: BoolArray) -> FloatArray:
     return grid.centers(coarse)
 
 
-def reachable_surface(world: World, grid: Grid, reachable: BoolArray, scan_range: float) -> FloatArray:
-    """Centres (n, 2) in W of the wall pieces, PIECE long, of which some reachable cell sees a face; m."""
+def reachable_faces(world: World, grid: Grid, reachable: BoolArray, scan_range: float) -> tuple[FloatArray, FloatArray]:
+    """The faces of wall pieces, PIECE long, that some reachable cell sees: centres (n, 2), m, and unit normals (n, 2),
+    in W. A piece that is seen from both sides has two."""
     points, normals = cut_walls(world.walls)
-    seen = np.zeros(len(points), dtype=np.bool_)
-    cells = _coarse(grid, reachable)
-    connected = _connected_space(world, grid, reachable)
-    for side in (1.0, -1.0):
-        candidates = np.nonzero(~seen & _beside(world.walls, grid, connected, points, side * normals))[0]
-        seen[candidates] = _seen(
-            world.walls, points[candidates], side * normals[candidates], cells, scan_range, 0.5 * np.pi
-        )
-    points, normals = points[seen], normals[seen]
-    return points[~second_faces(points, normals)]
+    points, normals = np.repeat(points, 2, axis=0), np.repeat(normals, 2, axis=0)
+    normals[1::2] *= -1.0
+    faces = _beside(world.walls, grid, _connected_space(world, grid, reachable), points, normals)
+    points, normals = points[faces], normals[faces]
+    seen = _seen(world.walls, points, normals, _coarse(grid, reachable), scan_range, 0.5 * np.pi)
+    return points[seen], normals[seen]
 
 
 def cut_walls(walls: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -201,7 +198,7 @@ def _beside(walls: FloatArray, grid: Grid, connected: BoolArray, points: FloatAr
 
 
 def second_faces(points: FloatArray, normals: FloatArray) -> BoolArray:
-    """Marks (n,) every piece that lies straight behind an earlier parallel one, nearer than FACE_GAP."""
+    """Marks (n,) every face that lies straight behind an earlier parallel one, nearer than FACE_GAP."""
     second = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return second

@@ -5,6 +5,8 @@ import json
 import pytest
 
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, tagged
+from tfg_drake.comparison.measures import MEASURES
+from tfg_drake.diagrams.commands.fork import _ROWS
 from tfg_drake.diagrams.missions import run
 
 
@@ -22,7 +24,7 @@ def test_nothing_changed_is_no_difference(call, original, tmp_path):
     for name in ("stages.jsonl", "trajectory.tum", "map.npz"):
         assert (out / name).read_bytes() == (original.folder / name).read_bytes(), name
     table = said.partition("\n\n")[2].splitlines()[2:-1]
-    assert len(table) == 10
+    assert len(table) == 11
     assert all(line.endswith("=") for line in table)
 
 
@@ -36,7 +38,7 @@ def test_another_goal_makes_another_run(call, original, tmp_path):
     assert "chosen" in said
     assert (out / "stages.jsonl").read_bytes() != (original.folder / "stages.jsonl").read_bytes()
     difference = summary["distance_m"] - original.summary["distance_m"]
-    assert f"{difference:+.1f} m" in next(line for line in said.splitlines() if line.startswith("distance"))
+    assert f"{difference:+.1f} m" in next(line for line in said.splitlines() if line.startswith("driven"))
 
 
 @pytest.mark.parametrize(
@@ -57,3 +59,8 @@ def test_bad_input_is_one_line(call, original, tmp_path, monkeypatch, arguments,
     assert complaint in said
     assert said.count("\n") == 1
     assert not list(tmp_path.glob("runs/*"))
+
+
+def test_a_fork_names_things_as_the_report_of_a_comparison_does():
+    named = {name for name, _, _ in _ROWS} & {measure.name for measure in MEASURES}
+    assert named == {"time", "driven", "stages", "tags mapped", "walls mapped", "surface within 5 cm", "area seen"}

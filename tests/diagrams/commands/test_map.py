@@ -27,8 +27,8 @@ from tfg_drake.slam.keyframe import without_tags as without_landmarks
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
 views        2 turns and glances, the last at 20.2 s
-landmarks    4 landmarks
-deviation    1\u03c3 of a landmark {median} m median, {worst} m worst (tag 13)
+landmarks    4 tags
+tags         1\u03c3 {median} m median, {worst} m worst (tag 13)
 entropy      {entropy} nats
 surfaces     1 on walls or between tags, 2.0 m
              1 that end at a tag, 0.5 m
@@ -50,7 +50,7 @@ def test_info(call, path, small_map, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     code, out, err = call("map", "info", path)
     assert (code, err) == (0, "")
-    median, worst = out.split("landmark ")[1].split(" m median, ")[0], out.split("median, ")[1].split(" m worst")[0]
+    median, worst = out.split("\u03c3 ")[1].split(" m median, ")[0], out.split("median, ")[1].split(" m worst")[0]
     assert 0.0 < float(median) <= float(worst) < 0.1
     area = out.split("free space   ")[1].split(" m2")[0]
     assert 6.0 < float(area) < 10.0
@@ -65,8 +65,8 @@ def test_walls_that_are_landmarks_are_told(call, tmp_path, walled_map, monkeypat
     code, out, err = call("map", "info", tmp_path)
     assert (code, err) == (0, "")
     lines = [line.rstrip() for line in out.splitlines()]
-    assert "landmarks    4 landmarks" in lines
-    assert "walls        1 walls as landmarks, 1\u03c3 across 0.1600 m median, 0.3000 m worst" in lines
+    assert "landmarks    4 tags, 1 wall" in lines
+    assert "walls        1\u03c3 across 0.1600 m median, 0.3000 m worst" in lines
 
 
 @pytest.mark.parametrize("arguments", [["info", "RUN"], ["export", "RUN", "a.csv"], ["export", "RUN", "a.png"]])
@@ -101,7 +101,7 @@ def test_export(call, path, tmp_path):
             *(out.with_suffix(beside) for beside in {".yaml": [".pgm"], ".gtsam": [".values"]}.get(suffix, [])),
         ]
         size = sum(file.stat().st_size for file in files)
-        told = f"{', '.join(map(str, files))}: 4 landmarks, {size / 1e3:.0f} kB\n"
+        told = f"{', '.join(map(str, files))}: 4 tags, {size / 1e3:.0f} kB\n"
         assert (code, said, complaint) == (0, told, "")
         assert first.startswith(start)
         assert call("map", "export", path, out) == (0, said, "")
@@ -231,7 +231,7 @@ def test_merge(call, path, tmp_path, small_map, monkeypatch):
     said = call("map", "merge", path, "b.npz", "none/both.npz")
     assert said == (2, "", "tfg-drake: none/both.npz: cannot be written: no such file or directory\n")
     code, out, err = call("map", "merge", path, "b.npz", "both.npz")
-    assert (code, out, err) == (0, "both.npz: 4 landmarks; 4 of them and 0 walls are in both maps\n", "")
+    assert (code, out, err) == (0, "both.npz: 4 tags; in both maps: 4 tags\n", "")
     code, out, err = call("map", "info", "both.npz")
     assert (code, err) == (0, "")
     assert "4 turns and glances" in out

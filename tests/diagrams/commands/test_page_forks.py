@@ -15,11 +15,11 @@ SUMMARY = {
     "sim_time_s": 100.0,
     "distance_m": 20.0,
     "stages": 9,
-    "position_error_m": {"mean": 0.01},
+    "position_error_moving_m": {"mean": 0.01},
     "heading_error_rad": {"mean": 0.001},
     "landmark_rmse_m": 0.02,
     "landmarks_mapped": 30,
-    "surface_coverage": 1.0,
+    "surface_coverage_5cm": 0.99999,
     "area_coverage": 1.0,
     "landmark_entropy_nats": -300.0,
 }

@@ -26,11 +26,12 @@ from tfg_drake.storage.timeline import read_timeline
 from tfg_drake.storage.trajectory import read_tum
 
 _FIELDS = """schema version scenario world seed method outcome reason sim_time_s resumed_at_s notes wall_time_s
-cpu_time_s real_time_factor distance_m stages landmarks_present landmarks_reachable landmarks_mapped landmarks_doubtful
-landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m least_known changes
-landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m heading_error_rad
-surface_coverage surface_phantom_m area_coverage area_seen_s explored_s contacts contacts_received min_clearance_m
-map_variables map_bytes calibration estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+cpu_time_s real_time_factor distance_m stages landmarks_present landmarks_reachable landmarks_mapped
+landmarks_doubtful landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m
+least_known changes landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m
+position_error_moving_m heading_error_rad surface_coverage surface_coverage_5cm surface_phantom_m area_coverage
+area_seen_s explored_s contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s
+planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 
@@ -50,7 +51,7 @@ def test_the_summary_has_every_field_in_order(finished):
     written = json.loads((finished.folder / "summary.json").read_text())
     assert written == finished.summary
     assert list(written) == FIELDS
-    for name in ("position_error_m", "heading_error_rad"):
+    for name in ("position_error_m", "position_error_moving_m", "heading_error_rad"):
         assert list(written[name]) == ["mean", "std", "max", "final"]
     assert list(written["map_variables"]) == ["landmarks", "poses", "calibration"]
     assert list(written["stage_ms"]) == ["median", "p99", "max"]
@@ -133,6 +134,11 @@ def test_the_trajectories_share_a_frame_and_end_together(finished):
     truth = X_WB_true[np.searchsorted(true_stamps, stamps)]
     error = np.linalg.norm(X_WB[:, :2] - truth[:, :2], axis=1)
     assert error.mean() == pytest.approx(finished.summary["position_error_m"]["mean"], abs=1e-6)
+    first = next(row for row, X in enumerate(truth) if math.dist(X[:2], truth[0, :2]) > 0.1)
+    moving = finished.summary["position_error_moving_m"]
+    assert 0 < first < len(error) - 100
+    assert moving["mean"] == pytest.approx(error[first:].mean(), abs=1e-6)
+    assert moving["mean"] > finished.summary["position_error_m"]["mean"]
     assert error.max() < 0.2
     assert 0.1 < finished.summary["online_pose_anees"] < 10.0
 
@@ -246,8 +252,8 @@ def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
     assert summary["landmark_rmse_m"] is summary["pose_anees"] is summary["online_pose_anees"] is None
     assert list(summary["map_variables"]) == ["cells"]
     assert summary["area_coverage"] > 0.99
-    assert summary["surface_coverage"] > 0.9
-    assert summary["position_error_m"]["max"] < 0.1
+    assert 0.9 < summary["surface_coverage_5cm"] <= summary["surface_coverage"]
+    assert summary["position_error_moving_m"]["max"] == summary["position_error_m"]["max"] < 0.1
     grid = load_grid(tmp_path / "grid.npz")
     assert grid.probability.size == summary["map_variables"]["cells"]
     assert not (tmp_path / "map.npz").exists()

@@ -27,6 +27,9 @@ function number(value, digits, unit) {
   return roundings[digits].format(value) + (unit ? ` ${unit}` : "");
 }
 
+/** A share in per cent, on one line: less than all stays below 100. */
+const percent = (share) => `${number(share < 1 ? Math.min(100 * share, 99.9) : 100 * share, 1)}\u00a0%`;
+
 /** A time as it is told: a mission has ended when its summary says so, its recording a moment later. */
 function asTold(t) {
   const ends = [timeline, forks.timeline].map((run) => run?.at("end", Infinity)?.told.sim_time_s);
@@ -67,7 +70,7 @@ function tell() {
   const figures = [
     ["stage", stage, "One look in the map and the choice after it"],
     [
-      wallsAlone() ? "walls mapped" : looks && !sighted ? "landmarks mapped" : "tags mapped",
+      `${sighted ? "tags" : counted()} mapped`,
       `${value(wallsAlone() ? series.walls : series.tags, time) ?? 0}${looks && sighted ? `, ${sighted} seen` : ""}`,
       "Landmarks in the map; what is seen in the first look is mapped when that ends",
     ],
@@ -196,9 +199,13 @@ function tellEnd() {
       "map error",
       `${number(end.landmark_rmse_m, 3, "m")} RMSE (${number(end.landmark_rmse_aligned_m, 3, "m")} aligned)`,
     ]);
-  if (end.position_error_m && end.position_error_m.mean !== null && end.position_error_m.mean !== undefined)
-    list.push(["pose error", `${number(end.position_error_m.mean, 3, "m")} mean`]);
-  if (end.area_coverage !== null) list.push(["coverage", `${number(100 * end.area_coverage, 1)} % of the area`]);
+  if (Number.isFinite(end.position_error_moving_m?.mean))
+    list.push(["pose error", `${number(end.position_error_moving_m.mean, 3, "m")} mean from the first drive on`]);
+  const shares = [
+    [end.area_coverage, "area"],
+    [end.surface_coverage_5cm, "surface within 5 cm"],
+  ].filter(([share]) => Number.isFinite(share));
+  if (shares.length) list.push(["coverage", shares.map(([share, what]) => `${percent(share)} of the ${what}`).join(", ")]);
   if (end.contacts !== null)
     list.push(["contacts", `${end.contacts} by the robot, ${end.contacts_received} by others`]);
   list.push(["folder", end.folder]);

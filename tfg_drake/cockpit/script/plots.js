@@ -1,9 +1,9 @@
 // Plots over time, and the stages beside the slider.
 
-const WALLS = ["walls mapped", [[series.walls, "landmark"]], 0, ""];
+const WALLS = ["", [[series.walls, "landmark"]], 0, ""];
 const PLOTS = [
   [
-    "tags mapped",
+    "",
     [
       [series.tags, "landmark"],
       [forkSeries.tags, "fork"],
@@ -75,7 +75,7 @@ function drawPlots() {
     context.globalAlpha = 0.5;
     context.fillRect(x(time) - 0.5 * ratio, top - 2, ratio, h);
     context.globalAlpha = 1;
-    box.querySelector("span").textContent = title.replace(
+    box.querySelector("span").textContent = (title || `${counted()} mapped`).replace(
       / and true$/,
       parts.length > 1 && parts[1][0].times.length ? " and true" : "",
     );

@@ -57,7 +57,7 @@ const LAYERS = [
     "map",
     "landmark",
     true,
-    "What the robot has mapped: tags, and walls. Dark: between two tags; grey: past the last tag; orange: without one",
+    "What the robot has mapped: tags, and walls. Dark: on a wall or between two tags; grey: past the last tag; orange: without a landmark",
   ],
   [
     "uncertainty",

@@ -18,6 +18,11 @@ function wallsAlone() {
   return !series.tags.values.some(Boolean) && series.walls.values.some(Boolean);
 }
 
+/** What the chart counts: tags, walls where the map has no tags, landmarks as long as it has neither. */
+function counted() {
+  return wallsAlone() ? "walls" : series.tags.values.some(Boolean) ? "tags" : "landmarks";
+}
+
 /** Whether the robot has not mapped anything yet. */
 function firstLook(t) {
   const mission = timeline.at("mission", t);

@@ -1,0 +1,28 @@
+"""What is in a map, in words."""
+
+import dataclasses
+
+import pytest
+
+from tfg_drake.mapfile.summary import landmark_counts, map_rows
+from tfg_drake.slam.evidence import no_evidence
+
+
+@pytest.mark.parametrize(
+    ("tags", "walls", "told"),
+    [(4, 0, "4 tags"), (0, 43, "43 walls"), (1, 1, "1 tag, 1 wall"), (0, 0, "no landmarks")],
+)
+def test_landmarks_are_counted_by_what_they_are(tags, walls, told):
+    assert landmark_counts(tags, walls) == told
+
+
+def test_a_map_without_tags_speaks_of_walls_alone(walled_map):
+    graph = walled_map.graph
+    walls = dataclasses.replace(
+        graph, ids=graph.ids[:2], p_ML=graph.p_ML[:2], landmark_covariance=graph.landmark_covariance[:2]
+    )
+    told = dict(map_rows(dataclasses.replace(walled_map, graph=walls, evidence=no_evidence()), 1000))
+    assert told["landmarks"] == "1 wall"
+    assert told["walls"] == "1\u03c3 across 0.1600 m median, 0.3000 m worst"
+    assert "tags" not in told
+    assert dict(map_rows(walled_map, 1000))["tags"].endswith(" m worst (tag 13)")
