@@ -403,9 +403,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
     if not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks):
-        # What lies behind a thin wall has been seen, too. Its other face may stay unmapped: to look at each would take
-        # a few per cent of a mission.
-        graph = replace(graph, uninspected=no_points(), unseen_backs=no_points())
+        graph = replace(graph, uninspected=no_points())
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
