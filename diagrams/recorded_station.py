@@ -13,7 +13,7 @@ from pydrake.systems.framework import System
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.datasets.recording import Recording
-from tfg_drake.diagrams.robots import Robot
+from tfg_drake.diagrams.robots import RECORDED, Robot
 from tfg_drake.diagrams.scenario import Scenario, WorldConfig
 from tfg_drake.hardware.recordings import load_laser_recording
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
@@ -21,8 +21,6 @@ from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
 from tfg_drake.systems.port_player import PortPlayer
 
-# What a robot is called that is a laser recording.
-RECORDED = "recording"
 # Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
 PATIENCE = 10.0
 # Walls of buildings that are lived in are off a plane by this, m, see ScanConfig.

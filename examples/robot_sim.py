@@ -3,6 +3,7 @@
     python examples/robot_sim.py house
     python examples/robot_sim.py mine.yaml --meshcat --seed 3
     python examples/robot_sim.py house --graphviz house.dot
+    python examples/robot_sim.py house --landmarks 60    # a monitor ends it when so many are mapped
     python examples/robot_sim.py robot.yaml --hardware --enable
 
 The explorer cannot tell a simulated station from a robot's: they have the same ports, but for truth.*. In the way of
@@ -19,7 +20,7 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import StartMeshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, System
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
@@ -59,8 +60,8 @@ def MakeRobotDiagram(scenario: Scenario, *, meshcat: bool, hardware: bool, enabl
     return diagram
 
 
-def Run(scenario: Scenario, *, max_time: float, graphviz: Path | None, **made_of: bool) -> None:
-    """Simulates until the mission ends, or for max_time, s."""
+def Run(scenario: Scenario, *, max_time: float, graphviz: Path | None, landmarks: int | None, **made_of: bool) -> None:
+    """Simulates until the mission ends, for max_time, s, or until so many landmarks are mapped."""
     diagram = MakeRobotDiagram(scenario, **made_of)
     if graphviz is not None:
         graphviz.write_text(diagram.GetGraphvizString(max_depth=2), encoding="utf-8")
@@ -71,12 +72,19 @@ def Run(scenario: Scenario, *, max_time: float, graphviz: Path | None, **made_of
     simulator.set_target_realtime_rate(0.0 if simulated else 1.0)
     diagram.SetRandomContext(simulator.get_mutable_context(), RandomGenerator(scenario.seed))
 
-    # The explorer requests termination when its mission is over.
-    status = simulator.AdvanceTo(max_time)
     context = simulator.get_context()
 
     def Look(system: System, port: str) -> Any:
         return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(context))
+
+    def Monitor(_root: Context) -> EventStatus:
+        if landmarks is not None and len(Look(explorer, "map").ids) >= landmarks:
+            return EventStatus.ReachedTermination(explorer, f"{landmarks} landmarks are mapped")
+        return EventStatus.DidNothing()
+
+    # The explorer requests termination when its mission is over; the monitor may do so before, after any step.
+    simulator.set_monitor(Monitor)
+    status = simulator.AdvanceTo(max_time)
 
     tags = is_tag(Look(explorer, "landmarks").ids)
     mapped = landmark_counts(np.count_nonzero(tags), np.count_nonzero(~tags) // 2)  # a wall has two points
@@ -92,6 +100,7 @@ def main() -> None:
     parser.add_argument("scenario", help="a shipped scenario's name, or a YAML file")
     parser.add_argument("--seed", type=int, help="of all noise, instead of the scenario's")
     parser.add_argument("--max-time", type=float, default=3600.0, help="s")
+    parser.add_argument("--landmarks", type=int, help="end when so many are mapped")
     parser.add_argument("--meshcat", action="store_true", help="show it in Meshcat")
     parser.add_argument("--hardware", action="store_true", help="drive the robot of scenario.hardware")
     parser.add_argument("--enable", action="store_true", help="with --hardware: the base may move at once")

@@ -23,7 +23,7 @@ from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.context_state import kinds_of, restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.parts import OUTPUTS
-from tfg_drake.diagrams.robots import SIMULATED, Robot
+from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.mapfile.message_arrays import to_arrays
@@ -481,7 +481,9 @@ class Mission:
             "simulated": not self.robot.real,
             "pushes": [dataclasses.asdict(one) for one in scenario.disturbances if not self.robot.real],
         }
-        camera = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
+        camera: dict[str, float] | None = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
+        if self.robot.name == RECORDED:  # Nobody drives it, and its scans are all that is looked at.
+            camera, told["wheels"] = None, False
         layer = scene.walls(self.world) if self.world is not None else {}
         timeline.write("world", 0.0, layer, **told, camera=camera)
         timeline.write("frame", 0.0, {"pose": self.X_WM.astype(np.float32)})

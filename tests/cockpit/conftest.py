@@ -72,11 +72,12 @@ def stage(writer, number, time):
     tags = Table({"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k}, points, points, k)
     writer.write_rows("map", time, tags, stage=number, entropy=-5.0 * number, views=number)
     segments = np.array([[-0.9, -2.0, 1.5, -2.0], [1.5, -2.0, 3.0, -2.0], [5.0, -2.0, 5.0, 0.5]])[:number]
+    segments = np.vstack([segments, [[4.0, 0.0, 4.5, 0.5]]])  # of an area to keep out of
     walls = np.array([[-0.9, -2.0, 1.5, -2.0], [5.0, -2.0, 5.0, 0.5]])[: number - 1]
     known = {"segments": walls, "deviation": np.array([[0.1, 0.3], [1e-4, 1e-4]], dtype=np.float32)[: number - 1]}
     writer.write_rows("wall_landmarks", time, Table(known, walls[:, :2], walls, k[1:]))
     facing = np.tile(np.array([0.0, 1.0], dtype=np.float32), (number, 1))
-    kind = k.astype(np.uint8)
+    kind = np.append(k, 3).astype(np.uint8)
     writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, segments[:, :2], 1e3 * segments))
     writer.write_rows("facing", time, Table({"ids": k, "facing": facing}, points, facing, k))
     bars = np.array([[3.0, -1.0, 3.0, -0.6], [3.2, 0.0, 3.2, 0.4]])
@@ -89,6 +90,8 @@ def stage(writer, number, time):
     writer.write_rows("roadmap", time, Table({"edges": edges}, nodes[1:], edges.astype(float)))
     stops = 3 - number if number > 1 else 3
     tour = {"tour": nodes[[3, 2, 0]][:stops], "done": np.array([6.0, 11.5, 21.0], dtype=np.float32)[:stops]}
+    # By way of the roadmap's corner (2, 1), and straight on.
+    tour["legs"] = np.array([[3.5, 1.2, 2, 1], [2, 1, 2, -1], [2, -1, 2, 1], [2, 1, 0, 1]])[: 2 * max(stops - 1, 0)]
     told = {"verdict": "goal", "reason": "It looks round once more.", "stage": number, "sent": False, "most": 31.4}
     writer.write("goal", time, {"points": nodes[-1:], **tour}, **told)
     share = np.array([25, 128, 180, 255], dtype=np.uint8)

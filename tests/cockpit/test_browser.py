@@ -23,7 +23,7 @@ from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_timeline
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
-LAYERS += ["free", "wall_landmarks"]
+LAYERS += ["free", "wall_landmarks", "keep_out"]
 
 
 class Page:
@@ -241,7 +241,7 @@ def test_numbers_and_the_goal_are_explained(page):
     assert figures["stated uncertainty"] == "12.2 cm"  # the root of the mean variance
     choice = page.text("choice")
     assert "chosen 1 2.0 3.5 0.5 5.5 4.0 1.4" in " ".join(choice.split())
-    assert [f"instead {i}" in " ".join(choice.split()) for i in (1, 2, 3, 4)] == [True, True, True, False]
+    assert [f"instead {i}" in " ".join(choice.split()) for i in "abcd"] == [True, True, True, False]
     assert page.text("most") == "0\n31 nats"  # the scale of the gains
     swatch = "return getComputedStyle(document.querySelector('label i[data-layer=' + arguments[0] + ']'))"
     assert "gradient" in page(f"{swatch}.backgroundImage", "gains")
@@ -258,10 +258,10 @@ def test_the_tour_is_drawn_as_numbered_stops(page):
     np.testing.assert_allclose(np.array(page(badges, "stops"))[:, :2], stops, atol=1e-3)
     assert len({page(number_, k) for k in range(3)}) == 3
     assert len(page(badges, "instead")) == 3
-    # A line from each to the next.
+    # Lines from each to the next, by the roadmap.
     legs = page("return [...groups.tour.getObjectByName('legs').geometry.attributes.position.array]")
-    legs = np.array(legs).reshape(2, 4, 3)[..., :2]
-    np.testing.assert_allclose(legs.mean(axis=1), 0.5 * (stops[1:] + stops[:-1]), atol=1e-3)
+    legs = np.array(legs).reshape(4, 4, 3)[..., :2]
+    np.testing.assert_allclose(legs.mean(axis=1), [[2.75, 1.1], [2, 0], [2, 0], [1, 1]], atol=1e-3)
     assert "A tour of 3 stops, 21 s in all" in page.text("choice")
     page.seek(5.1)
     assert len(page(badges, "stops")) == 1
@@ -464,6 +464,80 @@ def test_dark_and_light(page):
     assert light[0] != night[0]
     assert light[1] != night[1]
     assert background("light") == light
+
+
+def test_what_the_text_counts_is_what_is_numbered(page):
+    """A goal that is planned anew while the gains stay as they are."""
+    page.seek(8.1)
+    try:
+        page("""const { times, records } = timeline.layers.get("goal"), one = records[0];
+            times.push(8.2);
+            records.push({ ...one, time: 8.2, arrays: { ...arrays(one), tour: new Float32Array([1, 1, 2, 1]) } });""")
+        page.seek(8.3)
+        assert page("return groups.tour.getObjectByName('stops').children.length") == 2
+        assert "A tour of 2 stops" in page.text("choice")
+    finally:
+        page("for (const name of ['times', 'records']) timeline.layers.get('goal')[name].pop()")
+
+
+def test_an_area_to_keep_out_of_is_drawn_by_clicks_and_told_as_a_setting(page):
+    from selenium.webdriver import ActionChains
+
+    page.seek(6.0)
+    scene = page.driver.find_element("id", "scene")
+    corners = np.array([[1.0, -1.0], [2.0, -1.0], [2.0, 0.0]])  # in M, which lies at (1, 2)
+
+    def click(corner):
+        x, y = page(
+            """render();
+            const p = map.localToWorld(new T.Vector3(...arguments, 0)).project(viewer.camera);
+            return [p.x * element("scene").clientWidth / 2, -p.y * element("scene").clientHeight / 2];""",
+            *corner.tolist(),
+        )
+        ActionChains(page.driver).move_to_element_with_offset(scene, round(x), round(y)).click().perform()
+
+    page.click("keep")
+    for corner in [*corners, corners[0]]:
+        click(corner)
+    text = page("return document.querySelector('#areas code').textContent")
+    (area,) = json.loads(text.removeprefix("--set explorer.keep_out='").removesuffix("'"))
+    np.testing.assert_allclose(area, corners + np.array([1.0, 2.0]), atol=0.05)  # A pixel is a centimetre or two.
+    assert page("return areas.drawn.children.map((one) => one.name)") == ["edges"]
+    page("[...document.querySelectorAll('#areas button')].find((one) => one.textContent === 'Undo').click()")
+    page.click("keep")
+    assert page("return [element('areas').hidden, areas.drawn.children.length, armed]") == [True, 0, ""]
+
+
+def test_on_a_telephone_nothing_is_cut(driver, live):
+    live.begin()
+    page = Page(driver, live.cockpit.address)
+    page.until("return element('request-end') !== null && timeline.at('mission', time) !== null")
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    try:
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        page.until("return innerWidth === 390")
+        cut = page("""const shown = [...document.querySelectorAll("header *, footer *, #view button")];
+            return shown.filter((one) => one.offsetParent).filter((one) => {
+              const { left, right } = one.getBoundingClientRect(),
+                inside = one.clientWidth && one.scrollWidth > one.clientWidth + 1;
+              return left < 0 || right > 390 || inside;
+            }).map((one) => one.id || one.tagName);""")
+        assert cut == []
+        assert page("return element('slider').clientWidth") > 300
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_of_a_recording_neither_camera_nor_wheels_are_shown(driver, tmp_path):
+    with TimelineWriter(tmp_path / "timeline.tfg") as writer:
+        writer.write("world", 0.0, {}, title="log", radius=0.18, rule="", simulated=True, camera=None, wheels=False)
+        writer.write("enabled", 0.0, {}, enabled=True)
+        drive(writer, 1.0)
+    export_page(tmp_path / "timeline.tfg", tmp_path / "log.html", "log", viewer_script())
+    page = Page(driver, (tmp_path / "log.html").as_uri())
+    assert page("return robot.visible") is True
+    assert page.text("wheels") == ""
+    assert page("return [groups.camera.children.length, element('layer-camera').parentElement.hidden]") == [0, True]
 
 
 @pytest.mark.parametrize("flat", [True, False])

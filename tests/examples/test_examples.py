@@ -69,6 +69,13 @@ def test_a_diagram_as_in_hardware_sim(run_example, tmp_path):
     assert (tmp_path / "house.dot").read_text().startswith("digraph")
 
 
+def test_a_monitor_ends_it_when_so_many_landmarks_are_mapped(run_example):
+    said = run_example("robot_sim.py", "house", "--max-time", 60, "--landmarks", 5)
+    time, count = map(int, re.search(r"5 landmarks are mapped.\n(\d+) landmarks after (\d+) s", said).groups()[::-1])
+    assert count >= 5
+    assert time < 60
+
+
 def test_a_multibody_plant(run_example):
     said = run_example("multibody_plant.py", time=("until=600.0", "until=42.0"))
     assert re.search(r"<house, seed 0: \w+ after 42 s, \d+ stages, \d\d tags, \d+ walls>, 0 contacts\n$", said)

@@ -55,6 +55,12 @@ def test_shapely_reads_the_map_back(small_map):
     assert found["tag"][0][1]["facing_rad"] == pytest.approx(-0.5 * math.pi)
 
 
+def test_its_coordinates_are_metres_of_a_local_system(small_map):
+    """GDAL 3.12 and PROJ read this name as an engineering system in metres, not as degrees (EPSG:4326)."""
+    wkt = 'LOCAL_CS["W",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+    assert json.loads(geojson_text(small_map))["crs"] == {"type": "name", "properties": {"name": wkt}}
+
+
 def test_what_is_not_known_is_not_there(small_map):
     bare = dataclasses.replace(small_map, tfg=empty_map(), doubtful=np.array([11]))
     found = features(bare)

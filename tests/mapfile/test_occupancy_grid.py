@@ -3,13 +3,14 @@ import io
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 from PIL import Image
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.mapfile.in_world import corners_of, tfg_in_world
-from tfg_drake.mapfile.occupancy_grid import CELL, map_server_files
+from tfg_drake.mapfile.occupancy_grid import CELL, keep_out_files, map_server_files
 from tfg_drake.tfg.graph import empty_map
 from tfg_drake.world.map_server import load_map_server
 
@@ -49,6 +50,22 @@ def test_the_projects_own_reader_reads_it(small_map, tmp_path):
     ends = found.walls.reshape(-1, 2)
     assert np.all((ends > low - CELL) & (ends < high + CELL))
     assert np.count_nonzero(found.free) * CELL**2 == pytest.approx(6.25 + 1.5, rel=0.1)
+
+
+def test_the_mask_to_keep_out_by_is_the_same_grid_and_covers_each_area(small_map):
+    areas = [np.array([[4.5, 3.0], [6.2, 3.3], [5.0, 4.0], [5.2, 3.6]])]
+    areas.append(np.array([[6.0, 4.0], [90.0, 4.0], [6.0, 5.0]]))  # beyond the grid
+    (text, image), (plain, grid) = keep_out_files(small_map, areas, "k.pgm"), map_server_files(small_map, "k.pgm")
+    assert text == plain
+    level = np.asarray(Image.open(io.BytesIO(image)))[::-1]
+    assert level.shape == np.asarray(Image.open(io.BytesIO(grid))).shape
+    x, y = yaml.safe_load(text)["origin"][:2]
+    barred = shapely.union_all([shapely.Polygon(corners) for corners in areas])
+    rows, columns = np.indices(level.shape)
+    cells = shapely.box(x + CELL * columns, y + CELL * rows, x + CELL * (columns + 1), y + CELL * (rows + 1))
+    share = shapely.area(shapely.intersection(cells, barred)) / CELL**2
+    assert set(level[share > 0.5]) == {0}
+    assert set(level[shapely.distance(cells, barred) > 1e-6]) == {254}
 
 
 def test_a_map_without_free_space_has_no_grid(small_map):

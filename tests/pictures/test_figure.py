@@ -1,10 +1,12 @@
 import io
 
 import numpy as np
+import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from tfg_drake.messages import GridMap, replace
-from tfg_drake.pictures.figure import draw_map, run_figure
+from tfg_drake.pictures.figure import draw_landmarks, draw_map, run_figure
 from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.world.world import World
 
@@ -44,6 +46,37 @@ def test_the_same_run_gives_the_same_file(tmp_path):
             tmp_path / name, run_figure("twice", WORLD, None, None, None, poses, poses + 0.01, np.zeros(2, dtype=bool))
         )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def like(path, colour, tolerance=8):
+    """How many pixels of a picture have a colour, more or less."""
+    pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    return int(np.count_nonzero(np.all(np.abs(pixels - colour) < tolerance, axis=-1)))
+
+
+def test_the_true_path_is_seen_where_the_estimated_one_is_the_same(tmp_path):
+    poses, blue, yellow = np.array([[1.0, 1.0, 0.0], [4.0, 1.0, 0.0]]), [0x1F, 0x4E, 0x9C], [0xFF, 0xC1, 0x07]
+    counts = []
+    for truth in (np.zeros((0, 3)), poses):
+        figure = run_figure("path", WORLD, None, None, None, poses, truth, np.zeros(2, dtype=bool))
+        write_figure(tmp_path / "f.png", figure)
+        counts.append([like(tmp_path / "f.png", colour) for colour in (blue, yellow)])
+    (alone, none), (under, over) = counts
+    assert none == 0
+    assert over > 300
+    assert under > 0.4 * alone
+
+
+@pytest.mark.parametrize(("sigma", "said", "radius"), [(0.01, "3\u03c3 \u00d7 10", 0.3), (0.1, "3\u03c3", 0.3)])
+def test_small_ellipses_are_magnified_and_it_says_so(small_map, sigma, said, radius):
+    figure = Figure()
+    axes, blocks = figure.add_subplot(), np.tile(sigma**2 * np.eye(2), (4, 1, 1))
+    draw_landmarks(axes, np.zeros(3), small_map.p_ML, blocks, np.zeros(4, dtype=bool), 5.0)
+    (dots,), (rings,) = axes.lines, axes.collections
+    assert dots.get_label() == f"landmark mapped, {said}"
+    assert rings.get_zorder() > dots.get_zorder()
+    for path, p in zip(rings.get_paths(), small_map.p_ML, strict=True):
+        np.testing.assert_allclose(np.hypot(*(path.vertices - p).T), radius, rtol=1e-6)
 
 
 def test_draws_a_saved_map(tmp_path, small_map):

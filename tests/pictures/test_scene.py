@@ -1,5 +1,7 @@
 """Messages as layers of flat shapes."""
 
+import itertools
+
 import numpy as np
 
 from tests.systems.test_visualizer import make_map, make_messages
@@ -43,7 +45,18 @@ def test_a_tour_has_its_stops_and_when_each_is_done_with():
     # A stop that the roadmap does not have any more is left out.
     fewer = replace(roadmap, points=roadmap.points[:3], ids=roadmap.ids[:3])
     np.testing.assert_array_equal(scene.tour(replace(choice, tour=np.array([1, 3, 0])), fewer)["done"], [1.0, 3.0])
-    assert [len(array) for array in scene.tour(choice, roadmap).values()] == [0, 0]
+    assert [len(array) for array in scene.tour(choice, roadmap).values()] == [0, 0, 0]
+
+
+def test_a_tour_goes_by_the_roadmap_and_straight_where_that_has_no_way():
+    """Round a wall between two stops, past a node that is a detour, and to a place that no edge leads to."""
+    points = np.array([[0.0, 0.0], [0.0, 2.0], [1.0, 2.0], [1.0, 0.0], [0.2, 1.0], [5.0, 5.0]])
+    edges = np.array([[0, 1], [1, 2], [2, 3], [0, 4], [4, 1]])
+    roadmap = replace(roadmap_of(6), points=points, edges=edges)
+    choice = replace(choice_of([-3.0, -1.0, -2.0], [4, 10, 7], node=3), tour=np.array([3, 0, 5]))
+    choice = replace(choice, candidates=np.array([0, 3, 5]))
+    expected = [np.hstack([points[a], points[b]]) for a, b in itertools.pairwise([3, 2, 1, 0, 5])]
+    np.testing.assert_array_equal(scene.tour(choice, roadmap)["legs"], expected)
 
 
 def test_there_is_nothing_to_explain_where_nothing_was_chosen():

@@ -21,7 +21,7 @@ from tfg_drake.storage.timeline import MAGIC, TimelineError
 FILE_NAME = "mission.html"
 # The page's script, file by file in the order in which they are read.
 SCRIPT = """stop timeline scene shapes robot still layers free_space trails series cameras picture
-panels plots controls operator driving fork"""
+panels plots controls operator driving keep_out fork"""
 # What a browser lets the page do: its own scripts run, and no other, whatever a run's files hold; nobody else is asked.
 _POLICY = """default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'; base-uri 'none';
 form-action 'none'; script-src"""

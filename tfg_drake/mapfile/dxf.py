@@ -7,18 +7,19 @@ import io
 import ezdxf
 from ezdxf.enums import TextEntityAlignment
 
-from tfg_drake.mapfile.in_world import KINDS, landmarks_in_world, tfg_in_world
+from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.mapfile.wall_lines import wall_lines
 
-# The layers with their colours by AutoCAD's numbers: black or white, grey, orange, green, violet, blue.
-LAYERS = {"edge": 7, "wall_end": 8, "bare_surface": 30, "tag": 94, "doubtful_tag": 200, "frontier": 5}
+# The layers with their colours by AutoCAD's numbers: black or white, green, violet, blue.
+LAYERS = {"WALL": 7, "tag": 94, "doubtful_tag": 200, "frontier": 5}
 # Length of the line that says which side a tag faces, and height of its number, m.
 FACING, NUMBER = 0.2, 0.12
 
 
 def dxf_text(saved: SavedMap) -> str:
-    """The file's contents, the same on any day: surfaces as lines, each kind on its layer, tags as points with their
-    number and a line to the side that they face, frontiers as points."""
+    """The file's contents, the same on any day: a straight wall as one line, tags as points with their number and a
+    line to the side that they face, frontiers as points."""
     before, text = ezdxf.options.write_fixed_meta_data_for_testing, io.StringIO()
     ezdxf.options.write_fixed_meta_data_for_testing = True  # else the time and random identifiers
     try:
@@ -33,8 +34,8 @@ def _drawing(saved: SavedMap) -> ezdxf.document.Drawing:
     space = drawing.modelspace()
     for name, colour in LAYERS.items():
         drawing.layers.add(name, color=colour)
-    for piece, kind in zip(tfg.segments, tfg.segment_kind.tolist(), strict=True):
-        space.add_line(piece[:2], piece[2:], {"layer": KINDS[kind]})
+    for wall in wall_lines(tfg.segments):
+        space.add_line(wall[:2], wall[2:], {"layer": "WALL"})
     for p in tfg.frontiers:
         space.add_point(p, {"layer": "frontier"})
     columns = (saved.ids.tolist(), landmarks_in_world(saved)[0], tfg.facing, saved.is_doubtful.tolist())

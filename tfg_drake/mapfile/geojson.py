@@ -11,6 +11,9 @@ import shapely
 from tfg_drake.mapfile.in_world import KINDS, landmarks_in_world, stars_of, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
 
+# W as a coordinate system of its own, in metres, in OGC's WKT: without one a reader takes them for degrees.
+CRS = 'LOCAL_CS["W",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+
 
 def geojson_text(saved: SavedMap) -> str:
     """The file's contents: features whose property `layer` is free_space, surface, frontier or tag."""
@@ -26,8 +29,9 @@ def geojson_text(saved: SavedMap) -> str:
         known = {"cov_xx_m2": xx, "cov_xy_m2": xy, "cov_yy_m2": yy, "doubtful": doubtful}
         known["facing_rad"] = math.atan2(f[1], f[0]) if any(f) else None
         features.append(_feature(shapely.Point(p), "tag", id=tag, **known))
-    # A feature a line.
-    return '{"type": "FeatureCollection", "features": [\n' + ",\n".join(map(json.dumps, features)) + "\n]}\n"
+    crs = json.dumps({"type": "name", "properties": {"name": CRS}})
+    lines = ",\n".join(map(json.dumps, features))  # a feature a line
+    return f'{{"type": "FeatureCollection", "crs": {crs}, "features": [\n{lines}\n]}}\n'
 
 
 def _feature(geometry: Any, layer: str, **known: object) -> dict[str, object]:

@@ -25,8 +25,11 @@ _MAPPED, _DOUBTFUL, _MISSED = "#12876f", "#a32ea8", "#d62728"
 # Views nearer to each other than this, m and in points of the drawing, are not both numbered.
 NUMBER_SPACING = 1.5
 NUMBER_POINTS = 36.0
-_ESTIMATE, _TRUTH = "#1f4e9c", "#7fb2e5"
+# Light, dashed on dark: one lies over the other where both agree.
+_ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
 _FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
+# Three deviations whose median is below SEEN, m, are drawn MAGNIFIED times as large, or nobody would see them.
+MAGNIFIED, SEEN = 10.0, 0.1
 # Of the drawing, inches.
 _WIDTH = 11.0
 _POINTS_PER_INCH = 72.0
@@ -83,10 +86,11 @@ def run_figure(
         draw_surfaces(axes, X_WM, tfg)
     if with_walls is not None:
         _draw_walls(axes, X_WM, with_walls, 0.4 * symbol)
-    if len(X_WB_true):
-        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.8, label="true path")
     if len(X_WB_estimated):
-        axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=0.7, label="estimated path")
+        axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=2.4, label="estimated path")
+    if len(X_WB_true):
+        dashed = {"linestyle": (0, (3, 2)), "linewidth": 1.3, "zorder": 4.95}
+        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, label="true path", **dashed)
     if estimate is not None:
         mapped = estimate.ids
         draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)
@@ -95,7 +99,7 @@ def run_figure(
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
         if len(missed):
             label = "tag missed"
-            axes.plot(*missed.T, "o", color=_MISSED, markersize=symbol, markeredgewidth=0, label=label)
+            axes.plot(*missed.T, "X", color=_MISSED, markersize=1.5 * symbol, markeredgewidth=0, label=label)
     start = X_WB_estimated[0] if len(X_WB_estimated) else X_WM
     axes.plot(*start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
@@ -169,38 +173,47 @@ def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
 
 
 def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph, size: float) -> None:
-    """The walls that are landmarks onto axes of W: a thin line from point to point, three deviations to either side."""
+    """The walls that are landmarks onto axes of W: a line from point to point that is seen on both sides of what it is
+    the wall of, and three deviations to either side, see MAGNIFIED."""
     _, p_ML, deviation = known_walls(known)
     if not len(p_ML):
         return
     p_WL = transform(X_WM, p_ML.reshape(-1, 2))
-    outlines, pieces = spreads(p_WL.reshape(-1, 4), deviation), p_WL.reshape(-1, 2, 2)
+    three, times = _three(deviation.max(axis=1))
+    outlines, pieces = spreads(p_WL.reshape(-1, 4), deviation, three), p_WL.reshape(-1, 2, 2)
     colour = css(WALL_LANDMARK)
     axes.add_collection(PolyCollection(list(outlines), facecolors=colour, edgecolors="none", alpha=0.3, zorder=1.9))
-    label = "wall (landmark), 3\u03c3"
-    axes.add_collection(LineCollection(list(pieces), colors=colour, linewidths=0.7, zorder=2.1))
-    axes.plot([], [], "o-", color=colour, linewidth=0.7, markersize=size, markeredgewidth=0, label=label)
+    label = f"wall (landmark), {times}"
+    axes.add_collection(LineCollection(list(pieces), colors=colour, linewidths=3.0, zorder=1.95))
+    axes.plot([], [], "o-", color=colour, linewidth=3.0, markersize=size, markeredgewidth=0, label=label)
     axes.plot(*p_WL.T, "o", color=colour, markersize=size, markeredgewidth=0, zorder=2.1)
+
+
+def _three(deviations: FloatArray) -> tuple[float, str]:
+    """How many standard deviations are drawn for deviations (n,), m, and the words for it; see MAGNIFIED."""
+    small = len(deviations) > 0 and 3.0 * float(np.median(deviations)) < SEEN
+    return (3.0 * MAGNIFIED, f"3\u03c3 \u00d7 {MAGNIFIED:g}") if small else (3.0, "3\u03c3")
 
 
 def draw_landmarks(
     axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, doubtful: BoolArray, symbol: float
 ) -> None:
-    """Landmarks p_ML (n, 2), m, with the ellipses of their covariances (n, 2, 2) onto axes of W; symbol: points.
+    """Landmarks p_ML (n, 2), m, onto axes of W, with the ellipses of their covariances (n, 2, 2), m^2; see MAGNIFIED.
 
-    doubtful: (n,) which of them are drawn in another colour.
+    doubtful: (n,) which of them are drawn in another colour. symbol: a landmark's size, points.
     """
     R_WM = rotation(float(X_WM[2]))
     p_WL = transform(X_WM, p_ML)
-    outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T)
+    three, times = _three(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))
+    outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T, three)
     # Thin where there are many on little room.
-    width = min(0.5, 0.15 * symbol)
+    width = min(0.9, 0.2 * symbol)
     for some, colour, what in ((~doubtful, _MAPPED, "mapped"), (doubtful, _DOUBTFUL, "doubtful")):
         if not some.any():
             continue
-        label = f"tag {what}, 3\u03c3"
+        label = f"tag {what}, {times}"
         axes.plot(*p_WL[some].T, "o", color=colour, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
-        rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4)
+        rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4.5)
         axes.add_collection(rings)
 
 
@@ -231,7 +244,8 @@ def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: igno
     for number in range(len(views) - 1, -1, -1):
         if all(np.hypot(*(views[number] - views[other])) > spacing for other in numbered):
             numbered.append(number)
-    axes.plot(*views.T, "o", markersize=3, color=_ESTIMATE, linewidth=0, label="turn or glance", zorder=4.9)
+    dots = {"markerfacecolor": "white", "label": "turn or glance", "zorder": 4.97}
+    axes.plot(*views.T, "o", markersize=4, color=_ESTIMATE, linewidth=0, **dots)
     # As wide as the number is.
     box = {"boxstyle": "round,pad=0.3,rounding_size=0.8", "facecolor": "white", "edgecolor": _ESTIMATE}
     middle = {"ha": "center", "va": "center"}

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import pose_at, transform
@@ -33,6 +34,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.pictures.drawing import polyline_segments
+from tfg_drake.planning.shortest_ways import joined
 from tfg_drake.tfg.frontier import PUSH, SPACING
 from tfg_drake.world.world import World
 
@@ -166,10 +168,29 @@ def goal(choice: GoalChoice) -> Layer:
 
 
 def tour(choice: GoalChoice, roadmap: Roadmap) -> Layer:
-    """tour: (s, 2) the stops of the tour, the goal first. done: (s,) s from the choice until each is done with."""
+    """tour: (s, 2) the stops of the tour, the goal first. done: (s,) s from the choice until each is done with. legs:
+    (k, 4) the shortest ways along the roadmap from each stop to the next, straight where there is none."""
     rows, of_tour = roadmap.nodes(choice.tour), np.isin(choice.candidates, choice.tour)
     done = np.sort(-choice.value[of_tour])
-    return {"tour": roadmap.points[rows[rows >= 0]], "done": done[rows >= 0].astype(np.float32)}
+    stops = rows[rows >= 0]
+    return {"tour": roadmap.points[stops], "done": done[rows >= 0].astype(np.float32), "legs": _legs(roadmap, stops)}
+
+
+def _legs(roadmap: Roadmap, stops: IntArray) -> FloatArray:
+    """The shortest ways along the roadmap from each of its nodes stops (s,) to the next as segments (k, 4), m."""
+    if len(stops) < 2:
+        return np.zeros((0, 4))
+    points, edges = roadmap.points, roadmap.edges
+    length = np.hypot(*(points[edges[:, 1]] - points[edges[:, 0]]).T)
+    _, before = dijkstra(joined(edges, length, len(points)), indices=stops[:-1], return_predecessors=True)
+    ways = []
+    for (first, last), node_before in zip(itertools.pairwise(stops.tolist()), before.tolist(), strict=True):
+        way = [last]
+        while way[-1] != first:
+            node = node_before[way[-1]]
+            way.append(node if node >= 0 else first)
+        ways.append(polyline_segments(points[way[::-1]]))
+    return np.vstack(ways)
 
 
 def path(message: Path) -> Layer:

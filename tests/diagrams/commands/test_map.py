@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from tests.diagrams.rooms import SHORT_LOOK
 from tfg_drake.diagrams.commands.map import FORMATS, OF_GRAPH, OF_TAGS, SUFFIXES
@@ -122,6 +123,20 @@ def test_a_format_is_named_where_the_suffix_is_that_of_several(call, path, tmp_p
     assert call("map", "export", path, out, "--format", "apriltag_ros", *sized)[0] == 0
     tags = yaml.safe_load(out.read_text())["tag_bundles"][0]["layout"]
     assert [(tag["id"], tag["size"], tag["z"]) for tag in tags] == [(tag, 0.2, 1.5) for tag in (10, 11, 12, 13)]
+
+
+def test_a_grid_of_a_run_with_keep_out_areas_has_a_mask_for_nav2_beside_it(call, path, tmp_path):
+    (tmp_path / "scenario.yaml").write_text("explorer: {keep_out: [[[4.5, 3], [5.5, 3], [5.5, 3.5], [4.5, 3.5]]]}\n")
+    code, out, err = call("map", "export", path, tmp_path / "plan.yaml")
+    files = [tmp_path / name for name in ("plan.yaml", "plan.pgm", "plan_keepout.yaml", "plan_keepout.pgm")]
+    size = sum(file.stat().st_size for file in files) / 1e3
+    assert (code, out, err) == (0, f"{', '.join(map(str, files))}: 4 landmarks, {size:.0f} kB\n", "")
+    assert yaml.safe_load(files[2].read_text()) == yaml.safe_load(files[0].read_text()) | {"image": "plan_keepout.pgm"}
+    barred = np.count_nonzero(np.asarray(Image.open(files[3])) == 0)
+    assert 1.0 * 0.5 <= barred * 0.05**2 <= 1.1 * 0.6  # whole cells
+    path.rename(tmp_path / "aligned.npz")  # perhaps to another frame
+    assert call("map", "export", tmp_path / "aligned.npz", tmp_path / "b.yaml")[0] == 0
+    assert not (tmp_path / "b_keepout.yaml").exists()
 
 
 def test_what_was_explored_is_explored_again_by_its_grid(call, tmp_path, finished):

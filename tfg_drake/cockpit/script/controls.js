@@ -86,7 +86,7 @@ for (const [name, words, swatch, shown, hint] of LAYERS) {
   mark.dataset.layer = name;
   label.append(box, mark, words);
   groups[name].visible = shown;
-  label.hidden = name === "wall_landmarks"; // Until there is one.
+  label.hidden = ["wall_landmarks", "keep_out"].includes(name); // Until there is one.
   box.onchange = () => {
     groups[name].visible = box.checked;
     shownBounds = "";
@@ -113,7 +113,7 @@ function paint() {
 
 document.addEventListener("keydown", (event) => {
   if (event.target.tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
-  const keys = { k: "play", v: "mode", f: "follow", 0: "fit", l: "live" };
+  const keys = { a: "keep", k: "play", v: "mode", f: "follow", 0: "fit", l: "live" };
   if (!element("send").hidden) keys.g = "send";
   if (!element("drive").hidden) keys.m = "drive";
   if (event.key === " " && SOURCE && SOURCE.controls) element("stop").click();

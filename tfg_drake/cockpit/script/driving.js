@@ -17,9 +17,9 @@ let armed = ""; // which of DRIVING is on
 function arm(what) {
   if (armed === "drive" && what !== "drive") request("key", { key: "halt" });
   armed = armed === what ? "" : what;
-  for (const name of Object.keys(DRIVING)) pressed(name, armed === name);
-  element("scene").style.cursor = armed === "send" ? "crosshair" : "";
-  if (!armed) return;
+  for (const name of [...Object.keys(DRIVING), "keep"]) pressed(name, armed === name);
+  element("scene").style.cursor = ["send", "keep"].includes(armed) ? "crosshair" : "";
+  if (!armed || armed === "keep") return;
   setPlaying(false);
   setLive(true);
 }

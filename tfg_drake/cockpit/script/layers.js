@@ -93,7 +93,7 @@ const draw = {
     ["edge", "wall_end", "bare_surface", "keep_out"].forEach((name, value) => {
       const some = rows(kind.length, (i) => kind[i] === value),
         look = flat ? material(name) : material(value ? name : "edge_in_space", { lit: true });
-      put(groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));
+      put(groups[name] ?? groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));
     });
   },
 
@@ -146,10 +146,8 @@ const draw = {
   },
 
   goal(record) {
-    const { tour = [] } = arrays(record),
-      legs = [];
-    for (let i = 0; i + 3 < tour.length; i += 2) legs.push(...tour.slice(i, i + 4));
-    const look = material("path", { above: true, opacity: 0.55 });
+    const { tour = [], legs = [] } = arrays(record),
+      look = material("path", { above: true, opacity: 0.55 });
     put(groups.tour, "legs", boxes(legs, null, 0.6 * unit, 0.004, Z.tour, look, 5));
     put(groups.tour, "stops", badges(tour, "stop", 4.4 * unit));
     put(

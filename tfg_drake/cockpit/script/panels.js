@@ -64,7 +64,8 @@ function tell() {
   element("phase").title = `${element("phase").textContent}. ${hint}`;
   element("phase").className = `chip ${outcome === "complete" ? "good" : outcome ? "bad" : ""}`;
   element("clock").textContent = number(asTold(time), 1, "s") + (element("clock").dataset.held === "true" ? ", held" : "");
-  element("wheels").textContent = enabled ? (enabled.told.enabled ? "wheels enabled" : "wheels stopped") : "";
+  const wheels = timeline.at("world", Infinity)?.told.wheels !== false; // Nobody drives a recording.
+  element("wheels").textContent = enabled && wheels ? (enabled.told.enabled ? "wheels enabled" : "wheels stopped") : "";
   element("wheels").className = `chip ${enabled ? (enabled.told.enabled ? "good" : "bad") : ""}`;
   const sighted = looks ? sightedTags(time).length / 2 : 0;
   const figures = [
@@ -118,30 +119,32 @@ const RULES = {
 /** Why the goal was chosen, given its record. */
 function whyGoal(record) {
   const { sent, reason } = record.told,
-    { done = [] } = arrays(record);
+    { done = [], tour = [] } = arrays(record),
+    stops = tour.length / 2; // as many as are numbered
   if (sent) return "Somebody has sent the robot there.";
-  if (!done.length) return RULES[timeline.at("world", Infinity)?.told.rule] ?? reason;
+  if (!stops) return RULES[timeline.at("world", Infinity)?.told.rule] ?? reason;
   const spent = number(done.at(-1), 0, "s");
-  return done.length === 1
+  return stops === 1
     ? `A tour of one stop, ${spent}: from the goal all frontiers nearby are seen.`
-    : `A tour of ${done.length} stops, ${spent} in all: from them all frontiers nearby are seen in the least time. The ` +
+    : `A tour of ${stops} stops, ${spent} in all: from them all frontiers nearby are seen in the least time. The ` +
         "goal is its first stop, whatever is to be gained at others.";
 }
 
-let choiceShown = null,
+let choiceShown = [],
   stageTold = -1;
 function tellChoice() {
-  const record = timeline.at("gains", time);
-  const shown = firstLook(time) ? FIRST_LOOK : record;
-  if (shown === choiceShown) return;
+  const record = timeline.at("gains", time),
+    goal = timeline.at("goal", time), // It may change while the gains stay.
+    looks = firstLook(time),
+    shown = looks ? [FIRST_LOOK] : [record, goal];
+  if (shown.every((one, i) => one === choiceShown[i])) return;
   choiceShown = shown;
-  const table = record ? record.told.explained : [],
-    goal = timeline.at("goal", time);
+  const table = record ? record.told.explained : [];
   element("most").lastChild.textContent = `${table.length ? number(goal?.told.most, 0) : "–"} nats`;
-  element("choice").hidden = !table.length && shown !== FIRST_LOOK;
-  if (shown === FIRST_LOOK) element("choice").replaceChildren(made("h2", {}, "First look"), made("p", {}, FIRST_LOOK));
-  if (!table.length || shown === FIRST_LOOK) return;
-  const toured = goal && (arrays(goal).done ?? []).length > 0;
+  element("choice").hidden = !table.length && !looks;
+  if (looks) element("choice").replaceChildren(made("h2", {}, "First look"), made("p", {}, FIRST_LOOK));
+  if (!table.length || looks) return;
+  const toured = goal && (arrays(goal).tour ?? []).length > 0;
   const cell = (v) => made("td", {}, number(v, Math.abs(v) < 9.95 ? 1 : 0));
   const head = [
     ["goal", ""],
@@ -154,7 +157,7 @@ function tellChoice() {
   ];
   const rows = table.map((row, i) => {
     const numbers = [row.exploitation, row.exploration, row.pose_price, row.gain, row.time, row.rate],
-      badge = made("i", { className: row.chosen ? "badge" : "badge instead" }, row.chosen ? "1" : `${i}`),
+      badge = made("i", { className: row.chosen ? "badge" : "badge instead" }, row.chosen ? "1" : nameOf("instead", i - 1)),
       name = row.chosen ? made("td", {}, "chosen ", toured ? badge : "") : made("td", {}, "instead ", badge),
       line = made("tr", { className: row.chosen ? "chosen" : "" }, name, ...numbers.map(cell));
     if (!row.chosen && forks.possible) line.dataset.row = i;

@@ -90,7 +90,7 @@ const DRAWS_INTO = {
     ["map", "edge"],
     ["map", "wall_end"],
     ["map", "bare_surface"],
-    ["map", "keep_out"],
+    ["keep_out", "keep_out"],
   ],
   map: [
     ["map", "landmark"],
@@ -159,6 +159,7 @@ function render() {
     robot.scale.setScalar(scale);
     ghost.scale.setScalar(scale);
     redraw(NEEDS_UNIT);
+    drawAreas();
     show(time);
   }
   viewer.controls.update();

@@ -73,6 +73,7 @@ const LAYERS = [
     true,
     "Walls that are landmarks, as tags are, between two points of each; round them bands of three standard deviations",
   ],
+  ["keep_out", "keep-out areas", "keep_out", true, "Areas that it must not enter (explorer.keep_out)"],
   ["frontiers", "frontiers", "frontier", true, "Where known free space ends at the unknown"],
   [
     "gains",
@@ -87,7 +88,7 @@ const LAYERS = [
     "tour, instead",
     "path",
     true,
-    "Numbered, its goal first: the tour that it has planned. Grey squares: where it could have gone instead",
+    "1, 2, ... its goal first: the stops of the tour that it has planned. Grey a, b, c: where it could have gone instead",
   ],
   ["path", "path", "path", true, "The path that it drives, and its goal"],
   ["trail", "trail", "trail", true, "The way that it has driven, as it believes; beside it, grey, the true one"],
@@ -98,7 +99,7 @@ const LAYERS = [
 const groups = {};
 for (const [name] of LAYERS) groups[name] = new T.Group();
 for (const name of ["walls"]) world.add(groups[name]);
-for (const name of ["map", "wall_landmarks", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "free"]) map.add(groups[name]);
+for (const name of ["map", "wall_landmarks", "uncertainty", "keep_out", "frontiers", "gains", "roadmap", "tour", "path", "free"]) map.add(groups[name]);
 const trails = { pose: new T.Group(), truth: new T.Group() };
 map.add(trails.pose, groups.scan, groups.camera);
 world.add(trails.truth, groups.trail);

@@ -81,6 +81,8 @@ timeline.listeners.push((layer, record) => {
     series.walls.times.push(record.time);
     series.walls.values.push(record.count);
     if (record.count) element("layer-wall_landmarks").parentElement.hidden = false;
+  } else if (layer === "tfg") {
+    if (arrays(record).kind.includes(3)) element("layer-keep_out").parentElement.hidden = false;
   } else if (layer === "free") {
     addStars(record);
   } else if (layer === "scan") {
@@ -123,6 +125,7 @@ let camera = null,
   robotRadius = 0.18;
 function buildCamera(told) {
   ({ camera, radius: robotRadius } = told);
+  element("layer-camera").parentElement.hidden = !camera;
   robot.scale.setScalar(robotRadius);
   ghost.scale.setScalar(robotRadius);
 }

@@ -174,11 +174,14 @@ function ellipses(points, covariance, rows, z, look, order, geometry = OVAL) {
   );
 }
 
-/** Numbers 1, 2, ... at points, a disc round each, or a square: as large whatever is far away. */
+/** What the stops of the tour are called, 1, 2, ..., and what it could do instead, a, b, ...: nobody mixes them up. */
+const nameOf = (name, i) => (name === "stop" ? `${i + 1}` : String.fromCharCode(97 + i));
+
+/** Names at points, a disc round each, or a square: as large whatever is far away. */
 function badges(points, name, radius) {
   const group = new T.Group();
   for (let i = 0; 2 * i < points.length; i++) {
-    const badge = new T.Sprite(badgeLook(name, i + 1));
+    const badge = new T.Sprite(badgeLook(name, nameOf(name, i)));
     badge.position.set(points[2 * i], points[2 * i + 1], Z.path);
     badge.scale.setScalar(2 * radius);
     badge.renderOrder = name === "stop" ? 7 : 6;
@@ -189,8 +192,8 @@ function badges(points, name, radius) {
 
 const BADGES = { stop: "path", instead: "truth" }, // their colours
   badgeLooks = new Map();
-function badgeLook(name, number) {
-  const key = [name, number, dark.matches].join();
+function badgeLook(name, words) {
+  const key = [name, words, dark.matches].join();
   if (!badgeLooks.has(key)) {
     const canvas = made("canvas", { width: 64, height: 64 }),
       context = canvas.getContext("2d");
@@ -200,7 +203,7 @@ function badgeLook(name, number) {
     else context.roundRect(5, 5, 54, 54, 8);
     context.fill();
     Object.assign(context, { fillStyle: colour("free"), font: "bold 42px sans-serif", textAlign: "center" });
-    context.fillText(number, 32, 47);
+    context.fillText(words, 32, 47);
     const map = new T.CanvasTexture(canvas);
     badgeLooks.set(key, new T.SpriteMaterial({ map, depthTest: false }));
   }
