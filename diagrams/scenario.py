@@ -43,6 +43,7 @@ from tfg_drake.config import (
 )
 from tfg_drake.geometry.polygon import fault, hatched
 from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.io.extras import pip_install
 from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.camera_sheet import camera_sheets
@@ -601,7 +602,7 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
 
         from tfg_drake.world.scene import check_drawn
     except ModuleNotFoundError as error:
-        missing = f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'"
+        missing = f"{error.name} is not installed; get it with {pip_install('camera')}"
         raise ScenarioError(f"{source}: station.eyes=camera: {missing}") from None
     check_drawn(MakeWorld(scenario.world))
 

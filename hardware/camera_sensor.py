@@ -14,6 +14,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.remarks import Remark, Spells, begun
 from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import TagDetections
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
-        raise DeviceError(f"{name}: {error.name} is not installed: pip install 'tfg-drake[camera]'") from None
+        raise DeviceError(f"{name}: {error.name} is not installed: {pip_install('camera')}") from None
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
     if not camera.calibration:

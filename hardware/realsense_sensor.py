@@ -13,6 +13,7 @@ import numpy as np
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import LaserScan
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
@@ -44,7 +45,7 @@ class RealsenseDriver(SensorReader):
             import pyrealsense2
         except ImportError:
             raise DeviceError(
-                f"{name}: pyrealsense2 is not installed; get it with pip install 'tfg-drake[realsense]'"
+                f"{name}: pyrealsense2 is not installed; get it with {pip_install('realsense')}"
             ) from None
         self._rs: Any = pyrealsense2
         self._device = device

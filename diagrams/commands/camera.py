@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, parse_place, writing
+from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
@@ -176,7 +177,7 @@ def _need_packages() -> None:
     try:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
+        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
 
 
 def _tell(line: str) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.device import BaseState, Device
@@ -157,7 +158,7 @@ def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[
     try:
         from tfg_drake.diagrams.emulated_camera import EmulatedCamera
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
+        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
     world = empty_plane() if name == "none" else _world(name)
     try:
         seen = EmulatedCamera(world, lambda: emulator.base.pose)

@@ -14,6 +14,7 @@ import typer
 from tfg_drake.config import CameraConfig
 from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, wait_for_enter, writing
 from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import of_run, write_atomic
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> No
     try:
         made = importlib.import_module(f"tfg_drake.{module}")
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[export]'")
+        bad_input(f"{error.name} is not installed; get it with {pip_install('export')}")
     contents = getattr(made, function)(saved, *arguments)
     if name in BESIDE:
         contents, beside = contents

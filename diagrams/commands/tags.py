@@ -10,6 +10,7 @@ import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, writing
 from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +37,7 @@ def print_tags(
     try:
         from tfg_drake.vision import tag_sheets
     except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with pip install 'tfg-drake[camera]'")
+        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
     try:
         numbers = tag_sheets.parse_ids(ids)
     except tag_sheets.SheetError as error:

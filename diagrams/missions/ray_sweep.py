@@ -22,6 +22,7 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.missions.sweep import SweepError, Task, attempt
+from tfg_drake.io.extras import pip_install
 
 # A mission whose worker or machine died is begun again this often.
 RETRIES = 3
@@ -67,7 +68,7 @@ def connect(address: str) -> Any:
     try:
         import ray
     except ImportError:
-        raise SweepError("--ray: Ray is not installed; pip install 'tfg-drake[ray]'") from None
+        raise SweepError(f"--ray: Ray is not installed; {pip_install('ray')}") from None
     handler = signal.getsignal(signal.SIGTERM)
     try:
         _knock(address)

@@ -15,6 +15,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import tfg_drake
+from tfg_drake.io.extras import pip_install
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -104,7 +105,7 @@ def main(out: Path) -> int:
     try:
         from sphinx.cmd.build import build_main
     except ImportError:
-        print("Sphinx is not installed; get it with pip install 'tfg-drake[docs]'", file=sys.stderr)
+        print(f"Sphinx is not installed; get it with {pip_install('docs')}", file=sys.stderr)
         return 2
     source = out / "source"
     shutil.rmtree(source, ignore_errors=True)

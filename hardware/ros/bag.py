@@ -19,6 +19,7 @@ from tfg_drake.datasets.recording import DatasetError, Recording, said_of_scanne
 from tfg_drake.hardware.ros.bag_files import Logged, bag_files, read_messages
 from tfg_drake.hardware.ros.conversions import field, laser_scan, number, odometry, ros_stamp, unit_quaternion
 from tfg_drake.hardware.ros.preset import Scanner
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import FloatArray, LaserScan, Odometry
 from tfg_drake.notes import Note
 
@@ -56,7 +57,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
     try:
         decoded = _decoder()
     except ImportError:
-        raise DatasetError(f"{path}: a ROS bag needs an extra; pip install 'tfg_drake[bag]'") from None
+        raise DatasetError(f"{path}: a ROS bag needs an extra; {pip_install('bag')}") from None
     said = said_of_scanner(path, scanner)
     files, told = bag_files(path)
     of_topic: dict[tuple[str, str], list[Logged]] = collections.defaultdict(list)

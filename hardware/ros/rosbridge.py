@@ -17,6 +17,7 @@ from typing import Any
 from tfg_drake.hardware.device import WAITING, Device, DeviceError
 from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.io.extras import pip_install
 
 # How long to wait for the server, and for the node rosapi, which lists its topics, s.
 PATIENCE, ROSAPI_PATIENCE = 10.0, 3.0
@@ -48,7 +49,7 @@ class RosbridgeGraph:
         try:
             import roslibpy
         except ImportError:
-            raise DeviceError("rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'") from None
+            raise DeviceError(f"rosbridge: roslibpy is not installed: {pip_install('rosbridge')}") from None
         self._roslibpy = roslibpy
         self._rosapi = True
         self._arrived: queue.Queue[tuple[Receive, Any, float]] = queue.Queue(WAITING)

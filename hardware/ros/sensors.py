@@ -11,6 +11,7 @@ from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.graph_driver import Graph, GraphDriver
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import LaserScan, TagDetections
 
 # By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.
@@ -122,8 +123,8 @@ def _beside(image: Topic) -> Topic:
         import robotpy_apriltag  # noqa: F401
     except ImportError as error:
         raise DeviceError(
-            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with pip install "
-            "'tfg-drake[camera]'"
+            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with "
+            f"{pip_install('camera')}"
         ) from None
     name = image.name.removesuffix("/compressed").rpartition("/")[0]
     return Topic(f"{name}/camera_info", TYPES["camera_info"][0])

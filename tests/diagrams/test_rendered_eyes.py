@@ -17,6 +17,7 @@ from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld, Scenario, ScenarioError, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import between
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import replace
 from tfg_drake.simulation.people import RADIUS, nobody
 
@@ -166,7 +167,7 @@ def test_without_its_packages_it_says_how_to_get_them(monkeypatch):
     monkeypatch.setitem(sys.modules, "robotpy_apriltag", None)
     with pytest.raises(ScenarioError) as error:
         seeing()
-    hint = "get it with pip install 'tfg-drake[camera]'"
+    hint = f"get it with {pip_install('camera')}"
     assert str(error.value) == f"--set: station.eyes=camera: robotpy_apriltag is not installed; {hint}"
 
 

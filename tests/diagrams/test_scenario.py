@@ -296,8 +296,8 @@ def test_a_world_file_may_be_a_scenario_or_a_shipped_name(tmp_path):
 def test_bad_world_files_are_refused_in_one_line(tmp_path):
     file = write_room(tmp_path)
     assert complaint(ApplyWorldFile, Scenario(), file, None, (0.1, 1.0, 0.0)) == (
-        f"{file}: world.start: (0.1, 1) is inside a wall: 0.100 m from world.walls[3], the robot's radius is 0.18 m;"
-        " start further away"
+        f"{file}: world.start: (0.1, 1) is too near to the wall from (0, 3) to (0, 0): 0.100 m, the robot's radius is"
+        " 0.18 m; start at (0.3, 1), the nearest free place"
     )
     assert complaint(ApplyWorldFile, Scenario(), file, -1.0) == (
         f"{file}: tag spacing: must be a positive number of metres, is -1"

@@ -10,6 +10,7 @@ from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware import realsense_sensor
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.realsense_sensor import RealsenseDriver
+from tfg_drake.io.extras import pip_install
 
 # Its wheel needs the system's libusb.
 rs = pytest.importorskip(
@@ -115,6 +116,4 @@ def test_what_cannot_be_used(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyrealsense2", None)
     with pytest.raises(DeviceError) as error:
         RealsenseDriver("", RobotScannerConfig())
-    assert (
-        str(error.value) == "realsense:: pyrealsense2 is not installed; get it with pip install 'tfg-drake[realsense]'"
-    )
+    assert str(error.value) == f"realsense:: pyrealsense2 is not installed; get it with {pip_install('realsense')}"

@@ -10,13 +10,12 @@ import serial
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.kobuki.driver import KOBUKI
 from tfg_drake.hardware.serial_port import open_port
+from tfg_drake.io.extras import pip_install
 
 
 def test_without_pyserial(monkeypatch, emulator):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(
-        DeviceError, match=re.escape("the package pyserial is missing: pip install 'tfg-drake[serial]'")
-    ):
+    with pytest.raises(DeviceError, match=re.escape(f"the package pyserial is missing: {pip_install('serial')}")):
         open_port(emulator.device, 115200, KOBUKI)
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 import tfg_drake
 from tests.mutations import assert_refused_or_read
+from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import FileError
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
@@ -73,7 +75,7 @@ def test_a_frame_has_a_row_an_entry(folder, library, monkeypatch):
 
 def test_without_pandas_and_polars_it_is_said_what_to_install(folder, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
-    told = r"^neither pandas nor polars is installed; get pandas with pip install 'tfg-drake\[frames\]'$"
+    told = re.escape(f"neither pandas nor polars is installed; get pandas with {pip_install('frames')}")
     with pytest.raises(ImportError, match=told):
         tfg_drake.load_run(folder).frame("base.odometry")
     extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]

@@ -297,8 +297,8 @@ def test_load_map_complains_in_one_line(tmp_path):
     with pytest.raises(WorldError) as error:
         load_map(file, 0.18, 1.0, (0.1, 1.0, 0.0), 0)
     assert str(error.value) == (
-        f"{file}: world.start: (0.1, 1) is inside a wall: 0.100 m from world.walls[3], the robot's radius is 0.18 m;"
-        " start further away"
+        f"{file}: world.start: (0.1, 1) is too near to the wall from (0, 3) to (0, 0): 0.100 m, the robot's radius is"
+        " 0.18 m; start at (0.3, 1), the nearest free place"
     )
 
 

@@ -1,5 +1,9 @@
+import itertools
+import re
+
 import numpy as np
 import pytest
+import shapely
 
 from tfg_drake.world.world import World, WorldError, check_world, odd_tags, wall_distance
 
@@ -54,8 +58,13 @@ def test_distance_to_walls():
         ),
         (
             make_world([[5, 5, 6, 6], [-1, 0.1, 1, 0.1]]),
-            "world.start: (0, 0) is inside a wall: 0.100 m from world.walls[1], the robot's radius is 0.18 m;"
-            " start further away",
+            "world.start: (0, 0) is too near to the wall from (-1, 0.1) to (1, 0.1): 0.100 m, the robot's radius is"
+            " 0.18 m; start at (0, -0.2), the nearest free place",
+        ),
+        (
+            make_world([[x, -5, x, 5] for x in np.arange(-5, 5, 0.3)]),
+            "world.start: (0, 0) is too near to the wall from (0.1, -5) to (0.1, 5): 0.100 m, the robot's radius is"
+            " 0.18 m; start farther away",
         ),
     ],
 )
@@ -63,6 +72,26 @@ def test_a_bad_world_is_refused_in_one_line(world, message):
     with pytest.raises(WorldError) as error:
         check_world(world, 0.18)
     assert str(error.value) == message
+
+
+def test_the_place_that_is_named_is_the_nearest_free_one_on_this_side():
+    """Of two rooms, from places near their walls, against shapely and every place of the lattice."""
+    rng = np.random.default_rng(5)
+    walls = np.array([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 0, 3, 3], [1, 2, 2, 2]], dtype=float)
+    lines = shapely.MultiLineString(walls.reshape(-1, 2, 2).tolist())
+    lattice = [shapely.Point(0.1 * i, 0.1 * j) for i, j in itertools.product(range(-20, 81), range(-20, 61))]
+    free = [p for p in lattice if p.distance(lines) > 0.279]
+    for _ in range(20):
+        wall, along = walls[rng.integers(len(walls))], rng.uniform(0.1, 0.9)
+        start = wall[:2] + along * (wall[2:] - wall[:2]) + rng.uniform(0.02, 0.1, size=2)
+        with pytest.raises(WorldError) as error:
+            check_world(make_world(walls, start=[*start, 0]), 0.18)
+        x, y = map(float, re.search(r"; start at \((.*), (.*)\), the nearest free place$", str(error.value)).groups())
+        check_world(make_world(walls, start=[x, y, 0]), 0.18)
+        in_sight = [p for p in free if not shapely.LineString([start, (p.x, p.y)]).intersects(lines)]
+        least = min(p.distance(shapely.Point(start)) for p in in_sight)
+        assert np.hypot(x - start[0], y - start[1]) == pytest.approx(least, abs=1e-6)
+        assert not shapely.LineString([start, (x, y)]).intersects(lines)
 
 
 WALLS = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]

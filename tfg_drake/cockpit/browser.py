@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.bad_input import BadInput
+from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import write_atomic
 
 # Software rendering, no network, no questions.
@@ -57,7 +58,7 @@ def open_browser(width: int, height: int) -> Any:
     try:
         from selenium import common, webdriver
     except ImportError:
-        raise BrowserMissing("the package selenium is missing: pip install 'tfg-drake[film]'") from None
+        raise BrowserMissing(f"the package selenium is missing: {pip_install('film')}") from None
     options = webdriver.ChromeOptions()
     options.binary_location = browser
     for option in (*OPTIONS.split(), f"--window-size={width},{height}"):

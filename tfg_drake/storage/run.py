@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import FileError, read_object, read_text, reading
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 from tfg_drake.messages import FloatArray, TagDetections
@@ -85,7 +86,7 @@ class Run:
         entry of one. Raises ImportError without either."""
         found = next(filter(importlib.util.find_spec, ("pandas", "polars")), None)
         if found is None:
-            raise ImportError("neither pandas nor polars is installed; get pandas with pip install 'tfg-drake[frames]'")
+            raise ImportError(f"neither pandas nor polars is installed; get pandas with {pip_install('frames')}")
         frames = importlib.import_module(found)
         columns = self.port(name)
         if MESSAGE not in columns:

@@ -42,6 +42,8 @@ FARTHEST = 1e8
 OUTSIDE = 10.0
 # A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
 _HANGS, _ON_IT = 0.1, 1e-6
+# A free place is looked for within so far in x and y, and so finely, m.
+_LOOKED_FOR, _STEP = 2.0, 0.1
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -99,10 +101,37 @@ def check_world(world: World, robot_radius: float) -> None:
         distance = wall_distance(world.start[:2], world.walls)
         nearest = int(np.argmin(distance))
         if distance[nearest] < robot_radius:
+            (x, y, _), (x0, y0, x1, y1) = world.start, world.walls[nearest]
+            free = _nearest_free(world.start[:2], world.walls, robot_radius)
+            mend = "farther away" if free is None else f"at ({free[0]:g}, {free[1]:g}), the nearest free place"
+            wall = f"the wall from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g})"
             raise WorldError(
-                f"world.start: ({world.start[0]:g}, {world.start[1]:g}) is inside a wall: {distance[nearest]:.3f} m"
-                f" from world.walls[{nearest}], the robot's radius is {robot_radius:g} m; start further away"
+                f"world.start: ({x:g}, {y:g}) is too near to {wall}: {distance[nearest]:.3f} m,"
+                f" the robot's radius is {robot_radius:g} m; start {mend}"
             )
+
+
+def _nearest_free(p_WS: FloatArray, walls: FloatArray, robot_radius: float) -> FloatArray | None:
+    """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), with no wall (m, 4) in between if
+    there is one such, and where the robot stands free with a step to spare; None where there is none near."""
+    steps = np.arange(-_LOOKED_FOR, _LOOKED_FOR + _STEP, _STEP)
+    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    places = (np.round(p_WS / _STEP) * _STEP + around).round(2) + 0.0  # no -0
+    near = walls[wall_distance(p_WS, walls) < 2.0 * _LOOKED_FOR]
+    free = [p for p in places if wall_distance(p, near).min() >= robot_radius + _STEP]
+    return min(free, key=lambda p: (_is_behind(p_WS, p, near), np.linalg.norm(p - p_WS)), default=None)
+
+
+def _is_behind(p_WA: FloatArray, p_WB: FloatArray, walls: FloatArray) -> bool:
+    """Whether one of the walls (m, 4) is between two places (2,)."""
+
+    def side(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
+        d, e = b - a, p - a
+        return np.asarray(d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0])
+
+    a, b = walls[:, :2], walls[:, 2:]
+    apart = side(a, b, p_WA) * side(a, b, p_WB) < 0.0
+    return bool((apart & (side(p_WA, p_WB, a) * side(p_WA, p_WB, b) < 0.0)).any())
 
 
 def odd_tags(world: World) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from tfg_drake.diagrams.commands.map import FORMATS, OF_GRAPH, OF_TAGS, SUFFIXES
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.geometry.star import covered_area
+from tfg_drake.io.extras import pip_install
 from tfg_drake.mapfile.saved_map import load_map, save_map
 from tfg_drake.messages import replace
 from tfg_drake.slam.evidence import no_evidence
@@ -228,7 +229,7 @@ def test_a_missing_package_is_named(call, path, tmp_path, monkeypatch, suffix, m
     monkeypatch.setitem(sys.modules, missing, None)
     monkeypatch.delitem(sys.modules, f"tfg_drake.mapfile.{suffix[1:]}", raising=False)
     said = call("map", "export", path, tmp_path / f"a{suffix}")
-    assert said == (2, "", f"tfg-drake: {missing} is not installed; get it with pip install 'tfg-drake[export]'\n")
+    assert said == (2, "", f"tfg-drake: {missing} is not installed; get it with {pip_install('export')}\n")
 
 
 def test_a_map_is_not_merged_with_itself(call, path, tmp_path, monkeypatch):

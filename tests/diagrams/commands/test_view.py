@@ -11,6 +11,7 @@ import pytest
 from tests.cockpit.conftest import write_mission
 from tfg_drake.diagrams.commands.view import is_under_way
 from tfg_drake.diagrams.missions.run_folder import claimed
+from tfg_drake.io.extras import pip_install
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
     assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
     monkeypatch.setattr("shutil.which", lambda name: name)
     monkeypatch.setitem(sys.modules, "selenium", None)
-    complaint = "the package selenium is missing: pip install 'tfg-drake[film]'"
+    complaint = f"the package selenium is missing: {pip_install('film')}"
     assert call("export", run_dir, run_dir / "page.gif")[::2] == (2, f"tfg-drake: {complaint}\n")
     assert not (run_dir / "page.gif").exists()
 

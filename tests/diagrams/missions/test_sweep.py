@@ -15,6 +15,7 @@ from tests.diagrams.rooms import lasting
 from tfg_drake.diagrams.missions import ray_sweep
 from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local, run_one
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
+from tfg_drake.io.extras import pip_install
 from tfg_drake.mission.interruption import NAMES
 
 ROOM = """
@@ -218,4 +219,4 @@ def test_without_ray_there_is_a_mend(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(SweepError) as caught:
         next(ray_sweep.run_on_ray(tasks(), tmp_path, "local", threading.Event()))
-    assert str(caught.value) == "--ray: Ray is not installed; pip install 'tfg-drake[ray]'"
+    assert str(caught.value) == f"--ray: Ray is not installed; {pip_install('ray')}"

@@ -10,6 +10,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros import rosbridge as transport
 from tfg_drake.hardware.ros.preset import Topic
+from tfg_drake.io.extras import pip_install
 
 
 def complaint(preset, port):
@@ -25,9 +26,7 @@ def changed(preset, **topics):
 
 def test_without_roslibpy(rosbridge, monkeypatch):
     monkeypatch.setitem(sys.modules, "roslibpy", None)
-    assert complaint(rosbridge.preset, 9090) == (
-        "rosbridge: roslibpy is not installed: pip install 'tfg-drake[rosbridge]'"
-    )
+    assert complaint(rosbridge.preset, 9090) == (f"rosbridge: roslibpy is not installed: {pip_install('rosbridge')}")
 
 
 def test_no_server(rosbridge, monkeypatch):
