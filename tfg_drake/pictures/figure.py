@@ -13,7 +13,7 @@ from matplotlib.transforms import Affine2D
 from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
-from tfg_drake.pictures.drawing import ellipses, spreads
+from tfg_drake.pictures.drawing import MAGNIFIED, ellipses, spreads
 from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.pictures.palette import WALL_LANDMARK, css
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -28,8 +28,8 @@ NUMBER_POINTS = 36.0
 # Light, dashed on dark: one lies over the other where both agree.
 _ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
 _FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
-# Three deviations whose median is below SEEN, m, are drawn MAGNIFIED times as large, or nobody would see them.
-MAGNIFIED, SEEN = 10.0, 0.1
+# Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
+SEEN = 0.1
 # Of the drawing, inches.
 _WIDTH = 11.0
 _POINTS_PER_INCH = 72.0
