@@ -214,8 +214,11 @@ class MeshcatScene:
             self._Toggle("/tfg/map/driving", told["drives"], time, recorded)
             for name in ("gains", "tour"):  # There is nowhere left to go.
                 self._Toggle(f"/tfg/map/{name}", not over, time, recorded)
-            ended = f"{told['outcome'].replace('_', ' ')}: {told['reason']}"
-            self._said["mission"] = f"stage {told['stage']}, {ended if over else told['phase']}"
+            self._said["mission"] = f"stage {told['stage']}, {told['outcome'].replace('_', ' ') or told['phase']}"
+            if over:
+                self._said.pop("goal", None)
+                self._next_words = time
+                self._ShowWords(time)
         elif layer == "scan":
             self._ShowScan(arrays["rays"][1:][arrays["met"]], time)
         elif layer == "free":

@@ -89,8 +89,8 @@ def run_figure(
     if len(X_WB_estimated):
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=2.4, label="estimated path")
     if len(X_WB_true):
-        dashed = {"linestyle": (0, (3, 2)), "linewidth": 1.3, "zorder": 4.95}
-        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, label="true path", **dashed)
+        (truth,) = axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.3, label="true path", zorder=4.95)
+        truth.set_linestyle((0, (3, 2)))
     if estimate is not None:
         mapped = estimate.ids
         draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)

@@ -15,23 +15,10 @@ from tfg_drake.pictures.drawing import MAGNIFIED
 WIDTH, LINE, COLUMNS = 1600, 46, 5
 # The scale of the gains has so many shades.
 SHADES = 6
-_ENTRIES = (
-    ("true wall", palette.WALL),
-    ("mapped surface", palette.EDGE),
-    ("past the last tag", palette.WALL_END),
-    ("without a landmark", palette.BARE_SURFACE),
-    ("keep-out area", palette.KEEP_OUT),
-    ("tag", palette.LANDMARK),
-    ("doubtful tag", palette.DOUBTFUL),
-    ("wall (landmark)", palette.WALL_LANDMARK),
-    (f"faint: 3\u03c3 \u00d7 {MAGNIFIED:g}", (0.63, 0.81, 0.78)),
-    ("frontier", palette.FRONTIER),
-    ("path, tour 1, 2, ...", palette.PATH),
-    ("way driven", palette.LIGHT["trail"]),
-    ("scan", palette.SCAN),
-    ("robot", palette.ROBOT),
-    ("robot, true", palette.GHOST),
-)
+# Of each colour of palette.LIGHT what it is.
+_ENTRIES = """wall:true wall, edge:mapped surface, wall_end:past the last tag, bare_surface:without a landmark,
+keep_out:keep-out area, landmark:tag, doubtful:doubtful tag, wall_landmark:wall (landmark), frontier:frontier,
+path:path and tour, trail:way driven, scan:scan, robot:robot, truth:robot (true)"""
 
 
 def words_plate(text: str) -> bytes:
@@ -43,17 +30,18 @@ def words_plate(text: str) -> bytes:
 
 def legend_plate() -> tuple[bytes, int]:
     """What each colour is, and the scale of the gains, as a PNG; and how high that is, pixels."""
-    lines = -(-len(_ENTRIES) // COLUMNS) + 1
+    entries = [entry.split(":") for entry in _ENTRIES.replace(",\n", ", ").split(", ")]
+    lines = -(-len(entries) // COLUMNS) + 1
     image = Image.new("RGB", (WIDTH, lines * LINE), "white")
     draw = ImageDraw.Draw(image)
-    for k, (name, colour) in enumerate(_ENTRIES):
+    for k, (colour, name) in enumerate(entries):
         x, y = WIDTH // COLUMNS * (k % COLUMNS) + 8, LINE * (k // COLUMNS)
-        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(colour))
+        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(palette.LIGHT[colour]))
         draw.text((x + 44, y + LINE / 2), name, "black", _font(), "lm")
     for k, (r, g, b) in enumerate(palette.gain_colours(np.linspace(0.0, 1.0, SHADES)).tolist()):
         box = (8 + 34 * k, image.height - LINE + 12, 42 + 34 * k, image.height - 12)
         draw.rectangle(box, palette.css((r, g, b)))
-    told = "gain of a place to go to: none ... the most of all; the larger the more"
+    told = f"gain of a place to go to: none ... the most of all; pale rings and bands: 3\u03c3 \u00d7 {MAGNIFIED:g}"
     draw.text((18 + 34 * SHADES, image.height - LINE / 2), told, "black", _font(), "lm")
     return _png(image), image.height
 
