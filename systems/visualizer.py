@@ -17,9 +17,11 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 
 from tfg_drake.config import RobotConfig
+from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures import palette, scene
-from tfg_drake.pictures.drawing import bands, circles
+from tfg_drake.pictures.drawing import bands, circles, polyline_segments
+from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
 from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
@@ -30,10 +32,14 @@ from tfg_drake.world.world import World
 SCAN_HEIGHT = 0.43
 # What of a map has changed is drawn anew in squares of this side, m.
 CHUNK = 20.0
+# Of words and legend, m: above Meshcat's own grid.
+PLATE_HEIGHT = 0.05
 # Where nothing is, for Meshcat to tell whether it records.
 PROBE = "/tfg/recorded"
 # Between two scans that a recording keeps, s.
 RECORDED_SCANS = 2.0
+# Of the trail a piece has so many steps of this length, m; the words are written so often, s, or recorded.
+TRAIL_STEPS, TRAIL_STEP, WORDS, RECORDED_WORDS = 16, 0.25, 1.0, 2.0
 # Of a layer a recording takes no more on average, bytes a simulated second: a grid changes all the time.
 RECORDED_RATE = 50e3
 # The camera: what it sees from top to bottom, rad, how steeply it looks down, rad, and the narrowest window, width over
@@ -56,6 +62,9 @@ class TfgVisualizer(TimelineRecorder):
 
     While Meshcat records, all that is drawn has its time: play it with PublishRecording, keep it with StaticHtml. What
     the map was like before then stays in the scene, unseen, until another recording or simulation begins.
+
+    A recording that is published or kept shows its end until somebody presses play under "Open Controls"; from then on
+    the slider for the time works, too.
 
     A Meshcat that fails, as its server does after a malformed message, is told once in the log and not used again.
     """
@@ -116,6 +125,11 @@ class MeshcatScene:
         self._view = _view(world, X_WM)
         # A symbol's size: visible when the whole building fills the window.
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
+        self._legend, lines = legend_plate()
+        # What a pixel of the plates is, m, and where they lie, from their lowest y to their highest: south of it all.
+        pixel, top = (self._view[2] - self._view[0]) / WIDTH, self._view[1] - 5.0 * self._unit
+        self._words_y = top - LINE * pixel, top
+        self._legend_y = self._words_y[0] - lines * pixel, self._words_y[0]
 
     def is_due(self, layer: str, time: float) -> bool:
         """Whether a recording has not taken too much of the layer lately."""
@@ -133,7 +147,9 @@ class MeshcatScene:
         self._recorded = False
         self._shown: dict[str, tuple[bool, float]] = {}
         self._due: dict[str, float] = {}
-        self._people, self._next_scan = 0, 0.0
+        self._people, self._next_scan, self._next_words = 0, 0.0, 0.0
+        self._said: dict[str, str] = {}
+        self._way: list[FloatArray] = []
         self._attempt(functools.partial(self._Begin, time))
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
@@ -176,13 +192,17 @@ class MeshcatScene:
         self._ShowSolids("/tfg/map/robot", [body, Solid("heading", mark, ROBOT_HEIGHT, ROBOT_HEIGHT + 0.03, WHITE)])
         truth = Solid("truth", circles(here, 1.2 * r, 32), 0.0, 0.5 * ROBOT_HEIGHT, palette.GHOST, 0.5)
         self._ShowSolids("/tfg/truth", [truth])
+        self._ShowPlate("/tfg/legend", self._legend, *self._legend_y)
         self._ShowCamera()
 
     def _Write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> None:
         if layer == "frame":
+            self._X_WM = arrays["pose"]
             self._meshcat.SetTransform("/tfg/map", _planar(arrays["pose"]), time)
         elif layer == "pose":
             self._meshcat.SetTransform("/tfg/map/robot", _planar(arrays["pose"]), time)
+            self._ShowTrail(arrays["pose"].astype(float), time)
+            self._ShowWords(time)
         elif layer == "truth":
             self._meshcat.SetTransform("/tfg/truth", _planar(arrays["pose"]), time)
             if not self._shown["/tfg/truth"][0]:
@@ -190,7 +210,15 @@ class MeshcatScene:
         elif layer == "people":
             self._ShowPeople(arrays["points"], time)
         elif layer == "mission":
-            self._Toggle("/tfg/map/driving", told["drives"], time, self._IsRecorded())
+            recorded, over = self._IsRecorded(), bool(told["outcome"])
+            self._Toggle("/tfg/map/driving", told["drives"], time, recorded)
+            for name in ("gains", "tour"):  # There is nowhere left to go.
+                self._Toggle(f"/tfg/map/{name}", not over, time, recorded)
+            self._said["mission"] = f"stage {told['stage']}, {told['outcome'].replace('_', ' ') or told['phase']}"
+            if over:
+                self._said.pop("goal", None)
+                self._next_words = time
+                self._ShowWords(time)
         elif layer == "scan":
             self._ShowScan(arrays["rays"][1:][arrays["met"]], time)
         elif layer == "free":
@@ -200,6 +228,43 @@ class MeshcatScene:
                 self._Show(f"free/{view}", time, layer, star, told)
         elif layer in RECORDS:
             self._Show(f"driving/{layer}" if layer in DRIVING else layer, time, layer, arrays, told)
+            if layer == "goal" and "tour" in arrays:
+                self._Show("tour", time, "tour", arrays, {"turn": -float(self._X_WM[2])})
+                self._said["goal"] = _words_of_goal(arrays, told, self._X_WM)
+
+    def _ShowTrail(self, pose: FloatArray, time: float) -> None:
+        """The way driven, a piece after the other, and how sure the robot is of its place; pose: (7,) x, y, yaw and the
+        variances xx, xy, yy, yaw."""
+        if self._way and np.hypot(*(pose[:2] - self._way[-1])) < TRAIL_STEP:
+            return
+        self._way.append(pose[:2])
+        piece = max(len(self._way) - 2, 0) // TRAIL_STEPS
+        way = np.array(self._way[TRAIL_STEPS * piece : TRAIL_STEPS * (piece + 1) + 1])
+        self._Show(f"trail/{piece}", time, "trail", {"segments": polyline_segments(way)}, {})
+        covariance = pose[None, [3, 4, 4, 5]].reshape(-1, 2, 2)
+        self._Show("uncertainty", time, "pose", {"points": pose[None, :2], "covariance": covariance}, {})
+
+    def _ShowWords(self, time: float) -> None:
+        if time < self._next_words:
+            return
+        path = self._NextVersion("words", time, "/tfg")
+        self._next_words = time + (RECORDED_WORDS if self._recorded else WORDS)
+        said = ", ".join([f"{time:.0f} s", *(self._said[name] for name in ("mission", "goal") if name in self._said)])
+        self._ShowPlate(path, words_plate(said), *self._words_y)
+
+    def _ShowPlate(self, path: str, png: bytes, low: float, high: float) -> None:
+        """A picture that lies on the floor, as wide as the building, from one y to another, m in W."""
+        x_min, _, x_max, _ = self._view
+        corners = ((x_min, low), (x_max, low), (x_max, high), (x_min, high))
+        lines = [f"v {x:.3f} {y:.3f} {PLATE_HEIGHT}" for x, y in corners]
+        obj = "\n".join(["mtllib plate.mtl", *lines, "vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "usemtl plate"])
+        material = "newmtl plate\nKe 1 1 1\nKd 0 0 0\nKs 0 0 0\nmap_Ke plate.png\n"
+        files = {
+            "plate.mtl": MemoryFile(material.encode(), ".mtl", "plate"),
+            "plate.png": MemoryFile(png, ".png", "plate"),
+        }
+        file = MemoryFile(f"{obj}\nf 1/1 2/2 3/3 4/4\n".encode(), ".obj", "plate")
+        self._meshcat.SetObject(path, Mesh(InMemoryMesh(mesh_file=file, supporting_files=files)))
 
     def _ShowPeople(self, points: FloatArray, time: float) -> None:
         for k, place in enumerate(points):
@@ -228,22 +293,23 @@ class MeshcatScene:
         if self._recorded:
             self._due[layer] = max(time, self._due.get(layer, time)) + size / RECORDED_RATE
 
-    def _NextVersion(self, name: str, time: float) -> str:
+    def _NextVersion(self, name: str, time: float, under: str = "/tfg/map") -> str:
         """The path of what a thing is like from a time on, s: a new one where a recording has the last."""
         recorded = self._IsRecorded()
         if recorded and not self._recorded:
             for path in self._old:  # of a recording that there was before
                 self._meshcat.Delete(path)
             self._old.clear()
+            self._meshcat.get_mutable_recording().set_autoplay(False)  # It opens as it ends.
         self._recorded = recorded
         version, is_kept = self._versions.get(name, (0, False))
-        path, is_new = f"/tfg/map/{name}/{version}", recorded or is_kept or not version
+        path, is_new = f"{under}/{name}/{version}", recorded or is_kept or not version
         if is_new and version:
             self._Toggle(path, False, time, recorded)
             self._old.append(path)
         if is_new:
             version += 1
-            path = f"/tfg/map/{name}/{version}"
+            path = f"{under}/{name}/{version}"
             self._Toggle(path, True, time, recorded)
         self._versions[name] = version, recorded
         return path
@@ -278,8 +344,9 @@ class MeshcatScene:
         return len(obj)
 
     def _ShowCamera(self) -> None:
-        """From the south and above; the whole building fills the window."""
-        x_min, y_min, x_max, y_max = self._view
+        """From the south and above; the whole building and what is written beside it fill the window."""
+        x_min, _, x_max, y_max = self._view
+        y_min = self._legend_y[0]
         height = max((y_max - y_min) * math.sin(ELEVATION), (x_max - x_min) / ASPECT)
         distance = 0.5 * 1.15 * height / math.tan(0.5 * VIEW_ANGLE) + 0.5 * (y_max - y_min) * math.cos(ELEVATION)
         target = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0])
@@ -317,6 +384,15 @@ class _Rows:
         for x, y in changed.tolist():
             here = (self._chunks == (x, y)).all(axis=1)
             yield f"{x}_{y}", {name: array[here] for name, array in self._arrays.items()}
+
+
+def _words_of_goal(arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], X_WM: FloatArray) -> str:
+    stops, done = arrays["tour"], arrays["done"]
+    if not len(arrays["points"]):
+        return "no goal"
+    x, y = transform(X_WM, arrays["points"])[0]
+    tour = f", tour of {len(stops)} in {done[-1]:.0f} s" if len(stops) else ""
+    return f"goal ({x:.1f}, {y:.1f}) m{tour}, most gain {told['most']:.0f} nats"
 
 
 def _planar(X_AB: FloatArray) -> RigidTransform:

@@ -19,7 +19,6 @@ from tfg_drake.io.files import of_run, write_atomic
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
-    from tfg_drake.messages import FloatArray
 
 # By their names: the suffix, and what makes the contents of a saved map, in tfg_drake. Of those with one suffix the
 # first is its own.
@@ -133,7 +132,7 @@ def export(
             elif name == "map_server":
                 arguments.append(out.with_suffix(BESIDE[name]).name)
             _write(saved, out, name, arguments)
-        mask = _write_mask(saved, _keep_out(map_file), out) if name == "map_server" else []
+        mask = _write_mask(saved, map_file, out) if name == "map_server" else []
     files = [out, out.with_suffix(BESIDE[name]), *mask] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
     walls = (len(saved.graph.ids) - len(saved.ids)) // 2
@@ -169,31 +168,26 @@ def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> No
         print("".join(f"{line}\n" for line in made.left_out(saved)), end="")
 
 
-def _write_mask(saved: SavedMap, areas: list[FloatArray], out: Path) -> list[Path]:
-    """Writes Nav2's keep-out mask beside a grid, if there are areas to keep out of, and returns its files."""
-    from tfg_drake.mapfile.occupancy_grid import keep_out_files
-
-    files = [out.with_name(f"{out.stem}_keepout{suffix}") for suffix in (".yaml", ".pgm")] if areas else []
-    if files:
-        text, image = keep_out_files(saved, areas, files[1].name)
-        write_atomic(files[1], image)
-        write_atomic(files[0], text)
-    return files
-
-
-def _keep_out(map_file: Path) -> list[FloatArray]:
-    """Corners (n, 2), m in W, of each keep-out area, by the scenario beside a run's map; [] where there is none."""
+def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
+    """Writes Nav2's keep-out mask beside a grid, where the scenario beside a run's map has areas to keep out of, and
+    returns its files."""
     import numpy as np
 
     from tfg_drake.io.yaml_text import parse_yaml
+    from tfg_drake.mapfile.occupancy_grid import keep_out_files
 
-    if map_file.name != "map.npz":  # It may have been moved to another frame.
-        return []
     try:
         scenario: Any = parse_yaml(map_file.with_name("scenario.yaml").read_text())
-        return [np.array(corners, dtype=float).reshape(-1, 2) for corners in scenario["explorer"]["keep_out"]]
+        areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in scenario["explorer"]["keep_out"]]
     except (OSError, ValueError, LookupError, TypeError):
         return []
+    if not areas or map_file.name != "map.npz":  # One of another name may have been moved to another frame.
+        return []
+    files = [out.with_name(f"{out.stem}_keepout{suffix}") for suffix in (".pgm", ".yaml")]
+    text, image = keep_out_files(saved, areas, files[0].name)
+    write_atomic(files[0], image)
+    write_atomic(files[1], text)
+    return files
 
 
 def _tag_size(map_file: Path) -> float:

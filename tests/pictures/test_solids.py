@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.pictures.drawing import bands, circles
-from tfg_drake.pictures.solids import Solid, solids, wavefront
+from tfg_drake.pictures.solids import Solid, numerals, solids, wavefront
 
 BLUE = (0.0, 0.5, 1.0)
 
@@ -75,16 +75,46 @@ def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
 
     covariance = np.array([[1e-4, 0.0, 1e-4], [0.04, 0.0, 0.04]])
     arrays = {"points": segments[:2, :2], "covariance": covariance, "doubtful": np.array([True, False])}
-    shown = {one.name: len(one.outlines) for one in solids("map", arrays, {}, 0.1)}
-    assert shown == {"landmark": 1, "landmark_3sigma": 1, "doubtful": 1, "doubtful_3sigma": 0}  # it hides its own
+    shown = {one.name: one for one in solids("map", arrays, {}, 0.1)}
+    assert [len(one.outlines) for one in shown.values()] == [1, 1, 1, 1]
+    # Three deviations, ten times as large, above all that could hide them.
+    for name, sigma, center in (("doubtful", 0.01, segments[0, :2]), ("landmark", 0.2, segments[1, :2])):
+        ellipse = shown[f"{name}_3sigma"]
+        np.testing.assert_allclose(np.hypot(*(ellipse.outlines[0] - center).T), 30.0 * sigma)
+        assert ellipse.low == ellipse.high > shown[name].high
 
 
-def test_a_wall_that_is_a_landmark_is_a_line_over_the_surfaces_and_where_that_is_seen_a_band():
+def test_a_wall_that_is_a_landmark_is_a_line_over_the_surfaces_and_a_band_over_that():
     arrays = {"segments": np.array([[0, 0, 4, 0], [5, 5, 6, 5]], dtype=float)}
     arrays["deviation"] = np.array([[0.02, 0.1], [0.001, 0.001]])
     line, band = solids("wall_landmarks", arrays, {}, 0.1)
     (surface, *_) = solids("tfg", {"segments": np.zeros((1, 4)), "kind": np.zeros(1)}, {}, 0.1)
-    assert (len(line.outlines), len(band.outlines)) == (2, 1)
-    assert line.low == line.high > surface.high > band.high
+    assert (len(line.outlines), len(band.outlines)) == (2, 2)
+    assert band.low == band.high > line.high > surface.high
     vertices, faces = read(wavefront([band])[0])
-    assert areas(vertices, faces[band.name]).sum(axis=0)[2] == pytest.approx(4.0 * 3.0 * (0.02 + 0.1))
+    assert areas(vertices, faces[band.name]).sum(axis=0)[2] == pytest.approx(
+        30.0 * (4.0 * (0.02 + 0.1) + 0.002), rel=1e-3
+    )
+
+
+def test_numbers_stand_upright_whatever_the_map_is_turned_by():
+    """1 has the two bars on the right, 8 all seven; 11 is as wide as two digits, and all are in the middle."""
+    places = np.stack([3.0 * np.arange(11), np.ones(11)], axis=1)
+    bars = numerals(places, 0.5, 0.0)
+    owner = np.argmin(np.abs(bars[:, [0]] - places[:, 0]), axis=1)
+    assert np.bincount(owner).tolist() == [2, 5, 5, 4, 5, 6, 3, 7, 6, 2 + 6, 2 + 2]
+    ends = bars[owner == 7].reshape(-1, 2) - places[7]
+    np.testing.assert_allclose([ends.min(axis=0), ends.max(axis=0)], [[-0.125, -0.25], [0.125, 0.25]])
+    one = bars[owner == 0].reshape(-1, 2) - places[0]
+    np.testing.assert_allclose(one[:, 0], 0.125)
+    turned = numerals(places[:1], 0.5, np.pi / 2).reshape(-1, 2) - places[0]
+    np.testing.assert_allclose(turned[:, 1], 0.125)
+
+
+def test_what_promises_more_is_larger_and_deeper():
+    arrays = {"points": np.zeros((3, 2)), "share": np.array([0, 128, 255], dtype=np.uint8)}
+    shown = [one for one in solids("gains", arrays, {}, 0.1) if len(one.outlines)]
+    assert [len(one.outlines) for one in shown] == [1, 1, 1]
+    radii = [np.hypot(*one.outlines[0].T).mean() for one in shown]
+    assert radii == sorted(radii)
+    assert [sum(one.colour) for one in shown] == sorted((sum(one.colour) for one in shown), reverse=True)

@@ -1,6 +1,9 @@
 """A mission in Meshcat: what is there, when it was there in a recording, and that it is nobody else's business."""
 
+import base64
+import itertools
 import logging
+import re
 import time
 
 import numpy as np
@@ -31,6 +34,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.pictures import tables
+from tfg_drake.pictures.plates import words_plate
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
@@ -158,6 +162,11 @@ def drawn(meshcat, path):
     return meshcat._GetPackedObject(f"/tfg/{path}")
 
 
+def told(meshcat, words):
+    """Whether these stand beside the building."""
+    return base64.b64encode(words_plate(words)) in drawn(meshcat, "words/1")
+
+
 STAGE_PATHS = [*(f"map/{layer}/0_0/1" for layer in ("map", "tfg", "frontiers", "gains")), "map/driving/path/1"]
 
 
@@ -167,6 +176,52 @@ def test_draws_everything_that_is_there(meshcat):
         assert drawn(meshcat, path), path
     assert b"usemtl edge" in drawn(meshcat, "map/tfg/0_0/1")
     assert b"usemtl landmark_3sigma" in drawn(meshcat, "map/map/0_0/1")
+
+
+def test_a_tour_has_numbers_a_way_a_trail_and_words(meshcat):
+    messages = make_messages()
+    choice = replace(messages["goal"], tour=messages["goal"].candidates[:2])
+    choice = replace(choice, value=np.full(len(choice.candidates), -12.0))
+    Simulator(make_diagram(meshcat, messages | {"goal": choice}, make_world())).AdvanceTo(1.0)
+    tour = drawn(meshcat, "map/tour/1")
+    assert all(name in tour for name in (b"usemtl stops", b"usemtl numbers"))
+    assert b"usemtl pose_3sigma" in drawn(meshcat, "map/uncertainty/1")
+    assert told(meshcat, "1 s, stage 1, follow, goal (2.0, 2.0) m, tour of 2 in 12 s, most gain 1 nats")
+    assert b"usemtl plate" in drawn(meshcat, "legend")
+    assert is_visible(meshcat, "map/gains")
+
+
+def test_places_to_go_to_are_gone_when_the_mission_is_over(meshcat):
+    over = MissionStatus(phase="done", stage=1, since=0.0, outcome="complete", reason="nothing is open")
+    Simulator(make_diagram(meshcat, make_messages() | {"mission": over}, make_world())).AdvanceTo(0.5)
+    assert [is_visible(meshcat, f"map/{name}") for name in ("gains", "tour")] == [False, False]
+    assert told(meshcat, "0 s, stage 1, complete")
+
+
+class Way(LeafSystem):
+    """A pose that goes ahead by a metre a second."""
+
+    def __init__(self, pose):
+        super().__init__()
+        at = lambda context, value: value.set_value(  # noqa: E731
+            replace(pose, stamp=context.get_time(), X_MB=np.array([context.get_time(), 0.0, 0.0]))
+        )
+        self.DeclareAbstractOutputPort("pose", lambda: Value[object](pose), at)
+
+
+def test_the_trail_grows_by_pieces_that_hang_together(meshcat):
+    builder = DiagramBuilder()
+    way, visualizer = builder.AddSystem(Way(make_messages()["pose"])), builder.AddSystem(TfgVisualizer(meshcat))
+    builder.Connect(way.get_output_port(), visualizer.GetInputPort("pose"))
+    Simulator(builder.Build()).AdvanceTo(10.0)
+    reach = []
+    for piece in range(3):
+        text = drawn(meshcat, f"map/trail/{piece}/1")
+        x = [float(found) for found in re.findall(rb"v (-?[0-9.]+) -?[0-9.]+ 0\.03", text)]
+        reach.append((min(x), max(x)))
+    assert reach[0][0] < 0.1
+    assert all(one[1] >= after[0] for one, after in itertools.pairwise(reach))
+    assert reach[-1][1] > 9.5
 
 
 def test_draws_walls_that_are_landmarks(meshcat):
@@ -413,6 +468,10 @@ def test_a_published_recording_plays_the_mission(driver, tmp_path):
     while not driver.execute_script("return viewer.animator.duration > 0"):
         assert time.monotonic() < end
         time.sleep(0.1)
+    shown = driver.execute_script(SHOWN, 0.0)  # Nobody has pressed play: it shows the end.
+    np.testing.assert_allclose(shown["robot"], moments[-1]["robot"], atol=0.1)
+    assert len(shown["landmarks"]) >= CORNERS * max(len(one["landmarks"]) for one in moments)
+    driver.execute_script("viewer.animator.play()")
     for one in [*moments, moments[1]]:
         shown = driver.execute_script(SHOWN, one["time"])
         for name in ("robot", "truth", "people"):

@@ -6,6 +6,9 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray
 
+# Small deviations are drawn so many times as large, or nobody would see them; whoever draws them says so.
+MAGNIFIED = 10.0
+
 
 def ellipses(centers: FloatArray, covariances: FloatArray, sigmas: float = 3.0, corners: int = 32) -> FloatArray:
     """Outlines (n, corners, 2), anticlockwise, of the ellipses (p - c)' P^-1 (p - c) = sigmas^2.

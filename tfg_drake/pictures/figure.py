@@ -13,7 +13,7 @@ from matplotlib.transforms import Affine2D
 from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
-from tfg_drake.pictures.drawing import ellipses, spreads
+from tfg_drake.pictures.drawing import MAGNIFIED, ellipses, spreads
 from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.pictures.palette import WALL_LANDMARK, css
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -28,8 +28,8 @@ NUMBER_POINTS = 36.0
 # Light, dashed on dark: one lies over the other where both agree.
 _ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
 _FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
-# Three deviations whose median is below SEEN, m, are drawn MAGNIFIED times as large, or nobody would see them.
-MAGNIFIED, SEEN = 10.0, 0.1
+# Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
+SEEN = 0.1
 # Of the drawing, inches.
 _WIDTH = 11.0
 _POINTS_PER_INCH = 72.0
@@ -89,8 +89,8 @@ def run_figure(
     if len(X_WB_estimated):
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=2.4, label="estimated path")
     if len(X_WB_true):
-        dashed = {"linestyle": (0, (3, 2)), "linewidth": 1.3, "zorder": 4.95}
-        axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, label="true path", **dashed)
+        (truth,) = axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.3, label="true path", zorder=4.95)
+        truth.set_linestyle((0, (3, 2)))
     if estimate is not None:
         mapped = estimate.ids
         draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)

@@ -11,20 +11,27 @@ from numpy.typing import NDArray
 
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures import palette
-from tfg_drake.pictures.drawing import bands, circles, ellipses, spreads
+from tfg_drake.pictures.drawing import MAGNIFIED, bands, circles, ellipses, spreads
 from tfg_drake.pictures.palette import Colour
 
 # Of true walls, of the robot's surfaces, of a landmark, of the robot and of a person, m.
 WALL_HEIGHT, SURFACE_HEIGHT, TAG_HEIGHT, ROBOT_HEIGHT, PERSON_HEIGHT = 0.35, 0.4, 0.45, 0.3, 1.6
 # Heights of what lies on the floor, m: far enough apart for a browser to tell which is above.
-SHEETS = {name: 0.01 * k for k, name in enumerate(("floor", "free", "gains", "ellipses", "frontiers", "path"), 1)}
+SHEETS = {name: 0.01 * k for k, name in enumerate(("floor", "free", "trail", "gains", "frontiers", "path"), 1)}
 SURFACES = (
     ("edge", palette.EDGE),
     ("wall_end", palette.WALL_END),
     ("bare", palette.BARE_SURFACE),
     ("keep_out", palette.KEEP_OUT),
 )
-WHITE, FLOOR, GAIN = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85), (0.85, 0.45, 0.62)
+WHITE, FLOOR = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85)
+# Of uncertainty and of the numbers of a tour, m: above all that hides what lies lower.
+UNCERTAINTY_HEIGHT, NUMBER_HEIGHT = TAG_HEIGHT + 0.02, TAG_HEIGHT + 0.05
+# The candidates have so many shades, from no gain to the most.
+SHADES = 6
+# The seven bars of a numeral that is 1 wide and 2 high, and which of them 0, 1, ... have.
+_BARS = np.array([(0, 2, 1, 2), (1, 1, 1, 2), (1, 0, 1, 1), (0, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 2), (0, 1, 1, 1)])
+_HAVE = ("012345", "12", "01346", "01236", "1256", "02356", "023456", "012", "0123456", "012356")
 # Of its colour: what a solid shines by itself, lest lamps leave half a building in the dark, and what it reflects. Its
 # sides are darker than its top.
 SHINE, REFLECTION, SIDES = 0.9, 0.3, 0.8
@@ -55,20 +62,16 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
         yield Solid("tags", bands(plates, 0.06), 0.1, 0.3, palette.WALL_END)
     elif layer == "map":
         points, covariance = arrays["points"], arrays["covariance"][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-        # Not those that lie under their landmark.
-        wide = 3.0 * np.sqrt(np.trace(covariance, axis1=1, axis2=2)) > 1.4 * unit
         for kind, (name, colour) in enumerate((("landmark", palette.LANDMARK), ("doubtful", palette.DOUBTFUL))):
             some = arrays["doubtful"] == kind
             yield Solid(name, circles(points[some], 1.4 * unit, 8), 0.0, TAG_HEIGHT, colour)
-            outlines, z = ellipses(points[some & wide], covariance[some & wide], corners=20), SHEETS["ellipses"]
-            yield Solid(f"{name}_3sigma", outlines, z, z, colour, 0.4)
+            outlines = ellipses(points[some], covariance[some], 3.0 * MAGNIFIED, corners=20)
+            yield Solid(f"{name}_3sigma", outlines, UNCERTAINTY_HEIGHT, UNCERTAINTY_HEIGHT, colour, 0.4)
     elif layer == "wall_landmarks":
-        segments, deviation, z = arrays["segments"], arrays["deviation"], SHEETS["ellipses"]
+        segments, deviation = arrays["segments"], arrays["deviation"]
         top = SURFACE_HEIGHT + 0.01
         yield Solid(layer, bands(segments, 0.6 * unit), top, top, palette.WALL_LANDMARK)
-        # Not those that are no wider than the surfaces over them.
-        wide = 6.0 * deviation.max(axis=1) > 1.2 * unit
-        outlines = spreads(segments[wide], deviation[wide])
+        outlines, z = spreads(segments, deviation, 3.0 * MAGNIFIED), top + 0.005
         yield Solid(f"{layer}_3sigma", outlines, z, z, palette.WALL_LANDMARK, 0.4)
     elif layer == "tfg":
         for kind, (name, colour) in enumerate(SURFACES):
@@ -77,12 +80,26 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
     elif layer == "frontiers":
         yield Solid(layer, bands(arrays["segments"], 1.6 * unit), flat, flat, palette.FRONTIER)
     elif layer == "gains":
-        # The larger the more gain.
-        radius = unit * (0.4 + 1.6 * arrays["share"] / 255.0)
-        discs = circles(np.zeros((len(radius), 2)), 1.0, 8) * radius[:, None, None] + arrays["points"][:, None]
-        yield Solid(layer, discs, flat, flat, GAIN)
+        share = arrays["share"] / 255.0
+        # The larger and the deeper the more gain.
+        for k, (r, g, b) in enumerate(palette.gain_colours(np.linspace(0.0, 1.0, SHADES)).tolist()):
+            some = np.rint(share * (SHADES - 1)) == k
+            size = unit * (0.4 + 1.6 * share[some, None, None])
+            discs = size * circles(np.zeros((int(some.sum()), 2)), 1.0, 8) + arrays["points"][some, None]
+            yield Solid(f"{layer}_{k}", discs, flat, flat, (r, g, b))
     elif layer == "path":
         yield Solid(layer, bands(arrays["segments"], unit), flat, flat, palette.PATH)
+    elif layer == "trail":
+        yield Solid(layer, bands(arrays["segments"], 0.6 * unit), flat, flat, palette.LIGHT["trail"])
+    elif layer == "pose":
+        ellipse = ellipses(arrays["points"], arrays["covariance"], 3.0 * MAGNIFIED)
+        yield Solid("pose_3sigma", ellipse, UNCERTAINTY_HEIGHT, UNCERTAINTY_HEIGHT, palette.ROBOT, 0.4)
+    elif layer == "tour":
+        stops, z = arrays["tour"], NUMBER_HEIGHT
+        yield Solid("legs", bands(arrays["legs"], 0.6 * unit), SHEETS["path"], SHEETS["path"], palette.PATH)
+        yield Solid("stops", circles(stops, 3.6 * unit), z, z, palette.PATH)
+        bars = numerals(stops, 3.0 * unit, told["turn"])
+        yield Solid("numbers", bands(bars, 0.6 * unit), z + 0.01, z + 0.01, WHITE)
     elif layer == "goal":
         yield Solid(layer, circles(arrays["points"], 2.5 * unit), SHEETS["path"], SHEETS["path"], palette.PATH)
     elif layer == "free":
@@ -93,6 +110,19 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
         size, z = told["resolution"], SHEETS["free"]
         yield Solid("free", bands(arrays["free"], size), z, z, palette.FREE)
         yield Solid("occupied", bands(arrays["occupied"], size), 0.0, SURFACE_HEIGHT, palette.OCCUPIED)
+
+
+def numerals(places: FloatArray, height: float, turn: float) -> FloatArray:
+    """The numbers 1, 2, ... in the middle of places (n, 2), so high, m, and turned, rad, as bars (k, 4)."""
+    c, s = np.cos(turn), np.sin(turn)
+    bars = [np.zeros((0, 2, 2))]
+    for number, place in enumerate(places, 1):
+        digits = str(number)
+        for k, digit in enumerate(digits):
+            ends = _BARS[list(map(int, _HAVE[int(digit)]))].reshape(-1, 2, 2) - (0.5, 1.0)
+            ends = 0.5 * height * (ends + np.array([1.6 * (k - 0.5 * (len(digits) - 1)), 0.0]))
+            bars.append(ends @ np.array([[c, s], [-s, c]]) + place)
+    return np.concatenate(bars).reshape(-1, 4)
 
 
 def wavefront(shown: Iterable[Solid]) -> tuple[str, str]:

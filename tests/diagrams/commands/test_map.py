@@ -129,11 +129,11 @@ def test_a_format_is_named_where_the_suffix_is_that_of_several(call, path, tmp_p
 def test_a_grid_of_a_run_with_keep_out_areas_has_a_mask_for_nav2_beside_it(call, path, tmp_path):
     (tmp_path / "scenario.yaml").write_text("explorer: {keep_out: [[[4.5, 3], [5.5, 3], [5.5, 3.5], [4.5, 3.5]]]}\n")
     code, out, err = call("map", "export", path, tmp_path / "plan.yaml")
-    files = [tmp_path / name for name in ("plan.yaml", "plan.pgm", "plan_keepout.yaml", "plan_keepout.pgm")]
+    files = [tmp_path / name for name in ("plan.yaml", "plan.pgm", "plan_keepout.pgm", "plan_keepout.yaml")]
     size = sum(file.stat().st_size for file in files) / 1e3
-    assert (code, out, err) == (0, f"{', '.join(map(str, files))}: 4 landmarks, {size:.0f} kB\n", "")
-    assert yaml.safe_load(files[2].read_text()) == yaml.safe_load(files[0].read_text()) | {"image": "plan_keepout.pgm"}
-    barred = np.count_nonzero(np.asarray(Image.open(files[3])) == 0)
+    assert (code, out, err) == (0, f"{', '.join(map(str, files))}: 4 tags, {size:.0f} kB\n", "")
+    assert yaml.safe_load(files[3].read_text()) == yaml.safe_load(files[0].read_text()) | {"image": "plan_keepout.pgm"}
+    barred = np.count_nonzero(np.asarray(Image.open(files[2])) == 0)
     assert 1.0 * 0.5 <= barred * 0.05**2 <= 1.1 * 0.6  # whole cells
     path.rename(tmp_path / "aligned.npz")  # perhaps to another frame
     assert call("map", "export", tmp_path / "aligned.npz", tmp_path / "b.yaml")[0] == 0
