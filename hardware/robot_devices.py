@@ -14,6 +14,7 @@ from tfg_drake.hardware.ros import ros2, rosbridge
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
 from tfg_drake.hardware.sensor import Source
 from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.serial_port import check_port
 from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
 
@@ -61,13 +62,24 @@ class RobotDevices:
         return list({id(source): source for source in every if source is not None}.values())
 
 
-def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
-    """The devices of the robot that a configuration names; raises DeviceError, and leaves none open.
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """preset; specs: of tags and scan the source, as text; cameras: see `_cameras`; graph: that the base is on."""
 
-    robot: its limits bound what is sent to the base, as those of a preset do.
-    """
-    speed = min(robot.max_speed, config.max_speed)
-    limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
+    preset: Preset
+    specs: dict[str, str]
+    cameras: list[tuple[str, RobotCameraConfig]]
+    graph: SourceSpec | None
+
+
+def check_devices(config: HardwareConfig) -> None:
+    """Raises DeviceError for what can be told before anything is opened: a preset, a source or a port that is none."""
+    if _plan(config).graph is None:
+        check_port(config.port, kobuki.KOBUKI)
+
+
+def _plan(config: HardwareConfig) -> _Plan:
+    """What is to be opened; raises DeviceError."""
     try:
         preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
@@ -79,16 +91,28 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         preset = dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, detections=None))
     if cameras:
         specs["tags"] = cameras[0][0]
-    parsed = {use: parse_source(spec) for use, spec in specs.items()}
-    on_ros = config.robot != "kobuki"
+    for spec in specs.values():
+        parse_source(spec)
+    if config.robot == "kobuki" and "scan" not in specs:
+        give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
+        raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
+    return _Plan(preset, specs, cameras, _graph(config))
+
+
+def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
+    """The devices of the robot that a configuration names; raises DeviceError, and leaves none open.
+
+    robot: its limits bound what is sent to the base, as those of a preset do.
+    """
+    plan = _plan(config)
+    preset, specs, cameras, graph = plan.preset, plan.specs, plan.cameras, plan.graph
+    speed = min(robot.max_speed, config.max_speed)
+    limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
+    on_ros = graph is not None
     if on_ros:
         limits = _lesser(preset.limits, limits)
         preset = dataclasses.replace(preset, limits=limits)
-    if not on_ros and "scan" not in specs:
-        give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
-        raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
     view = _view(cameras) if cameras else None
-    graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
     opened: list[Device | Source] = [base]
     try:
@@ -104,7 +128,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         for one in opened:
             one.close()
         raise
-    scanner = parsed["scan"].transport if "scan" in parsed else ""
+    scanner = parse_source(specs["scan"]).transport if "scan" in specs else ""
     scan: Source = sources["scan"]
     return RobotDevices(
         base,
