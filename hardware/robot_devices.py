@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
 # As a source of tags: the robot has none, whatever its preset says.
 NO_TAGS = "none"
+# Cameras of our own that tags come from: each as a source, and its configuration.
+_Cameras = list[tuple[str, RobotCameraConfig]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,24 +64,16 @@ class RobotDevices:
         return list({id(source): source for source in every if source is not None}.values())
 
 
-@dataclasses.dataclass(frozen=True)
-class _Plan:
-    """preset; specs: of tags and scan the source, as text; cameras: see `_cameras`; graph: that the base is on."""
-
-    preset: Preset
-    specs: dict[str, str]
-    cameras: list[tuple[str, RobotCameraConfig]]
-    graph: SourceSpec | None
-
-
 def check_devices(config: HardwareConfig) -> None:
     """Raises DeviceError for what can be told before anything is opened: a preset, a source or a port that is none."""
-    if _plan(config).graph is None:
+    *_, graph = _plan(config)
+    if graph is None:
         check_port(config.port, kobuki.KOBUKI)
 
 
-def _plan(config: HardwareConfig) -> _Plan:
-    """What is to be opened; raises DeviceError."""
+def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, SourceSpec], dict[str, str], _Cameras, SourceSpec | None]:
+    """The preset, of tags and scan the source, parsed and as text, our own cameras, and the graph that the base is on;
+    raises DeviceError."""
     try:
         preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
@@ -91,12 +85,11 @@ def _plan(config: HardwareConfig) -> _Plan:
         preset = dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, detections=None))
     if cameras:
         specs["tags"] = cameras[0][0]
-    for spec in specs.values():
-        parse_source(spec)
+    parsed = {use: parse_source(spec) for use, spec in specs.items()}
     if config.robot == "kobuki" and "scan" not in specs:
         give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
         raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
-    return _Plan(preset, specs, cameras, _graph(config))
+    return preset, parsed, specs, cameras, _graph(config)
 
 
 def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
@@ -104,8 +97,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
 
     robot: its limits bound what is sent to the base, as those of a preset do.
     """
-    plan = _plan(config)
-    preset, specs, cameras, graph = plan.preset, plan.specs, plan.cameras, plan.graph
+    preset, parsed, specs, cameras, graph = _plan(config)
     speed = min(robot.max_speed, config.max_speed)
     limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
     on_ros = graph is not None
@@ -128,7 +120,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         for one in opened:
             one.close()
         raise
-    scanner = parse_source(specs["scan"]).transport if "scan" in specs else ""
+    scanner = parsed["scan"].transport if "scan" in parsed else ""
     scan: Source = sources["scan"]
     return RobotDevices(
         base,
@@ -142,7 +134,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     )
 
 
-def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
+def _cameras(config: HardwareConfig) -> _Cameras:
     """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
     if not config.tags.startswith("camera:"):
         return []
@@ -163,7 +155,7 @@ def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
     return list(zip(texts, known, strict=False))
 
 
-def _view(cameras: list[tuple[str, RobotCameraConfig]]) -> CameraView:
+def _view(cameras: _Cameras) -> CameraView:
     """What the cameras see together; raises DeviceError."""
     from tfg_drake.hardware.camera_sensor import known_view
 
