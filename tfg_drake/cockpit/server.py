@@ -113,8 +113,7 @@ class Cockpit:
         source = {"live": live, "controls": controls, "forks": forks is not None, "rate": rate}
         self._page = served_page(title, source).encode()
         self._recorded = recorded
-        nothing = {"live": False, "controls": False, "forks": False, "rate": None}
-        self._waiting_page = served_page(title, {**nothing, "recorded": True}).encode()
+        self._waiting_page = served_page(title, {"live": False, "recorded": True}).encode()
         self._viewer = viewer.encode()
         self._timeline = timeline
         self._ended = not live
