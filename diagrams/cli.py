@@ -222,9 +222,8 @@ def explore(
         realtime_rate = realtime_rate or 1.0
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
         show: Callable[[str], None] = stack.enter_context(Screen())
-        show("loading")
-        # Before this process imports what it needs: it shares the machine's time and memory with those who compile.
-        warm_up = stack.enter_context(compiling_beside())
+        if sys.stdout.isatty():  # Elsewhere nothing is said before all that was given is known to do.
+            show("loading")
         from tfg_drake.diagrams.missions.resume import cut_short
         from tfg_drake.diagrams.scenario import PrepareScenario
 
@@ -242,26 +241,34 @@ def explore(
             loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
         if robot != "sim" and replayed is None:
             explore_command.link(loaded, robot, links)
+        explorer = _find_method(method, loaded)
+        if explorer.needs_keys and robot != "sim":
+            _bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
         cockpit, real = None, robot in ROBOTS
+        opened = explore_command.open_robot(robot, loaded, explorer, interruption, checked=not skip_checks)
+        if not real:
+            driven, loaded = stack.enter_context(opened)
         if not headless:
             from tfg_drake.diagrams.commands.page import open_page
 
-            rate = None if real else realtime_rate
-            cockpit = page_stack.enter_context(open_page(f"{name}, seed {loaded.seed}", host, page_port, rate=rate))
+            title, rate = f"{name}, seed {loaded.seed}", None if real else realtime_rate
+            cockpit = page_stack.enter_context(open_page(title, host, page_port, rate=rate, preview=not real))
             show = explore_command.also_on_page(show, cockpit)
+        show("loading")
+        # Before this process imports the rest: it shares the machine's time and memory with those who compile.
+        warm_up = stack.enter_context(compiling_beside())
         if warm_up is not None:
             wait_for_kernels(show, warm_up, all_of_them=real)
-        explorer = _find_method(method, loaded)
         if explorer.needs_keys:
-            explorer = stack.enter_context(explore_command.keys_of_driver(explorer, robot, cockpit))
+            explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
         if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":
             print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
 
         from tfg_drake.diagrams.missions import run
 
         stack.enter_context(explore_command.remarks_on_screen())
-        opened = explore_command.open_robot(robot, loaded, explorer, interruption, checked=not skip_checks)
-        driven, loaded = stack.enter_context(opened)
+        if real:
+            driven, loaded = stack.enter_context(opened)
         with complaining(out):
             result = run.run_mission(
                 loaded,

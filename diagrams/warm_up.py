@@ -32,6 +32,7 @@ class WarmUp:
         }
         self._functions = sum(path.read_text(encoding="utf-8").count("\n@njit") for path in files)
         self._since, self._before = time.monotonic(), self._done()
+        self._told = math.inf  # The least time left that was told, s.
         self._processes = [_start(share, path) for share, path in enumerate(self._times)]
 
     def _done(self) -> int:
@@ -48,15 +49,17 @@ class WarmUp:
         """How long it will take at the speed so far, s: by the number of kernels, of which some take ten times as long
         as others. inf before a tenth of them tells the speed."""
         done, left = self._done() - self._before, self._functions - self._before
-        return (time.monotonic() - self._since) * (left - done) / done if done > max(left / 10, 0.0) else math.inf
+        if done <= max(left / 10, 0.0):
+            return math.inf
+        return (time.monotonic() - self._since) * max(left - done, 0) / done
 
     @property
     def word(self) -> str:
-        """Progress in words; "" where nothing is compiled any more."""
+        """Progress in words, in minutes that never become more; "" where nothing is compiled any more."""
         if self.ended:
             return ""
-        left = self.left
-        about = "" if math.isinf(left) else f", about {10 * math.ceil(left / 10 + 0.1)} s left"
+        self._told = min(self._told, self.left)
+        about = "" if math.isinf(self._told) else f", about {max(math.ceil(self._told / 60), 1)} min left"
         return f"compiling kernels, once per installation{about}"
 
     @property

@@ -14,6 +14,7 @@ from tfg_drake.hardware.ros import ros2, rosbridge
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
 from tfg_drake.hardware.sensor import Source
 from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.serial_port import check_port
 from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
 # As a source of tags: the robot has none, whatever its preset says.
 NO_TAGS = "none"
+# Cameras of our own that tags come from: each as a source, and its configuration.
+_Cameras = list[tuple[str, RobotCameraConfig]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,13 +64,16 @@ class RobotDevices:
         return list({id(source): source for source in every if source is not None}.values())
 
 
-def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
-    """The devices of the robot that a configuration names; raises DeviceError, and leaves none open.
+def check_devices(config: HardwareConfig) -> None:
+    """Raises DeviceError for what can be told before anything is opened: a preset, a source or a port that is none."""
+    *_, graph = _plan(config)
+    if graph is None:
+        check_port(config.port, kobuki.KOBUKI)
 
-    robot: its limits bound what is sent to the base, as those of a preset do.
-    """
-    speed = min(robot.max_speed, config.max_speed)
-    limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
+
+def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, SourceSpec], dict[str, str], _Cameras, SourceSpec | None]:
+    """The preset, of tags and scan the source, parsed and as text, our own cameras, and the graph that the base is on;
+    raises DeviceError."""
     try:
         preset = load_preset(config.preset or PRESET_OF[config.robot])
     except PresetError as error:
@@ -80,15 +86,25 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     if cameras:
         specs["tags"] = cameras[0][0]
     parsed = {use: parse_source(spec) for use, spec in specs.items()}
-    on_ros = config.robot != "kobuki"
+    if config.robot == "kobuki" and "scan" not in specs:
+        give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
+        raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
+    return preset, parsed, specs, cameras, _graph(config)
+
+
+def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
+    """The devices of the robot that a configuration names; raises DeviceError, and leaves none open.
+
+    robot: its limits bound what is sent to the base, as those of a preset do.
+    """
+    preset, parsed, specs, cameras, graph = _plan(config)
+    speed = min(robot.max_speed, config.max_speed)
+    limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
+    on_ros = graph is not None
     if on_ros:
         limits = _lesser(preset.limits, limits)
         preset = dataclasses.replace(preset, limits=limits)
-    if not on_ros and "scan" not in specs:
-        give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
-        raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
     view = _view(cameras) if cameras else None
-    graph = _graph(config)
     base = _open_base(config, preset, limits, graph)
     opened: list[Device | Source] = [base]
     try:
@@ -118,7 +134,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     )
 
 
-def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
+def _cameras(config: HardwareConfig) -> _Cameras:
     """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
     if not config.tags.startswith("camera:"):
         return []
@@ -139,7 +155,7 @@ def _cameras(config: HardwareConfig) -> list[tuple[str, RobotCameraConfig]]:
     return list(zip(texts, known, strict=False))
 
 
-def _view(cameras: list[tuple[str, RobotCameraConfig]]) -> CameraView:
+def _view(cameras: _Cameras) -> CameraView:
     """What the cameras see together; raises DeviceError."""
     from tfg_drake.hardware.camera_sensor import known_view
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import errno
 import termios
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     import serial
@@ -32,6 +34,12 @@ _MENDS = {
 }
 
 
+def check_port(path: str, device: SerialDevice) -> None:
+    """Raises DeviceError where there is no such port. It may have come or gone when it is opened."""
+    if not Path(path).exists():
+        raise DeviceError(f"{path}: {_MENDS[errno.ENOENT].format_map(dataclasses.asdict(device))}")
+
+
 def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
     """The port, raw and ours alone; reading and writing its file descriptor never blocks.
 
@@ -40,7 +48,7 @@ def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
     try:
         import serial
     except ModuleNotFoundError:
-        raise DeviceError("the package pyserial is missing: pip install 'tfg-drake[serial]'") from None
+        raise DeviceError(f"the package pyserial is missing: {pip_install('serial')}") from None
     try:
         return serial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:

@@ -104,7 +104,7 @@ def wait_for_enter() -> None:
 def compiling_beside() -> Iterator[WarmUp | None]:
     """The processes that compile the missing kernels while the command goes on, None where none is missing.
 
-    To be called before kernels are imported. Raises BadInput where there is no folder to keep them in.
+    Raises BadInput where there is no folder to keep them in.
     """
     warm_up: Any = contextlib.nullcontext()
     try:

@@ -28,17 +28,7 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = (
-    "hardware",
-    "notes",
-    "operator",
-    "pace",
-    "port_recording",
-    "run_folder",
-    "slam.sensors",
-    "visualizer",
-    "world",
-)
+REMARKING = "hardware notes operator pace port_recording run_folder slam.sensors visualizer world"
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -79,13 +69,18 @@ def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
 
 
 def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
-    """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's."""
+    """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's.
+
+    Raises DeviceError where one of them cannot be.
+    """
     from tfg_drake.diagrams.scenario import WorldConfig
+    from tfg_drake.hardware.robot_devices import check_devices
 
     scenario.world, scenario.hardware.robot = WorldConfig(), robot
     for name, value in links.items():
         if value is not None:
             setattr(scenario.hardware, name, value)
+    check_devices(scenario.hardware)
 
 
 def check_robot(
@@ -166,11 +161,8 @@ def open_robot(
 
 
 @contextlib.contextmanager
-def keys_of_driver(method: Method, robot: str, cockpit: Cockpit | None) -> Iterator[Method]:
-    """The method manual with the keys of standard input and, if there is one, of the page. Raises BadInput unless the
-    robot is simulated."""
-    if robot != "sim":
-        bad_input(f"--method {method.name}: is for a simulated robot; leave --robot out")
+def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
+    """The method manual with the keys of standard input and, if there is one, of the page."""
     from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
     from tfg_drake.hardware.keyboard import Keyboard
     from tfg_drake.mission.manual_drive import HELP, KEYS
@@ -190,7 +182,7 @@ def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
     output."""
     handler = logging.StreamHandler(screen or sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
-    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING.split()]
     for logger in loggers:
         logger.addHandler(handler)
     try:

@@ -48,16 +48,17 @@ class Screen:
             self._thread.join()
 
     def __call__(self, text: str) -> None:
-        """Show another text, a line of a terminal of 80 columns."""
-        if text != self._text:
-            self._text, self._since = text, time.monotonic()
+        """Show another text, a line of a terminal of 80 columns: what is done, and after a comma how far it is."""
+        if text.partition(",")[0] != self._text.partition(",")[0]:
+            self._since = time.monotonic()
+        self._text = text
         if self._live is None:
             self._write()
 
     def line(self) -> str:
         """What is shown now."""
         spent = time.monotonic() - self._since
-        return f"{self._text} ({spent:.0f} s)" if spent >= LONG else self._text
+        return f"{self._text} ({spent:.0f} s so far)" if spent >= LONG else self._text
 
     def _renderable(self) -> Any:
         from rich.text import Text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from tfg_drake.cockpit.browser import write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page, viewer_script
@@ -22,7 +23,7 @@ def serve_run(run: Path, host: str, port: int | None) -> None:
     """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
     live = is_under_way(run)
     forks = PageForks(run) if not live and can_fork(run) else None
-    given = {"timeline": _timeline(run), "live": live, "controls": False, "forks": forks}
+    given: dict[str, Any] = {"timeline": _timeline(run), "live": live, "controls": False, "forks": forks}
     with open_page(run.resolve().name, host, port, **given):
         try:
             wait_for_enter()

@@ -673,6 +673,24 @@ def live(request, tmp_path):
         yield live
 
 
+def test_a_recorded_mission_is_played_until_the_live_one_begins(driver, mission, tmp_path):
+    path = tmp_path / "timeline.tfg"
+    with Cockpit(viewer_script(), "room", recorded=mission, rate=8.0) as cockpit, TimelineWriter(path) as writer:
+        cockpit.word = "compiling kernels, about 2 min left"
+        page = Page(driver, cockpit.address)
+        told = "This is a recorded mission. Yours begins by itself. Compiling kernels, about 2 min left"
+        page.until("return element('notice').innerText === arguments[0]", told)
+        page.until("return playing && time > 9")
+        page.until("return playing && time < 2")  # from the beginning once more
+        assert not any(page.driver.find_element("id", name).is_displayed() for name in ("live", "send", "drive"))
+        begin(writer)
+        writer.flush()
+        cockpit.follow(path)
+        page.until("return typeof SOURCE !== 'undefined' && SOURCE.live && timeline.layers.has('pose')")
+        page.until("return element('notice').hidden && element('stop').checkVisibility()")
+        assert page.complaints() == []
+
+
 @pytest.mark.slow
 def test_a_mission_under_way(driver, live):
     live.cockpit.word = "compiling kernels, 3 of 133"

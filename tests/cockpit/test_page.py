@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from tfg_drake.cockpit.page import export_page, served_page, whole_page
-from tfg_drake.storage.timeline import TimelineError
+from tfg_drake.cockpit.page import RECORDED, export_page, served_page, whole_page
+from tfg_drake.storage.timeline import TimelineError, read_timeline
 
 
 def test_the_whole_page_holds_viewer_and_timeline(mission, tmp_path):
@@ -35,3 +35,16 @@ def test_what_is_no_timeline_has_no_page(tmp_path):
     with pytest.raises(TimelineError, match="is no timeline of this version; run the mission again"):
         export_page(file, out, "", "")
     assert not out.exists()
+
+
+def test_the_recorded_mission_is_whole_small_and_of_no_machine():
+    records = read_timeline(RECORDED)
+    layers = {record.layer for record in records}
+    assert {"world", "pose", "truth", "scan", "map", "tfg", "frontiers", "goal", "path", "mission"} <= layers
+    assert "end" not in layers  # Its card has the folder, and lies over the picture.
+    (world,) = (record for record in records if record.layer == "world")
+    assert world.told["title"] == "recorded: house, seed 3"
+    last = [record for record in records if record.layer == "mission"][-1]
+    assert last.told["outcome"] == "complete"
+    assert len([record for record in records if record.layer == "map"][-1].arrays["ids"]) == 120
+    assert RECORDED.stat().st_size < 300e3

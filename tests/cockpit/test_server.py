@@ -75,6 +75,23 @@ def test_who_only_looks_needs_no_token(cockpit, mission):
     assert Stream(cockpit, 100).read(mission.stat().st_size - 100) == mission.read_bytes()[100:]
 
 
+def test_a_recorded_mission_is_served_until_there_is_one_to_show(mission, tmp_path):
+    recorded = tmp_path / "recorded.tfg"
+    recorded.write_bytes(b"recorded before")
+    with Cockpit("", "room", recorded=recorded, rate=1.0) as cockpit:
+        status, page = get(cockpit, "/")
+        assert (status, b'"recorded": true' in page, b'"live": false' in page) == (200, True, True)
+        assert get(cockpit, "/recorded?from=9") == (200, b"before")
+        assert json.loads(get(cockpit, "/state")[1])["begun"] is False
+        cockpit.follow(mission)
+        _, page = get(cockpit, "/")
+        assert (b'"recorded": true' in page, b'"live": true' in page) == (False, True)
+        assert json.loads(get(cockpit, "/state")[1])["begun"] is True
+    with Cockpit("", "room") as cockpit:
+        assert b'"recorded": true' not in get(cockpit, "/")[1]
+        assert get(cockpit, "/recorded")[0] == 404
+
+
 def test_a_stop_needs_no_token_and_all_else_does(cockpit):
     cockpit.sends = cockpit.drives = True
     more = {"rate": 1.0, "x": 0.5, "y": 0.5, "key": "forward"}

@@ -445,3 +445,57 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
     code, _, err = call("explore", room, "--headless")
     complaint = f"cannot be started to compile kernels: {os.strerror(error).lower()}"
     assert (code, err) == (2, f"tfg-drake: {sys.executable}: {complaint}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (
+            "--method tgf",
+            "--method tgf: no such method; name a .py file or one of tfg, tfg-argmax, paper, tfg-nearest, "
+            "grid-nearest, weighted, random, scripted, manual",
+        ),
+        (
+            "house --method scripted",
+            "--method scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`",
+        ),
+        (
+            "--robot ros2 --preset turtlebot9",
+            "turtlebot9: no such file or preset; name a YAML file or one of turtlebot2, turtlebot3, turtlebot4",
+        ),
+        (
+            "--robot rosbridge --bridge robot",
+            "rosbridge: robot is no HOST:PORT; name the server such as localhost:9090",
+        ),
+        (
+            "--robot kobuki --scan rplidar:/dev/null --port /dev/none",
+            "/dev/none: no such device; plug the base in and switch it on, or name the port it has under "
+            "/dev/serial/by-id",
+        ),
+        (
+            "--robot ros2 --method manual",
+            "--method manual: is for a simulated robot; leave --robot out",
+        ),
+        (
+            "house --start 2,3,1",
+            "world.start: (2, 3) is too near to the wall from (2.6, 3.1) to (1.6, 3.1): 0.100 m, the robot's radius is "
+            "0.18 m; start at (2, 2.8), the nearest free place",
+        ),
+        ("house --page-port 70000", "port 70000: must be between 1 and 65535"),
+    ],
+)
+def test_arguments_are_judged_before_anything_is_compiled_or_said(call, monkeypatch, arguments, complaint):
+    monkeypatch.setattr(kernels, "are_compiled", lambda: False)
+    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.WarmUp", None)
+    assert call("explore", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
+
+
+def test_the_time_that_kernels_take_is_never_told_to_grow(monkeypatch):
+    left = iter([math.inf, 360.0, 410.0, 430.0, 390.0, 130.0, 61.0, 150.0, 20.0, 0.0])
+    monkeypatch.setattr(warm_up.WarmUp, "left", property(lambda _self: next(left)))
+    monkeypatch.setattr(warm_up.WarmUp, "ended", False)
+    compiling = object.__new__(warm_up.WarmUp)
+    compiling._told = math.inf
+    words = [compiling.word.removeprefix("compiling kernels, once per installation") for _ in range(10)]
+    minutes = [6, 6, 6, 6, 3, 2, 2, 1, 1]
+    assert words == ["", *(f", about {m} min left" for m in minutes)]

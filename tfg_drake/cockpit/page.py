@@ -19,6 +19,8 @@ from tfg_drake.pictures.palette import DARK, LIGHT, css, gain_colours
 from tfg_drake.storage.timeline import MAGIC, TimelineError
 
 FILE_NAME = "mission.html"
+# A mission to look at while one waits for another: a timeline, made by benchmarks/recorded_mission.py.
+RECORDED = Path(__file__).with_name("recorded.tfg")
 # The page's script, file by file in the order in which they are read.
 SCRIPT = """stop timeline scene shapes robot still layers free_space trails series cameras picture
 panels plots controls operator driving keep_out fork"""
@@ -35,7 +37,7 @@ def served_page(title: str, source: dict[str, Any]) -> str:
     Args:
         title: above it until the timeline gives another one.
         source: "live": whether the mission may still be under way; "rate": of a simulated one the speed of its clock,
-            times real time, 0 for no limit.
+            times real time, 0 for no limit; "recorded": it is another mission, played until the server has its own.
     """
     return _page(title, source, '<script src="viewer.js"></script>')
 

@@ -85,6 +85,7 @@ class Cockpit:
         live: bool = True,
         controls: bool = True,
         forks: Forks | None = None,
+        recorded: Path | None = None,
         rate: float | None = None,
         host: str = LOCAL,
         port: int | None = None,
@@ -97,6 +98,7 @@ class Cockpit:
             live: it may still grow.
             controls: the mission can be asked for something.
             forks: makes another future of a run that has ended, None where that cannot be.
+            recorded: the timeline of another mission, which is played until there is one to show.
             rate: of a simulation the speed of its clock, times real time, 0 for no limit; None of a real robot.
             host: the address to listen at.
             port: the port; by default 7000 or the next that is free.
@@ -110,6 +112,8 @@ class Cockpit:
         self._title, self._live, self._controls, self._forks = title, live, controls, forks
         source = {"live": live, "controls": controls, "forks": forks is not None, "rate": rate}
         self._page = served_page(title, source).encode()
+        self._recorded = recorded
+        self._waiting_page = served_page(title, {"live": False, "recorded": True}).encode()
         self._viewer = viewer.encode()
         self._timeline = timeline
         self._ended = not live
@@ -273,13 +277,17 @@ class _Handler(WholeRequestHandler):
         if not self._is_ours():
             return
         if path == "/":
-            self._answer(200, "text/html; charset=utf-8", self.cockpit._page)
+            cockpit = self.cockpit
+            page = cockpit._page if cockpit.begun or cockpit._recorded is None else cockpit._waiting_page
+            self._answer(200, "text/html; charset=utf-8", page)
         elif path == "/viewer.js":
             self._answer(200, "text/javascript; charset=utf-8", self.cockpit._viewer)
         elif path == "/state":
             self._answer(200, "application/json", json.dumps(self.cockpit._state()).encode())
         elif path == "/timeline":
             self._stream(query, lambda: self.cockpit._timeline, lambda: self.cockpit._ended)
+        elif path == "/recorded" and (recorded := self.cockpit._recorded) is not None:
+            self._stream(query, lambda: recorded, lambda: True)
         elif path == "/fork" and (forks := self.cockpit._forks) is not None:
             self._stream(query, lambda: forks.timeline, lambda: not forks.is_running)
         else:

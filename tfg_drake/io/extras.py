@@ -12,5 +12,4 @@ def pip_install(extra: str) -> str:
     """The command that installs an extra of this package, by the pip beside this Python: as a path from the working
     folder where that is shorter."""
     pip = Path(sys.executable).with_name("pip")
-    named = min(str(pip), os.path.relpath(pip), key=len)
-    return f"{shlex.quote(named)} install 'tfg-drake[{extra}]'"
+    return f"{shlex.quote(min(str(pip), os.path.relpath(pip), key=len))} install 'tfg-drake[{extra}]'"

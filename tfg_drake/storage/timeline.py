@@ -202,11 +202,12 @@ class TimelineWriter:
         _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)
 
 
-def read_timeline(path: Path) -> list[Record]:
+def read_timeline(path: Path, *, whole: bool = True) -> list[Record]:
     """The records of a timeline, also of one that is being written or was when its program was killed.
 
     Args:
         path: the file, or the run's folder with it.
+        whole: of a table all rows that are there; else, as written, those that came and the numbers of those gone.
 
     Raises:
         TimelineError: it is not there, no timeline, or damaged.
@@ -216,7 +217,8 @@ def read_timeline(path: Path) -> list[Record]:
         data, most = path.read_bytes(), most_unpacked(path)
         if not data.startswith(MAGIC):
             raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
-        return list(_whole(record for block in _blocks(data, most) for record in _records(block)))
+        records = (record for block in _blocks(data, most) for record in _records(block))
+        return list(_whole(records) if whole else records)
 
 
 def _blocks(data: bytes, most: int) -> Iterator[bytes]:

@@ -42,8 +42,8 @@ FARTHEST = 1e8
 OUTSIDE = 10.0
 # A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
 _HANGS, _ON_IT = 0.1, 1e-6
-# A free place is looked for within so far in x and y, and so finely, m.
-_LOOKED_FOR, _STEP = 2.0, 0.1
+# A free place is looked for on a lattice of this step, m, within so many steps in x and y.
+_STEP, _STEPS = 0.1, 20
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -112,26 +112,15 @@ def check_world(world: World, robot_radius: float) -> None:
 
 
 def _nearest_free(p_WS: FloatArray, walls: FloatArray, robot_radius: float) -> FloatArray | None:
-    """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), with no wall (m, 4) in between if
-    there is one such, and where the robot stands free with a step to spare; None where there is none near."""
-    steps = np.arange(-_LOOKED_FOR, _LOOKED_FOR + _STEP, _STEP)
-    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    places = (np.round(p_WS / _STEP) * _STEP + around).round(2) + 0.0  # no -0
-    near = walls[wall_distance(p_WS, walls) < 2.0 * _LOOKED_FOR]
-    free = [p for p in places if wall_distance(p, near).min() >= robot_radius + _STEP]
-    return min(free, key=lambda p: (_is_behind(p_WS, p, near), np.linalg.norm(p - p_WS)), default=None)
-
-
-def _is_behind(p_WA: FloatArray, p_WB: FloatArray, walls: FloatArray) -> bool:
-    """Whether one of the walls (m, 4) is between two places (2,)."""
-
-    def side(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-        d, e = b - a, p - a
-        return np.asarray(d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0])
-
-    a, b = walls[:, :2], walls[:, 2:]
-    apart = side(a, b, p_WA) * side(a, b, p_WB) < 0.0
-    return bool((apart & (side(p_WA, p_WB, a) * side(p_WA, p_WB, b) < 0.0)).any())
+    """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), on its side of the wall that is
+    nearest of walls (m, 4), and where the robot stands free with a step to spare; None where none is near."""
+    around = np.indices((2 * _STEPS + 1, 2 * _STEPS + 1)).reshape(2, -1).T - _STEPS
+    places = (_STEP * (np.round(p_WS / _STEP) + around)).round(2) + 0.0  # no -0
+    a, b = walls[np.argmin(wall_distance(p_WS, walls))].reshape(2, 2)
+    normal = np.array([a[1] - b[1], b[0] - a[0]])
+    places = places[((places - a) @ normal) * ((p_WS - a) @ normal) >= 0.0]
+    free = [p for p in places if wall_distance(p, walls).min() >= robot_radius + _STEP]
+    return min(free, key=lambda p: float(np.linalg.norm(p - p_WS)), default=None)
 
 
 def odd_tags(world: World) -> tuple[str, ...]:

@@ -22,10 +22,10 @@ def test_what_takes_long_is_said_again(capsys, monkeypatch):
     monkeypatch.setattr(screen, "LONG", 0.0)
     with screen.Screen() as show:
         show("thinking")
-        assert all(re.fullmatch(r"thinking \(\d+ s\)", line) for line in lines(capsys, 3))
+        assert all(re.fullmatch(r"thinking \(\d+ s so far\)", line) for line in lines(capsys, 3))
         show("writing")
         written = lines(capsys, 1)
-        while not re.fullmatch(r"writing \(\d+ s\)", written[-1]):
+        while not re.fullmatch(r"writing \(\d+ s so far\)", written[-1]):
             written += lines(capsys, 1)
     capsys.readouterr()
     time.sleep(0.1)
@@ -46,6 +46,18 @@ def test_a_terminal_has_one_line(capsys, monkeypatch):
         show("thinking")
         assert show.line() == "thinking"
     assert "\nthinking" not in capsys.readouterr().out
+
+
+def test_the_seconds_are_those_of_the_work_not_of_how_far_it_is(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(screen.time, "monotonic", lambda: now[0])
+    shown = screen.Screen()  # without its thread
+    shown("compiling, about 2 min left")
+    now[0] = 40.0
+    shown("compiling, about 1 min left")
+    assert shown.line() == "compiling, about 1 min left (40 s so far)"
+    shown("loading")
+    assert shown.line() == "loading"
 
 
 def test_long_work_takes_few_lines(capsys, monkeypatch):

@@ -38,6 +38,23 @@ async function readState() {
   }
 }
 
+/** A recorded mission is played again and again, until the one that the server is to show begins. */
+async function playRecorded() {
+  element("rate").value = "4";
+  element("notice").className = "recorded";
+  setPlaying(true);
+  for (;;) {
+    try {
+      const state = await (await fetch("state")).json();
+      if (state.begun) return location.reload();
+      notice(`This is a recorded mission. Yours begins by itself. ${state.word[0]?.toUpperCase() ?? ""}${state.word.slice(1)}`);
+    } catch {
+      notice("The connection to the mission is lost.");
+    }
+    await pause(0.4);
+  }
+}
+
 const pause = (seconds) => new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
 
 /** What the server has, and then what comes; where the connection is lost it goes on where it was. */
@@ -45,7 +62,7 @@ async function readServed() {
   let marks = [];
   for (;;) {
     try {
-      const answer = await fetch(`timeline?from=${timeline.read}`);
+      const answer = await fetch(`${SOURCE.recorded ? "recorded" : "timeline"}?from=${timeline.read}`);
       const reader = answer.ok ? answer.body.getReader() : null;
       for (;;) {
         const { done, value } = reader ? await reader.read() : { done: true };
@@ -83,13 +100,14 @@ async function begin() {
     await readEmbedded();
   }
   element("slider").max = timeline.end;
-  if (!live) time = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? timeline.end);
+  if (!live) time = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? (SOURCE?.recorded ? 0 : timeline.end));
   if (location.hash.includes("3d")) element("mode").click();
   framed = true;
   shownBounds = "";
   render(); // Shaders are compiled before anybody waits for them.
   viewer.renderer.getContext().finish();
   document.body.dataset.ready = "true";
+  if (SOURCE?.recorded) playRecorded();
 }
 
 new ResizeObserver(() => {

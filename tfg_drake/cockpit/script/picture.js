@@ -140,7 +140,8 @@ function picture(now) {
     time = behind > 30 || behind < 0.01 ? timeline.end : time + behind * Math.min(1, 5 * passed);
   } else if (playing) {
     time = Math.min(time + passed * Number(element("rate").value), timeline.end);
-    if (time >= timeline.end && (ended() || !SOURCE)) setPlaying(false);
+    if (time >= timeline.end && SOURCE?.recorded) time = 0;
+    else if (time >= timeline.end && (ended() || !SOURCE)) setPlaying(false);
   }
   if (dark.matches !== painted) paint();
   if (time !== from || dirty || fed) render();
