@@ -22,6 +22,7 @@ from tfg_drake.messages import Odometry, replace
 from tfg_drake.notes import Note
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.storage.run import load_run
+from tfg_drake.storage.timeline import read_timeline
 
 CORNERS = np.array([[-5.0, -4.0], [5.0, -4.0], [5.0, 4.0], [1.0, 4.0], [1.0, 2.5], [-5.0, 2.5]])
 WALLS = np.hstack([CORNERS, np.roll(CORNERS, -1, axis=0)])
@@ -88,6 +89,11 @@ def test_it_leaves_what_any_run_leaves(mapped):
     assert run.map.tfg.stage == run.map.stage == mapped.summary["stages"] > 10
     for name in ("map.npz", "timeline.tfg", "mission.html", "figure.png", "ports.mcap", "online.tum"):
         assert (mapped.folder / name).stat().st_size > 0
+
+
+def test_its_page_has_neither_a_camera_nor_wheels(mapped):
+    (world,) = [one for one in read_timeline(mapped.folder) if one.layer == "world"]
+    assert (world.told["camera"], world.told["wheels"]) == (None, False)
 
 
 @pytest.mark.parametrize("ending", [".geojson", ".dxf", ".svg", ".yaml", ".g2o"])
