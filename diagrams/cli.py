@@ -258,7 +258,8 @@ def explore(
         # Before this process imports the rest: it shares the machine's time and memory with those who compile.
         warm_up = stack.enter_context(compiling_beside())
         if warm_up is not None:
-            wait_for_kernels(show, warm_up, all_of_them=real)
+            # A first look that takes minutes is worse to look at than the recorded mission.
+            wait_for_kernels(show, warm_up, all_of_them=real or not headless)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
         if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":

@@ -49,9 +49,7 @@ class WarmUp:
         """How long it will take at the speed so far, s: by the number of kernels, of which some take ten times as long
         as others. inf before a tenth of them tells the speed."""
         done, left = self._done() - self._before, self._functions - self._before
-        if done <= max(left / 10, 0.0):
-            return math.inf
-        return (time.monotonic() - self._since) * max(left - done, 0) / done
+        return (time.monotonic() - self._since) * max(left - done, 0) / done if done > max(left / 10, 0) else math.inf
 
     @property
     def word(self) -> str:

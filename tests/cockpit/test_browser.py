@@ -678,7 +678,7 @@ def test_a_recorded_mission_is_played_until_the_live_one_begins(driver, mission,
     with Cockpit(viewer_script(), "room", recorded=mission, rate=8.0) as cockpit, TimelineWriter(path) as writer:
         cockpit.word = "compiling kernels, about 2 min left"
         page = Page(driver, cockpit.address)
-        told = "This is a recorded mission. Yours begins by itself. Compiling kernels, about 2 min left"
+        told = "A recorded mission; yours begins by itself. Compiling kernels, about 2 min left"
         page.until("return element('notice').innerText === arguments[0]", told)
         page.until("return playing && time > 9")
         page.until("return playing && time < 2")  # from the beginning once more

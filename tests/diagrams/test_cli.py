@@ -456,12 +456,13 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
             "grid-nearest, weighted, random, scripted, manual",
         ),
         (
-            "house --method scripted",
-            "--method scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`",
+            "house --method grid-nearest --set explorer.return_home=true",
+            "--method grid-nearest: does not mind explorer.return_home; leave it out, or take another method: tfg",
         ),
         (
             "--robot ros2 --preset turtlebot9",
-            "turtlebot9: no such file or preset; name a YAML file or one of turtlebot2, turtlebot3, turtlebot4",
+            "turtlebot9: no such file or preset; name a YAML file or one of emulated, turtlebot2, turtlebot3, "
+            "turtlebot4",
         ),
         (
             "--robot rosbridge --bridge robot",

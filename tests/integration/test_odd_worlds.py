@@ -105,7 +105,7 @@ def test_where_there_is_nothing_the_mission_ends(tool, scenario):
 @pytest.mark.parametrize(
     ("world", "rest", "complaint"),
     [
-        (f"start: [0, 0.1, 0], walls: {ROOM}", "", "world.start: (0, 0.1) is too near to the wall from (0, 0) to "),
+        (f"start: [0, 0.1, 0], walls: {ROOM}", "", "world.start: (0, 0.1) is too near to the wall from (0, 4) to "),
         (f"start: [2, 2, 0], walls: {ROOM}, doors: []", "", "world.doors: unknown key; "),
         (f"start: [2, 2, 0], walls: {ROOM}", "robot: {radius: wide}", "robot.radius: expected a number, found text"),
         (f"start: [2, 2, 0], walls: {ROOM}", "robot: {radius: [0.2]}", "robot.radius: expected a number, found a list"),

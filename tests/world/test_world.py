@@ -57,9 +57,14 @@ def test_distance_to_walls():
             "world.start: (5, 18.1) is far from the walls, which reach from (0, 0) to (10, 8); start between them",
         ),
         (
-            make_world([[5, 5, 6, 6], [-1, 0.1, 1, 0.1]]),
+            make_world([[5, -5, 6, 6], [-1, 0.1, 1, 0.1]]),
             "world.start: (0, 0) is too near to the wall from (-1, 0.1) to (1, 0.1): 0.100 m, the robot's radius is"
             " 0.18 m; start at (0, -0.2), the nearest free place",
+        ),
+        (
+            make_world([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]),
+            "world.start: (0, 0) is too near to the wall from (0, 0) to (6, 0): 0.000 m, the robot's radius is 0.18 m;"
+            " start at (0.3, 0.3), the nearest free place",
         ),
         (
             make_world([[x, -5, x, 5] for x in np.arange(-5, 5, 0.3)]),

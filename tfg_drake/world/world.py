@@ -113,14 +113,16 @@ def check_world(world: World, robot_radius: float) -> None:
 
 def _nearest_free(p_WS: FloatArray, walls: FloatArray, robot_radius: float) -> FloatArray | None:
     """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), on its side of the wall that is
-    nearest of walls (m, 4), and where the robot stands free with a step to spare; None where none is near."""
+    nearest of walls (m, 4), and where the robot stands free with a step to spare; outside the building only if there is
+    no other, and None where none is near."""
     around = np.indices((2 * _STEPS + 1, 2 * _STEPS + 1)).reshape(2, -1).T - _STEPS
     places = (_STEP * (np.round(p_WS / _STEP) + around)).round(2) + 0.0  # no -0
     a, b = walls[np.argmin(wall_distance(p_WS, walls))].reshape(2, 2)
     normal = np.array([a[1] - b[1], b[0] - a[0]])
     places = places[((places - a) @ normal) * ((p_WS - a) @ normal) >= 0.0]
     free = [p for p in places if wall_distance(p, walls).min() >= robot_radius + _STEP]
-    return min(free, key=lambda p: float(np.linalg.norm(p - p_WS)), default=None)
+    low, high = walls.reshape(-1, 2).min(axis=0), walls.reshape(-1, 2).max(axis=0)
+    return min(free, key=lambda p: (bool(((p < low) | (p > high)).any()), np.linalg.norm(p - p_WS)), default=None)
 
 
 def odd_tags(world: World) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ async function playRecorded() {
     try {
       const state = await (await fetch("state")).json();
       if (state.begun) return location.reload();
-      notice(`This is a recorded mission. Yours begins by itself. ${state.word[0]?.toUpperCase() ?? ""}${state.word.slice(1)}`);
+      notice(`A recorded mission; yours begins by itself. ${state.word[0]?.toUpperCase() ?? ""}${state.word.slice(1)}`);
     } catch {
       notice("The connection to the mission is lost.");
     }
