@@ -1,6 +1,5 @@
 """Goes to the frontier that is farthest away: a method of one's own, in one file.
 
-python examples/goal_selector.py
 tfg-drake explore house --method examples/goal_selector.py
 tfg-drake compare house --methods tfg,examples/goal_selector.py --seeds 5
 """

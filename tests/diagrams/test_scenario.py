@@ -179,7 +179,7 @@ ONE = "{id: 1, position: [0, 1], facing: 0}"
         ("- 1", "expected keys and values such as `seed: 0`, found a list"),
         ("", "expected keys and values such as `seed: 0`, found nothing"),
         ("seed: [1", "line 2, column 1: broken YAML: did not find expected ',' or ']'"),
-        ("seed: " + "[" * 100_000, "line 1, column 106: broken YAML: more than 100 levels deep"),
+        ("seed: " + "[" * 900, "line 1, column 106: broken YAML: more than 100 levels deep"),
         ("base: 3", "base: expected a scenario's name or file, found int (3)"),
         ("base: []", "base: expected a scenario's name or file, found a list"),
         (

