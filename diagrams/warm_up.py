@@ -53,8 +53,8 @@ class WarmUp:
 
     @property
     def word(self) -> str:
-        """Progress in words, in minutes that never become more; "" where nothing is compiled any more. Of the last minute
-        it says only that: what comes after the last kernel is not counted."""
+        """Progress in words, in minutes that never become more; "" where nothing is compiled any more. Of the last
+        minute it says only that: what comes after the last kernel is not counted."""
         if self.ended:
             return ""
         self._told = min(self._told, self.left)
