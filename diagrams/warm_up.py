@@ -53,11 +53,13 @@ class WarmUp:
 
     @property
     def word(self) -> str:
-        """Progress in words, in minutes that never become more; "" where nothing is compiled any more."""
+        """Progress in words, in minutes that never become more; "" where nothing is compiled any more. Of the last
+        minute it says only that: what comes after the last kernel is not counted."""
         if self.ended:
             return ""
         self._told = min(self._told, self.left)
-        about = "" if math.isinf(self._told) else f", about {max(math.ceil(self._told / 60), 1)} min left"
+        about = "" if math.isinf(self._told) else f", about {math.ceil(self._told / 60)} min left"
+        about = about if self._told > 60 else ", soon done"
         return f"compiling kernels, once per installation{about}"
 
     @property
