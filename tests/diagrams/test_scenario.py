@@ -265,7 +265,9 @@ def test_bad_settings_are_refused_in_one_line(setting, message):
 
 def test_a_setting_may_put_the_start_inside_a_wall():
     scenario = LoadScenario(data=FACTS)
-    assert complaint(ApplySettings, scenario, ["robot.radius=1.5"]).startswith("--set: world.start: (1, 1) is inside")
+    assert complaint(ApplySettings, scenario, ["robot.radius=1.5"]).startswith(
+        "--set: world.start: (1, 1) is too near to the wall from (0, 0) to (3, 0)"
+    )
 
 
 def write_room(folder: Path) -> Path:
