@@ -121,12 +121,12 @@ def compiling_beside() -> Iterator[WarmUp | None]:
 
 
 def wait_for_kernels(show: Callable[[str], object], warm_up: WarmUp | None = None, *, all_of_them: bool = True) -> None:
-    """Until all is compiled that a mission needs, or what it begins with, or somebody interrupts it. warm_up: who
-    compiles already; by default it is begun here."""
+    """Until all is compiled that a mission needs, or what it begins with. warm_up: who compiles already; by default it
+    is begun here. Raises KeyboardInterrupt where somebody interrupts it: the mission would compile by itself."""
     with compiling_beside() if warm_up is None else contextlib.nullcontext(warm_up) as at_work:
-        while at_work is not None and not interruption.is_set():
-            if at_work.ended if all_of_them else at_work.ready:
-                break
+        while at_work is not None and not (at_work.ended if all_of_them else at_work.ready):
+            if interruption.is_set():
+                raise KeyboardInterrupt
             show(at_work.word)
             time.sleep(0.1)
 

@@ -500,3 +500,20 @@ def test_the_time_that_kernels_take_is_never_told_to_grow(monkeypatch):
     words = [compiling.word.removeprefix("compiling kernels, once per installation") for _ in range(10)]
     minutes = [6, 6, 6, 6, 3, 2, 2]
     assert words == ["", *(f", about {m} min left" for m in minutes), ", soon done", ", soon done"]
+
+
+def test_who_interrupts_the_compiling_does_not_wait_for_it(call, monkeypatch):
+    class Compiling:
+        word, ready, ended = "compiling kernels", False, False
+
+        def close(self):
+            pass
+
+    def interrupt(_seconds):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(kernels, "are_compiled", lambda: False)
+    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.WarmUp", Compiling)
+    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.time.sleep", interrupt)
+    code, out, _ = call("explore", "house", "--headless")
+    assert (code, "outcome" in out) == (128 + signal.SIGINT, False)
