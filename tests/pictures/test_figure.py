@@ -73,7 +73,7 @@ def test_small_ellipses_are_magnified_and_it_says_so(small_map, sigma, said, rad
     axes, blocks = figure.add_subplot(), np.tile(sigma**2 * np.eye(2), (4, 1, 1))
     draw_landmarks(axes, np.zeros(3), small_map.p_ML, blocks, np.zeros(4, dtype=bool), 5.0)
     (dots,), (rings,) = axes.lines, axes.collections
-    assert dots.get_label() == f"landmark mapped, {said}"
+    assert dots.get_label() == f"tag mapped, {said}"
     assert rings.get_zorder() > dots.get_zorder()
     for path, p in zip(rings.get_paths(), small_map.p_ML, strict=True):
         np.testing.assert_allclose(np.hypot(*(path.vertices - p).T), radius, rtol=1e-6)

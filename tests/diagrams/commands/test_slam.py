@@ -174,7 +174,7 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
         assert 4 <= summary["walls_mapped"] <= 6
         code, printed, complaint = call("map", "info", str(out))
         assert (code, complaint) == (0, "")
-        assert f"{summary['walls_mapped']} walls as landmarks" in printed
+        assert f"landmarks    {summary['walls_mapped']} walls" in printed
 
 
 def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
