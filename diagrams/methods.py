@@ -54,7 +54,7 @@ class Method:
 
     @property
     def takes_parts(self) -> bool:
-        """Whether it minds explorer.parts, as far as is known of it."""
+        """True where the method reads explorer.parts; a method of one's own is taken to do so."""
         return self.has_candidates or self.source.endswith(".py") or self.name == "own"
 
     def Check(self, scenario: Scenario) -> None:

@@ -1,4 +1,4 @@
-"""What a run's folder holds, as arrays: how the errors of position and tags compare with what was stated.
+"""Read a run's folder as arrays: how the errors of position and tags compare with what was stated.
 
 tfg-drake explore house --headless --out runs/analysed
 python examples/analyse.py runs/analysed

@@ -50,7 +50,7 @@ class CpuMeter:
 
 
 def measured(system: System, name: str, function: Callable[..., T], *args: Any) -> T:
-    """What a function returns, its CPU time charged to a name where the system has a meter."""
+    """Call a function and return its result, its CPU time charged to a name where the system has a meter."""
     meter = getattr(system, "cpu_meter", None)
     result: T = function(*args) if meter is None else meter.call(name, function, *args)
     return result

@@ -28,7 +28,17 @@ if TYPE_CHECKING:
 # Exit code where the map or the summary could not be written.
 NOT_WRITTEN = 4
 # What remarks what an operator is to see at once.
-REMARKING = "hardware notes operator pace port_recording run_folder slam.sensors visualizer world"
+REMARKING = (
+    "hardware",
+    "notes",
+    "operator",
+    "pace",
+    "port_recording",
+    "run_folder",
+    "slam.sensors",
+    "visualizer",
+    "world",
+)
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
@@ -182,7 +192,7 @@ def remarks_on_screen(screen: TextIO | None = None) -> Iterator[None]:
     output."""
     handler = logging.StreamHandler(screen or sys.stdout)
     handler.setFormatter(logging.Formatter("%(message)s"))
-    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING.split()]
+    loggers = [logging.getLogger(f"tfg_drake.{name}") for name in REMARKING]
     for logger in loggers:
         logger.addHandler(handler)
     try:

@@ -1,4 +1,4 @@
-"""What installs a missing package is the pip of the environment that misses it."""
+"""A missing package is installed by the pip of the environment that misses it."""
 
 import sys
 

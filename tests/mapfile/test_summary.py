@@ -1,4 +1,4 @@
-"""What is in a map, in words."""
+"""Words for the numbers of tags and walls of a map."""
 
 import dataclasses
 

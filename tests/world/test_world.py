@@ -80,7 +80,7 @@ def test_a_bad_world_is_refused_in_one_line(world, message):
 
 
 def test_the_place_that_is_named_is_the_nearest_free_one_on_this_side():
-    """Of two rooms, from places near their walls, against shapely and every place of the lattice."""
+    """Two rooms, from places near their walls, against shapely and every place of the lattice."""
     rng = np.random.default_rng(5)
     walls = np.array([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0], [3, 0, 3, 3], [1, 2, 2, 2]], dtype=float)
     lines = shapely.MultiLineString(walls.reshape(-1, 2, 2).tolist())

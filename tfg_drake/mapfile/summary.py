@@ -1,4 +1,4 @@
-"""What is in a map, in words."""
+"""A map's contents in words."""
 
 from __future__ import annotations
 
