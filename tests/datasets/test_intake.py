@@ -127,9 +127,13 @@ def test_a_way_that_scans_do_not_tell_is_unknown():
     assert result.scans == tuple(one for one in scans if not begin < one.stamp < end)
 
 
-def test_frozen_scans_are_left_out():
+@pytest.mark.parametrize("lost", [0, 3])
+def test_frozen_scans_are_left_out(lost):
     good = drive()
-    scans = [replace(good.scans[60], stamp=one.stamp) if 60 <= k < 80 else one for k, one in enumerate(good.scans)]
+    ranges = good.scans[60].ranges.copy()
+    ranges[:lost] = np.nan
+    frozen = replace(good.scans[60], ranges=ranges)
+    scans = [replace(frozen, stamp=one.stamp) if 60 <= k < 80 else one for k, one in enumerate(good.scans)]
     result = believed(replace(good, scans=tuple(scans)))
     assert [(one.kind, one.time_s) for one in result.notes] == [("frozen", good.scans[60].stamp)]
     assert result.scans == tuple(scans[:61] + scans[80:])
