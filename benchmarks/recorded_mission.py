@@ -14,11 +14,13 @@ import tempfile
 import zlib
 from pathlib import Path
 
+from timelines import read_timeline
+
 from tfg_drake.cockpit.page import RECORDED
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.io.files import write_atomic
-from tfg_drake.storage.timeline import MAGIC, encoded, read_timeline
+from tfg_drake.storage.timeline import MAGIC, encoded
 
 SCENARIO, SEED = "house", 3
 # Layers of which every so many records are kept; of others all are.

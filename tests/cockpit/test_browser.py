@@ -12,6 +12,7 @@ import pytest
 import shapely
 from PIL import Image, ImageSequence
 
+from benchmarks.timelines import read_timeline
 from tests.cockpit.conftest import ENDS, EXPLAINED, STAGES, SUMMARY, begin, drive, end, stage, write_mission
 from tfg_drake.cockpit.browser import SEEK, wait_for_page, write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page
@@ -20,7 +21,7 @@ from tfg_drake.diagrams.commands.explore import table_rows
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.pictures.map_timeline import write_map_timeline
 from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, read_timeline
+from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
 LAYERS += ["free", "wall_landmarks", "keep_out"]

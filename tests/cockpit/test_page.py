@@ -5,8 +5,9 @@ import re
 
 import pytest
 
+from benchmarks.timelines import read_timeline
 from tfg_drake.cockpit.page import RECORDED, export_page, served_page, whole_page
-from tfg_drake.storage.timeline import TimelineError, read_timeline
+from tfg_drake.storage.timeline import TimelineError
 
 
 def test_the_whole_page_holds_viewer_and_timeline(mission, tmp_path):

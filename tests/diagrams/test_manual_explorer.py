@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.timelines import read_timeline
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.config import RobotConfig
 from tfg_drake.diagrams.methods import FindMethod, MethodError
@@ -11,7 +12,6 @@ from tfg_drake.diagrams.missions.sweep import SweepError, parse_methods
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mission import manual_drive
 from tfg_drake.mission.manual_drive import Pressed, drive_csv, read_drive, steered
-from tfg_drake.storage.timeline import read_timeline
 
 ROOM = """
 seed: 3

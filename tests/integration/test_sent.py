@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.timelines import read_timeline
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.storage.port_recording import read_recording
-from tfg_drake.storage.timeline import read_timeline
 
 # m in M, and the instant, in sixteenths of a second, when the robot is sent there.
 PLACE, SENT = (3.0, -2.0), 45 * 16

@@ -1,17 +1,19 @@
 """A mission's picture over time, written and read again."""
 
 import errno
+import time
 import tracemalloc
 import zlib
 
 import numpy as np
 import pytest
 
+from benchmarks import timelines
+from benchmarks.timelines import read_timeline
 from tests.mutations import assert_refused_or_read
 from tfg_drake.io import files
-from tfg_drake.storage import timeline as module
 from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded, read_timeline
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded
 
 ARRAYS = {
     "points": np.array([[1.2344, -2.0], [0.0, 3.5]]),
@@ -77,7 +79,7 @@ def test_of_a_program_that_was_killed_all_is_there_but_the_last_block(tmp_path):
 
 def test_it_is_on_the_disk_soon_and_sooner_where_somebody_looks_on(tmp_path, monkeypatch):
     now, watched = [100.0], [False]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     with TimelineWriter(tmp_path / FILE_NAME, lambda: watched[0]) as writer:
 
         def there(passed):
@@ -111,8 +113,8 @@ def test_a_full_disk_ends_the_timeline_and_not_the_mission(tmp_path, caplog):
 
     writer._file.close()
     writer._file = Full()
-    for time in (1.0, 2.0):
-        writer.write("map", time, ARRAYS)
+    for instant in (1.0, 2.0):
+        writer.write("map", instant, ARRAYS)
         writer.flush()
     writer.close()
     assert writer.failure.errno == errno.ENOSPC
@@ -162,7 +164,7 @@ def test_a_small_file_is_not_unpacked_without_end(tmp_path, monkeypatch, blocks)
 
 
 def test_a_table_that_is_told_again_and_again_takes_no_memory_without_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_LARGEST", 2**20)
+    monkeypatch.setattr(timelines, "_LARGEST", 2**20)
     with TimelineWriter(tmp_path / FILE_NAME) as writer:
         writer.write("map", 0.0, {"ids": np.arange(2**14) + 2**16, "gone": np.zeros(0, dtype=np.int64)})
         for k in range(100):

@@ -9,11 +9,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
+from benchmarks.timelines import read_timeline
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
 from tfg_drake.messages import WALLS_BELOW, GridMap, replace
 from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.simulation.people import People
-from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter, read_timeline
+from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 
 

@@ -24,14 +24,14 @@ import math
 import struct
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
+from tfg_drake.io.files import FileError, open_inside
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 
 FILE_NAME = "timeline.tfg"
@@ -45,27 +45,14 @@ COARSE = ("scan", "free", "path")
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
-# Bytes of a timeline's records at most, each with its table as it stands then: an hour in a large building has 0.2 GB.
-_LARGEST = 2 * 2**30
-
-_NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
+NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
 _told = json.JSONEncoder(separators=(",", ":")).encode
-_LENGTH = struct.Struct("<I")
+LENGTH = struct.Struct("<I")
 _log = logging.getLogger("tfg_drake.storage.timeline")
 
 
 class TimelineError(FileError):
     """A timeline that cannot be shown; the message is one line: which, why and how to mend it."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Record:
-    """What a layer is like from a time on, s: of a table all rows. told: what else the header has. Positions in m."""
-
-    time: float
-    layer: str
-    arrays: Mapping[str, NDArray[Any]]
-    told: Mapping[str, Any]
 
 
 def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> bytes:
@@ -78,14 +65,14 @@ def encoded(layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: M
         data.append(raw + bytes(-len(raw) % 4))
     header = _told({"t": round(time, 4), "layer": layer, "arrays": entries, **told}).encode()
     header += b" " * (-len(header) % 4)
-    return b"".join([_LENGTH.pack(len(header)), header, *data])
+    return b"".join([LENGTH.pack(len(header)), header, *data])
 
 
 def _packed(array: NDArray[Any], coarse: bool) -> tuple[str, NDArray[Any]]:
     if array.dtype == np.float64 and coarse:
         steps = np.diff(np.rint(100.0 * array), axis=0, prepend=0.0).T
         kind = "c2" if np.abs(steps).max(initial=0.0) < 2**15 else "c4"
-        return kind, steps.astype(_NUMBERS[kind])
+        return kind, steps.astype(NUMBERS[kind])
     if array.dtype == np.float64:
         return "mm", np.rint(1000.0 * array).astype("<i4")
     if array.dtype == np.float32:
@@ -178,11 +165,11 @@ class TimelineWriter:
         self._flushed = now
         block = zlib.compress(b"".join(self._records), COMPRESSION)
         self._records = []
-        data = _LENGTH.pack(len(block)) + block
+        data = LENGTH.pack(len(block)) + block
         try:
             while data:
                 data = data[self._file.write(data) :]
-            self._size += _LENGTH.size + len(block)
+            self._size += LENGTH.size + len(block)
         except OSError as error:
             self._end(error)
 
@@ -200,76 +187,3 @@ class TimelineWriter:
             self._file.close()
             self._file = None
         _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)
-
-
-def read_timeline(path: Path, *, whole: bool = True) -> list[Record]:
-    """The records of a timeline, also of one that is being written or was when its program was killed.
-
-    Args:
-        path: the file, or the run's folder with it.
-        whole: of a table all rows that are there; else, as written, those that came and the numbers of those gone.
-
-    Raises:
-        TimelineError: it is not there, no timeline, or damaged.
-    """
-    path = of_run(path, FILE_NAME)
-    with reading(path, TimelineError):
-        data, most = path.read_bytes(), most_unpacked(path)
-        if not data.startswith(MAGIC):
-            raise TimelineError(f"{path}: is no timeline of this version; name the folder of a run that was recorded")
-        records = (record for block in _blocks(data, most) for record in _records(block))
-        return list(_whole(records) if whole else records)
-
-
-def _blocks(data: bytes, most: int) -> Iterator[bytes]:
-    """The blocks, unpacked: `most` bytes in all, ValueError for more."""
-    start = len(MAGIC)
-    while start + 4 <= len(data):
-        (length,) = _LENGTH.unpack_from(data, start)
-        block = data[start + 4 : start + 4 + length]
-        if len(block) < length:
-            return
-        unpacked = zlib.decompressobj().decompress(block, most + 1)
-        most -= len(unpacked)
-        if most < 0:
-            raise ValueError("it stands for too many bytes")
-        yield unpacked
-        start += 4 + length
-
-
-def _records(block: bytes) -> Iterator[Record]:
-    start = 0
-    while start < len(block):
-        (length,) = _LENGTH.unpack_from(block, start)
-        header = json.loads(block[start + 4 : start + 4 + length])
-        start += 4 + length
-        arrays = {}
-        for name, kind, shape in header["arrays"]:
-            array = np.frombuffer(block, np.dtype(_NUMBERS[kind]), math.prod(shape), start)
-            start += array.nbytes + -array.nbytes % 4
-            if kind in ("c2", "c4"):
-                arrays[name] = 1e-2 * np.cumsum(array.reshape(shape[::-1]), axis=1, dtype=np.int64).T
-            else:
-                arrays[name] = (1e-3 * array if kind == "mm" else array).reshape(shape)
-        told = {key: value for key, value in header.items() if key not in ("t", "layer", "arrays")}
-        yield Record(header["t"], header["layer"], arrays, told)
-
-
-def _whole(records: Iterator[Record]) -> Iterator[Record]:
-    """The records, those of tables with all rows that are there, in the order in which they were written."""
-    tables: dict[str, tuple[NDArray[np.int64], int, Mapping[str, NDArray[Any]]]] = {}
-    size = 0
-    for record in records:
-        if "gone" not in record.arrays:
-            yield record
-            continue
-        added = {name: array for name, array in record.arrays.items() if name != "gone"}
-        numbers, count, before = tables.get(record.layer, (np.zeros(0, dtype=np.int64), 0, {}))
-        stays = ~np.isin(numbers, record.arrays["gone"])
-        arrays = {name: np.concatenate([before[name][stays], new]) if before else new for name, new in added.items()}
-        size += sum(array.nbytes for array in arrays.values())
-        if size > _LARGEST:
-            raise ValueError("it stands for too many bytes")
-        end = count + len(next(iter(added.values())))
-        tables[record.layer] = (np.append(numbers[stays], np.arange(count, end)), end, arrays)
-        yield dataclasses.replace(record, arrays=arrays)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import tfg_drake
+from benchmarks.timelines import read_timeline
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.evaluation import hits, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.laser_log import EXACT_SCANNER
@@ -22,7 +23,6 @@ from tfg_drake.messages import Odometry, replace
 from tfg_drake.notes import Note
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.storage.run import load_run
-from tfg_drake.storage.timeline import read_timeline
 
 CORNERS = np.array([[-5.0, -4.0], [5.0, -4.0], [5.0, 4.0], [1.0, 4.0], [1.0, 2.5], [-5.0, 2.5]])
 WALLS = np.hstack([CORNERS, np.roll(CORNERS, -1, axis=0)])

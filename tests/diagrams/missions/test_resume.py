@@ -11,6 +11,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 import tfg_drake
+from benchmarks.timelines import read_timeline
 from tests.storage.test_checkpoint import TOLD
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import METHODS, FindMethod
@@ -26,7 +27,6 @@ from tfg_drake.mission.manual_drive import Pressed, drive_csv
 from tfg_drake.storage import port_recording, timeline
 from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from tfg_drake.storage.port_recording import read_recording
-from tfg_drake.storage.timeline import read_timeline
 
 # People and changes, too: the whole world goes on.
 ROOMS = """

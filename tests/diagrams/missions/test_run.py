@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
+from benchmarks.timelines import read_timeline
 from tests.diagrams.rooms import lasting, room
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
@@ -22,7 +23,6 @@ from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
 from tfg_drake.storage.port_recording import read_recording
-from tfg_drake.storage.timeline import read_timeline
 from tfg_drake.storage.trajectory import read_tum
 
 _FIELDS = """schema version scenario world seed method outcome reason sim_time_s resumed_at_s notes wall_time_s
