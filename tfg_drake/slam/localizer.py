@@ -138,7 +138,7 @@ def step_localizer(
         (increment, dt, noise),
         (twist, offset),
         (column, entry, now.p_DL),
-        (detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing),
+        (detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range),
     )
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
     if (column >= 0).all():
