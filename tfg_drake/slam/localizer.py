@@ -209,6 +209,8 @@ def localized_pose(
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
     """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
     and their p_MU (u, 2)."""
+    if not len(localizer.local_ids):
+        return localizer.local_ids, np.empty((0, 2))
     some = (localizer.local_frames >= LEAST_FRAMES) & ~rows_of(localizer.local_ids, ids)[1]
     p_DU = localizer.mean[POSE:].reshape(-1, 2)[some]
     return localizer.local_ids[some], se2.transform(localizer.map.X_MD, p_DU)
