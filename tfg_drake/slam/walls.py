@@ -420,8 +420,8 @@ def _compared(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A pair of points (2, 2) seen from the newest pose, with covariance R (4, 4), and k walls of the map, at P
     (k, 2, 2): the squared error (k,) in deviations and how far off (k,) m, infinite where they look another way or
-    hardly overlap; where along the wall (k, 2) m, and how much they overlap (k,) m. reach: as of Walls. entry: (k,) of
-    each first point among the landmarks known jointly."""
+    hardly overlap, the error also where it is surely beyond GATE; where along the wall (k, 2) m, and how much they
+    overlap (k,) m. reach: as of Walls. entry: (k,) of each first point among the landmarks known jointly."""
     Q = se2.transform(estimate.X_MD, p_AL)
     along, normal, _ = directions(P)
     apart, seen = Q - P[:, :1], Q[1] - Q[0]
@@ -430,7 +430,8 @@ def _compared(
     seen_length = float(np.hypot(*seen))
     candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
     squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
-    for k in np.flatnonzero(candidates):
+    # No S with that trace lets in what is farther off.
+    for k in np.flatnonzero(candidates & (np.sum(e * e, axis=1) < 2.0 * MOST_DEVIATION**2 * GATE)):
         _, S, _ = _off(p_AL[None], R, P[[k]], entry[[k]], estimate)
         if np.trace(S) < 2.0 * MOST_DEVIATION**2:
             squared[k] = e[k] @ np.linalg.solve(S, e[k])
