@@ -153,12 +153,12 @@ class Observation:
     X_AB: FloatArray
 
 
-# Landmarks with lower ids are points of walls.
+# Landmarks with lower ids are walls.
 WALLS_BELOW = -(1 << 40)
 
 
 def is_tag(ids: IntArray) -> BoolArray:
-    """Which landmarks (n,) are tags, not points of walls."""
+    """Which landmarks (n,) are tags, not walls."""
     return np.asarray(ids >= WALLS_BELOW)
 
 
@@ -166,7 +166,9 @@ def is_tag(ids: IntArray) -> BoolArray:
 class MapEstimate:
     """The Gaussian of landmarks and departure pose after a view (MAP and its marginal covariance).
 
-    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m. X_MD: (3,) the last departure pose.
+    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m; of a wall the angle of its normal, rad,
+    and its distance along that from its anchor, m. anchor: (n, 2) m, and reach: (n, 2) how far the wall has been seen
+    along its normal turned left by 90 degrees, m from there; zero of a tag. X_MD: (3,) the last departure pose.
     local: (m,) rows of the landmarks known jointly, ascending: all of a small map's, those round the last departure of
     a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
     each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
@@ -183,6 +185,8 @@ class MapEstimate:
     stamp: float
     ids: IntArray
     p_ML: FloatArray
+    anchor: FloatArray
+    reach: FloatArray
     X_MD: FloatArray
     local: IntArray
     covariance: FloatArray
@@ -243,6 +247,8 @@ class MapEstimate:
             self,
             ids=self.ids[keep],
             p_ML=self.p_ML[keep],
+            anchor=self.anchor[keep],
+            reach=self.reach[keep],
             local=(np.cumsum(keep) - 1)[self.local[joint]],
             covariance=self.covariance if joint.all() else self.covariance[np.ix_(rows, rows)],
             landmark_covariance=self.landmark_covariance[keep],

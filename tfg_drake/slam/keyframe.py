@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, is_tag, message, replace
+from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, is_tag, message, replace
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED, scale_of
 
@@ -26,23 +26,41 @@ MOST_STEPS = 5
 
 @message
 class Keyframe:
-    """The Gaussian of n tags seen from the pose A at its beginning to D at its end, of D, and of the parameters.
+    """The Gaussian of n landmarks seen from the pose A at its beginning to D at its end, of D, and of the parameters.
 
-    With y = (the tags in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W e / 2
-    + v^T s, e = (y - y_0, s). ids: (n,) ascending; 0 tags: odometry's way. y_AL: (n, 2), y_AD: (3,), y_0. unit: the
-    parameter that is the scale of its lengths, or METRES. information: W, (2n + 16, 2n + 16). vector: v, (13,).
-    on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. errors: see
-    `by_errors`, empty where it follows from on_error.
+    With y = (the landmarks in A row by row, D in A) in the keyframe's unit and the shared parameters s, it costs e^T W
+    e / 2 + v^T s, e = (y - y_0, s). ids: (n,) ascending, so that walls come first; none: odometry's way. y_AL: (n, 2),
+    y_AD: (3,), y_0. anchor, reach: (n, 2) of walls, as of `messages.MapEstimate`, in A. unit: the parameter that is the
+    scale of its lengths, or METRES, which it is where there are walls. information: W, (2n + 16, 2n + 16). vector: v,
+    (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad.
+    errors: see `by_errors`, empty where it follows from on_error.
     """
 
     ids: IntArray
     y_AL: FloatArray
+    anchor: FloatArray
+    reach: FloatArray
     y_AD: FloatArray
     unit: int
     information: FloatArray
     vector: FloatArray
     on_error: FloatArray
     errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def walls(self) -> int:
+        """How many of its landmarks are walls."""
+        return int(np.searchsorted(self.ids, WALLS_BELOW))
+
+    @property
+    def measured(self) -> tuple[int, FloatArray, FloatArray, FloatArray, int]:
+        """The arguments of `residual` that it has: walls, y_AL, anchor, y_AD and unit."""
+        return self.walls, self.y_AL, self.anchor, self.y_AD, self.unit
+
+    @property
+    def told(self) -> tuple[int, FloatArray, FloatArray, FloatArray, int, FloatArray, FloatArray]:
+        """The arguments of `linearised` that it has."""
+        return *self.measured, self.information, self.vector
 
     def by_errors(self) -> FloatArray:
         """Derivatives of the cost on the tags' errors, (4n + 16, 2n + 1): the Hessian by (e, the errors) on these, and
@@ -65,14 +83,10 @@ class Keyframe:
 
     def conditional(self) -> tuple[FloatArray, FloatArray]:
         """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 13) of its mean on them."""
-        m, n = len(self.information) - SHARED, len(self.ids)
-        i, axes = np.arange(n), np.eye(m)
-        # Each landmark in its own axes: what is free along a wall would be taken off what is known across it.
-        blocks = self.information[: 2 * n, : 2 * n].reshape(n, 2, n, 2)
-        axes[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[i, :, i, :] = np.linalg.eigh(blocks[i, :, i, :])[1]
-        own = axes.T @ self.information[:m, :m] @ axes
-        axes /= np.sqrt(np.diag(own))
-        covariance = axes @ np.linalg.inv(axes.T @ self.information[:m, :m] @ axes) @ axes.T
+        m = len(self.information) - SHARED
+        # In units of its own: an angle and a distance, or what is known well and hardly, differ by many powers of ten.
+        unit = 1.0 / np.sqrt(np.diag(self.information)[:m])
+        covariance = unit[:, None] * np.linalg.inv(unit[:, None] * self.information[:m, :m] * unit) * unit
         covariance = 0.5 * (covariance + covariance.T)
         return covariance, -covariance @ self.information[:m, m:]
 
@@ -87,6 +101,8 @@ class Keyframe:
 def keyframe(
     ids: IntArray,
     y: FloatArray,
+    anchor: FloatArray,
+    reach: FloatArray,
     shared: FloatArray,
     unit: int,
     W: FloatArray,
@@ -94,12 +110,33 @@ def keyframe(
     on_error: FloatArray,
 ) -> Keyframe:
     """The keyframe of a cost that has gradient g (2n + 16,) and Hessian W (2n + 16, 2n + 16) at (y, shared), y: (2n +
-    3,), shared: (13,)."""
+    3,), shared: (13,). anchor, reach: of its walls, see Keyframe."""
     m = len(y)
     back = np.linalg.solve(W[:m, :m], W[:m, m:] @ shared - g[:m])
     y_0 = y + back
     vector = g[m:] + W[m:, :m] @ back - W[m:, m:] @ shared
-    return Keyframe(ids, y_0[:-3].reshape(-1, 2), y_0[-3:], unit, W, vector, on_error)
+    return Keyframe(ids, y_0[:-3].reshape(-1, 2), anchor, reach, y_0[-3:], unit, W, vector, on_error)
+
+
+def placed(X_FA: FloatArray, ids: IntArray, y_AL: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Landmarks (n, 2) of A and the anchors (n, 2) of the walls among them, as they are in F: X_FA (3,)."""
+    walls = ~is_tag(ids)
+    y_FL, moved = se2.transform(X_FA, y_AL), np.where(walls[:, None], se2.transform(X_FA, anchor), 0.0)
+    y_FL[walls] = y_AL[walls] + [X_FA[2], 0.0]
+    return y_FL, moved
+
+
+def joined_reach(
+    wall: FloatArray, anchor: FloatArray, reach: FloatArray, at: FloatArray, other: FloatArray
+) -> FloatArray:
+    """The reach (n, 2) of walls (n, 2) from their anchors (n, 2), with another reach (n, 2) from points at (n, 2)."""
+    further = other + np.sum((at - anchor) * along_walls(wall), axis=1)[:, None]
+    return np.column_stack([np.minimum(reach[:, 0], further[:, 0]), np.maximum(reach[:, 1], further[:, 1])])
+
+
+def along_walls(wall: FloatArray) -> FloatArray:
+    """Unit vectors (n, 2) along walls (n, 2): their normals turned left by 90 degrees."""
+    return np.column_stack([-np.sin(wall[:, 0]), np.cos(wall[:, 0])])
 
 
 def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
@@ -115,6 +152,8 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
         one,
         ids=one.ids[keep],
         y_AL=one.y_AL[keep],
+        anchor=one.anchor[keep],
+        reach=one.reach[keep],
         information=0.5 * (information + information.T),
         on_error=one.on_error[keep],
         errors=_errors_without(one, rows, keep) if len(one.errors) else one.errors,
@@ -142,7 +181,8 @@ def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: Flo
     n = len(ids)
     information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    return Keyframe(ids, p_AL, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
+    none = np.zeros((n, 2))
+    return Keyframe(ids, p_AL, none, none, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
@@ -155,10 +195,13 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     rows = np.searchsorted(ids, first.ids), np.searchsorted(ids, second.ids)
     n = len(ids)
     (y_1, B, _), (y_2, X_BD, _) = (replace(one, unit=METRES).given(shared) for one in (first, second))
-    given = np.append(y_1, B), np.append(y_2, X_BD)
-    y_AL, D, A = np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
-    y_AL[rows[1]] = se2.transform(B, y_2)
-    y_AL[rows[0]] = y_1
+    y_AL, anchor, reach, D, A = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), se2.compose(B, X_BD), np.zeros(3)
+    y_AL[rows[1]], anchor[rows[1]] = placed(B, second.ids, y_2, second.anchor)
+    reach[rows[1]] = second.reach
+    both = rows[0][: first.walls][np.isin(first.ids[: first.walls], second.ids)]
+    also = anchor[both], reach[both]
+    y_AL[rows[0]], anchor[rows[0]], reach[rows[0]] = y_1, first.anchor, first.reach
+    reach[both] = joined_reach(y_AL[both], anchor[both], reach[both], *also)
     m, e, i = 2 * n + 3, 2 * n + 3 + SHARED, np.arange(n)
 
     def joined(errors: int) -> tuple[FloatArray, FloatArray]:
@@ -166,15 +209,12 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
-        for one, of_one, row, place, (begin, end) in zip(
-            (first, second), given, rows, at, ((A, B), (B, D)), strict=True
-        ):
-            one = _along_lines(one, of_one, shared, se2.transform(se2.inverse(begin), y_AL[row]))
-            W, v, none = one.information, one.vector, np.zeros(2 * len(row))
-            H_k, g_k, _ = linearised(y_AL[row], one.y_AL, one.y_AD, METRES, W, v, begin, end, shared)
+        for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
+            one, none = replace(one, unit=METRES), np.zeros(2 * len(row))
+            H_k, g_k, _ = linearised(y_AL[row], anchor[row], *one.told, begin, end, shared)
             if errors:
-                error, on = residual(y_AL[row], one.y_AL, one.y_AD, METRES, begin, end, shared)
-                H_k, g_k, _ = with_errors(H_k, g_k, error, on, float(begin[2]), 1.0, one.by_errors(), none)
+                error, on, by_landmark = residual(y_AL[row], anchor[row], *one.measured, begin, end, shared)
+                H_k, g_k, _ = with_errors(H_k, g_k, error, on, by_landmark, one.by_errors(), none)
             place = place[: len(g_k)]
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
@@ -195,37 +235,14 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     W = 0.5 * (W + W.T)
     moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
-    both = keyframe(ids, y, shared, first.unit, W[:e, :e], gradient[:e], np.asarray(moved[i, :, i, :], dtype=float))
-    back = np.concatenate([both.y_AL.ravel() - y[:-3], both.y_AD - D, -shared])
+    on_error = np.asarray(moved[i, :, i, :], dtype=float)
+    one = keyframe(ids, y, anchor, reach, shared, first.unit, W[:e, :e], gradient[:e], on_error)
+    back = np.concatenate([one.y_AL.ravel() - y[:-3], one.y_AD - D, -shared])
     by_errors = np.column_stack([W[:, e:], np.append(np.zeros(e), gradient[e:] + W[e:, :e] @ back)])
-    y_AD = np.append(both.y_AD[:2], wrap(float(both.y_AD[2])))
+    y_AD = np.append(one.y_AD[:2], wrap(float(one.y_AD[2])))
     share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
-    return replace(both, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
-
-
-def _along_lines(one: Keyframe, y: FloatArray, shared: FloatArray, p_AL: FloatArray) -> Keyframe:
-    """The keyframe with what it tells of walls told normal to the lines through p_AL (n, 2), where both their points
-    are; along these it holds them as before. y: (2n + 3,) its tags and D given the parameters (13,), which stay.
-
-    Two keyframes hardly ever see a wall in quite the same direction. By their own normals both lines would cross
-    somewhere, and tell where along the wall its points are and the robot is.
-    """
-    walls, W, m = np.flatnonzero(~is_tag(one.ids)), one.information, len(y)
-    if not len(walls):
-        return one
-    # Walls come first, each with its two points.
-    along = p_AL[walls ^ 1] - p_AL[walls]
-    along /= np.hypot(*along.T)[:, None]
-    across, held = np.eye(len(W)), np.zeros(W.shape)
-    for k, direction in zip(walls, along, strict=True):
-        of_point, square = slice(2 * k, 2 * k + 2), np.outer(direction, direction)
-        across[of_point, of_point] -= square
-        held[of_point, of_point] = np.linalg.eigvalsh(W[of_point, of_point])[0] * square
-    gradient = W[m:] @ np.append(y - np.append(one.y_AL.ravel(), one.y_AD), shared) + one.vector
-    information = across @ W @ across + held
-    told = keyframe(one.ids, y, shared, one.unit, information, np.append(np.zeros(m), gradient), one.on_error)
-    return replace(told, errors=one.errors)
+    return replace(one, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
@@ -237,45 +254,67 @@ def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
 @njit(cache=True)
 def residual(
     p_ML: FloatArray,
+    p_MC: FloatArray,
+    walls: int,
     y_AL: FloatArray,
+    p_AC: FloatArray,
     y_AD: FloatArray,
     unit: int,
     A: FloatArray,
     D: FloatArray,
     shared: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """The error (2n + 16,) of a keyframe, see Keyframe, and its Jacobian (2n + 16, 16) on A and the parameters.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The error (2n + 16,) of a keyframe, see Keyframe, its Jacobian (2n + 16, 16) on A and the parameters, and the
+    Jacobians (n + 1, 2, 2) on its landmarks and on D's position.
 
-    p_ML: (n, 2) its tags. unit: of the keyframe's lengths.
+    p_ML: (n, 2) its landmarks, so many of which, the first, are walls, p_MC: (n, 2) their anchors. y_AL, p_AC: what the
+    keyframe has of both. unit: of its lengths.
     """
     n, scale = len(p_ML), scale_of(unit, shared)
     c, s = math.cos(A[2]), math.sin(A[2])
     m = 2 * n + 3
-    error, on = np.empty(m + SHARED), np.zeros((m + SHARED, 3 + SHARED))
+    error, on, by_landmark = np.empty(m + SHARED), np.zeros((m + SHARED, 3 + SHARED)), np.empty((n + 1, 2, 2))
     for i in range(n + 1):
+        a, b = 2 * i, 2 * i + 1
+        if i < walls:
+            # The wall's distance from the keyframe's own anchor.
+            l_x, l_y = c * p_AC[i, 0] - s * p_AC[i, 1], s * p_AC[i, 0] + c * p_AC[i, 1]
+            x, y = A[0] + l_x - p_MC[i, 0], A[1] + l_y - p_MC[i, 1]
+            n_x, n_y = math.cos(p_ML[i, 0]), math.sin(p_ML[i, 0])
+            error[a] = wrap(p_ML[i, 0] - A[2] - y_AL[i, 0])
+            error[b] = p_ML[i, 1] - n_x * x - n_y * y - y_AL[i, 1]
+            on[a, 2], on[b, 0], on[b, 1], on[b, 2] = -1.0, -n_x, -n_y, n_x * l_y - n_y * l_x
+            by_landmark[i, 0, 0], by_landmark[i, 0, 1] = 1.0, 0.0
+            by_landmark[i, 1, 0], by_landmark[i, 1, 1] = n_y * x - n_x * y, 1.0
+            continue
         if i < n:
             dx, dy = p_ML[i, 0] - A[0], p_ML[i, 1] - A[1]
             seen_x, seen_y = y_AL[i, 0], y_AL[i, 1]
         else:
             dx, dy, seen_x, seen_y = D[0] - A[0], D[1] - A[1], y_AD[0], y_AD[1]
         x, y = c * dx + s * dy, -s * dx + c * dy
-        error[2 * i], error[2 * i + 1] = scale * x - seen_x, scale * y - seen_y
-        on[2 * i, 0], on[2 * i, 1], on[2 * i, 2] = -scale * c, -scale * s, scale * y
-        on[2 * i + 1, 0], on[2 * i + 1, 1], on[2 * i + 1, 2] = scale * s, -scale * c, -scale * x
+        error[a], error[b] = scale * x - seen_x, scale * y - seen_y
+        on[a, 0], on[a, 1], on[a, 2] = -scale * c, -scale * s, scale * y
+        on[b, 0], on[b, 1], on[b, 2] = scale * s, -scale * c, -scale * x
+        by_landmark[i, 0, 0], by_landmark[i, 0, 1] = scale * c, scale * s
+        by_landmark[i, 1, 0], by_landmark[i, 1, 1] = -scale * s, scale * c
         if unit != METRES:
-            on[2 * i, 3 + unit], on[2 * i + 1, 3 + unit] = x, y
+            on[a, 3 + unit], on[b, 3 + unit] = x, y
     error[m - 1] = wrap(D[2] - A[2] - y_AD[2])
     on[m - 1, 2] = -1.0
     for i in range(SHARED):
         error[m + i] = shared[i]
         on[m + i, 3 + i] = 1.0
-    return error, on
+    return error, on, by_landmark
 
 
 @njit(cache=True)
 def linearised(
     p_ML: FloatArray,
+    p_MC: FloatArray,
+    walls: int,
     y_AL: FloatArray,
+    p_AC: FloatArray,
     y_AD: FloatArray,
     unit: int,
     information: FloatArray,
@@ -284,31 +323,42 @@ def linearised(
     D: FloatArray,
     shared: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian (2n + 19, 2n + 19) and gradient (2n + 19,) of a keyframe's cost, in the order of tags, D, A and
-    parameters, and twice the cost.
+    """`hessian` of a keyframe; arguments as of `residual`, and information and vector as of Keyframe."""
+    error, on, by_landmark = residual(p_ML, p_MC, walls, y_AL, p_AC, y_AD, unit, A, D, shared)
+    return hessian(error, on, by_landmark, information, vector, shared)
 
-    The Jacobian on tags and D's position is a scaled rotation, so that their block of the Hessian is the information,
-    turned.
-    """
-    error, on = residual(p_ML, y_AL, y_AD, unit, A, D, shared)
+
+@njit(cache=True)
+def hessian(
+    error: FloatArray,
+    on: FloatArray,
+    by_landmark: FloatArray,
+    information: FloatArray,
+    vector: FloatArray,
+    shared: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Hessian (2n + 19, 2n + 19) and gradient (2n + 19,) of a keyframe's cost, in the order of landmarks, D, A and
+    parameters, and twice the cost. error, on, by_landmark: of `residual`."""
     m, size = len(error) - SHARED, len(error) + 3
-    scale = scale_of(unit, shared)
-    c, s = scale * math.cos(A[2]), scale * math.sin(A[2])
     weighted, weighted_on = information @ error, information @ on
     H, g = np.empty((size, size)), np.empty((size, 1))
     half = np.empty((m, m))
     for i in range(0, m - 1, 2):
+        L = by_landmark[i // 2]
         for j in range(m):
-            _turned(half, i, j, information[i, j], information[i + 1, j], c, s)
+            turned(half, i, j, information[i, j], information[i + 1, j], L)
         for j in range(3 + SHARED):
-            _turned(H, i, m + j, weighted_on[i, j], weighted_on[i + 1, j], c, s)
-        _turned(g, i, 0, weighted[i], weighted[i + 1], c, s)
+            turned(H, i, m + j, weighted_on[i, j], weighted_on[i + 1, j], L)
+        turned(g, i, 0, weighted[i], weighted[i + 1], L)
     half[m - 1] = information[m - 1, :m]
     H[m - 1, m:] = weighted_on[m - 1]
     g[m - 1, 0] = weighted[m - 1]
+    for j in range(0, m - 1, 2):
+        L = by_landmark[j // 2]
+        for i in range(m):
+            H[i, j] = half[i, j] * L[0, 0] + half[i, j + 1] * L[1, 0]
+            H[i, j + 1] = half[i, j] * L[0, 1] + half[i, j + 1] * L[1, 1]
     for i in range(m):
-        for j in range(0, m - 1, 2):
-            H[i, j], H[i, j + 1] = c * half[i, j] - s * half[i, j + 1], s * half[i, j] + c * half[i, j + 1]
         H[i, m - 1] = half[i, m - 1]
         H[m:, i] = H[i, m:]
     H[m:, m:] = on.T @ weighted_on
@@ -326,25 +376,22 @@ def with_errors(
     g: FloatArray,
     error: FloatArray,
     on: FloatArray,
-    heading: float,
-    scale: float,
+    by_landmark: FloatArray,
     by_errors: FloatArray,
     errors: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Hessian and gradient of `linearised` with the tags' errors (2n,) behind, and what these add to twice the cost.
 
-    error, on: of `residual` there. heading: of A, rad. scale: of M's lengths in the keyframe's unit. by_errors: see
-    Keyframe.
+    error, on, by_landmark: of `residual` there. by_errors: see Keyframe.
     """
     k, size, q = len(errors), len(g), len(error)
     m = q - SHARED
-    c, s = scale * math.cos(heading), scale * math.sin(heading)
     coupling = np.ascontiguousarray(by_errors[:q, :k])
     wide, longer = np.zeros((size + k, size + k)), np.empty(size + k)
     across = np.empty((size, k))
     for j in range(k):
         for i in range(0, m - 1, 2):
-            _turned(across, i, j, coupling[i, j], coupling[i + 1, j], c, s)
+            turned(across, i, j, coupling[i, j], coupling[i + 1, j], by_landmark[i // 2])
         across[m - 1, j] = coupling[m - 1, j]
     across[m:] = on.T @ coupling
     of_errors = np.ascontiguousarray(by_errors[q:, :k])
@@ -358,9 +405,9 @@ def with_errors(
 
 
 @njit(cache=True)
-def _turned(into: FloatArray, i: int, j: int, a: float, b: float, c: float, s: float) -> None:
-    """A pair of numbers (a, b) in A's axes, in M's axes, as rows i and i + 1 of column j."""
-    into[i, j], into[i + 1, j] = c * a - s * b, s * a + c * b
+def turned(into: FloatArray, i: int, j: int, a: float, b: float, L: FloatArray) -> None:
+    """Put L^T (a, b), by a landmark's Jacobian L (2, 2), into rows i and i + 1 of column j."""
+    into[i, j], into[i + 1, j] = L[0, 0] * a + L[1, 0] * b, L[0, 1] * a + L[1, 1] * b
 
 
 def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe import Keyframe, fusion, rows_of, way, without_tags
+from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, way, without_tags
 from tfg_drake.slam.shared import Shared
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
@@ -36,8 +36,9 @@ class KeyframeGraph:
     """k keyframes, n landmarks, their current values, and how well the landmarks are known.
 
     keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g views lies
-    in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML: (n, 2), m.
-    landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as it was before. entropy:
+    in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML, anchor, reach: (n, 2), as of
+    `messages.MapEstimate`. landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as
+    it was before. entropy:
     of the landmarks, nats, entropy_beyond: what is to be added to that of the landmarks known jointly, of which it is
     all in a small map. prior: of the shared parameters, by all but the keyframes. shared: the same by everything.
     tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`. solver: what finds the values, one
@@ -50,6 +51,8 @@ class KeyframeGraph:
     X_AV: FloatArray
     ids: IntArray
     p_ML: FloatArray
+    anchor: FloatArray
+    reach: FloatArray
     landmark_covariance: FloatArray
     entropy: float
     entropy_beyond: float
@@ -74,6 +77,8 @@ def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
         X_AV=np.empty((0, 3)),
         ids=none,
         p_ML=np.empty((0, 2)),
+        anchor=np.empty((0, 2)),
+        reach=np.empty((0, 2)),
         landmark_covariance=np.empty((0, 2, 2)),
         entropy=0.0,
         entropy_beyond=0.0,
@@ -94,6 +99,8 @@ def empty_map(prior: Shared | None = None) -> MapEstimate:
         stamp=0.0,
         ids=none,
         p_ML=np.empty((0, 2)),
+        anchor=np.empty((0, 2)),
+        reach=np.empty((0, 2)),
         X_MD=np.zeros(3),
         local=none,
         covariance=np.zeros((3, 3)),
@@ -117,11 +124,13 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
     is_view: a turn or glance, whose arrival pose is looked up later; not a piece of the way.
     """
     k, X_MA = len(graph.keyframes), graph.X_MN[-1]
-    _, known = rows_of(one.ids, graph.ids)
+    row, known = rows_of(one.ids, graph.ids)
+    p_ML, anchor = placed(X_MA, one.ids, one.given(graph.shared.mean)[0], one.anchor)
     ids = np.concatenate([graph.ids, one.ids[~known]])
     order = np.argsort(ids, kind="stable")
-    new = int(np.count_nonzero(~known))
-    p_AL = one.given(graph.shared.mean)[0][~known] if new else np.empty((0, 2))
+    new, reach, again = int(np.count_nonzero(~known)), graph.reach.copy(), np.flatnonzero(known[: one.walls])
+    at = row[again]
+    reach[at] = joined_reach(graph.p_ML[at], graph.anchor[at], reach[at], anchor[again], one.reach[again])
     return replace(
         graph,
         keyframes=(*graph.keyframes, one),
@@ -129,7 +138,9 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
         view_keyframe=np.append(graph.view_keyframe, k) if is_view else graph.view_keyframe,
         X_AV=np.vstack([graph.X_AV, np.zeros(3)]) if is_view else graph.X_AV,
         ids=ids[order],
-        p_ML=np.vstack([graph.p_ML, se2.transform(X_MA, p_AL)])[order],
+        p_ML=np.vstack([graph.p_ML, p_ML[~known]])[order],
+        anchor=np.vstack([graph.anchor, anchor[~known]])[order],
+        reach=np.vstack([reach, one.reach[~known]])[order],
         landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
     )
 
@@ -170,6 +181,8 @@ def forget(graph: KeyframeGraph, ids: IntArray) -> KeyframeGraph:
         keyframes=tuple(without_tags(one, ids) for one in graph.keyframes),
         ids=graph.ids[keep],
         p_ML=graph.p_ML[keep],
+        anchor=graph.anchor[keep],
+        reach=graph.reach[keep],
         landmark_covariance=graph.landmark_covariance[keep],
         entropy=graph.entropy - 0.5 * float(np.sum(lost)),
     )

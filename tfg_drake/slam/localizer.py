@@ -15,12 +15,12 @@ import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, message, replace
-from tfg_drake.slam.keyframe import rows_of
+from tfg_drake.slam.keyframe import along_walls, placed, rows_of
 from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map, whereabouts
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.wall_correction import correct_by_walls, seen_through, walls_seen
-from tfg_drake.slam.walls import Walls, floor_of_points, no_walls
+from tfg_drake.slam.walls import FLOOR, Walls, no_walls
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
@@ -37,8 +37,8 @@ class Localizer:
     map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
     rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (13 + 2s, 13 + 2s)
     covariance of the parameters and of these in D, with_D: (13 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 13 + 2s), W.
-    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w,) rows in map.local
-    of the first points of walls, wall_points: (w, 2, 2) in D, reach: (w, 2) and floor as of `walls.Walls`.
+    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w, 2) of map.local,
+    the first in it, and p_DC: (w, 2) their anchors, both in D; reach: (w, 2). floor: as of `walls.Walls`.
     """
 
     map: MapEstimate
@@ -52,8 +52,8 @@ class Localizer:
     local_ids: IntArray
     last_seen: FloatArray
     local_frames: IntArray
-    walls: IntArray
-    wall_points: FloatArray
+    walls: FloatArray
+    p_DC: FloatArray
     reach: FloatArray
     floor: float
 
@@ -71,8 +71,8 @@ class Localizer:
 def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Localizer:
     """The localiser at the departure pose of the newest map, and its walls."""
     none, walls = np.empty(0, dtype=np.int64), walls or no_walls()
-    row, known = rows_of(walls.first, estimate.ids[estimate.local])
-    points = se2.transform(se2.inverse(estimate.X_MD), estimate.local_p_ML)
+    of_walls = estimate.local[~is_tag(estimate.ids[estimate.local])]
+    in_D, p_DC = _in_departure(estimate, of_walls)
     considered, with_D, p_DL = _considered(estimate, none, walls.floor)
     return Localizer(
         map=estimate,
@@ -86,9 +86,9 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
         local_ids=none,
         last_seen=np.empty(0),
         local_frames=none,
-        walls=row[known],
-        wall_points=points[row[known, None] + [0, 1]],
-        reach=walls.reach[known],
+        walls=in_D,
+        p_DC=p_DC,
+        reach=estimate.reach[of_walls],
         floor=walls.floor,
     )
 
@@ -173,19 +173,21 @@ def corrected_by_walls(
     """
     now, shared = localizer, localizer.map.shared
     seen = now.mean[:POSE], shared, twist, lines
-    wall = walls_seen(*seen, now.wall_points, now.reach)
-    through = seen_through(*seen, wall, now.wall_points, now.reach)
+    known = now.walls, now.p_DC, now.reach
+    wall = walls_seen(*seen, *known)
+    through = seen_through(*seen, wall, *known)
     found = wall >= 0
     if not found.any():
         return now, through, through
-    lines, first = lines[found], now.walls[wall[found]]
+    lines, wall = lines[found], wall[found]
     # By hand: np.setdiff1d takes as long as the correction.
-    new = first[~(now.seen == first[:, None]).any(axis=1)]
+    new = wall[~(now.seen == wall[:, None]).any(axis=1)]
     if len(new):
-        now = _with_seen(now, np.append(now.seen, (np.unique(new)[:, None] + [0, 1]).ravel()))
-    column = SHARED + 2 * np.argmax(now.seen == first[:, None], axis=1)
+        now = _with_seen(now, np.append(now.seen, np.unique(new)))
+    column = SHARED + 2 * np.argmax(now.seen == wall[:, None], axis=1)
     state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
-    fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, now.p_DL)
+    at = now.walls[wall], now.p_DC[wall]
+    fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, *at)
     mean, covariance, sensitivity = state
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
     return now, len(lines) + through, int(np.count_nonzero(~fits)) + through
@@ -219,13 +221,15 @@ def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]
 def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """considered (13 + 2s, 13 + 2s), with_D (13 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
 
-    p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D. The constant errors of
-    tags add what they make of where tags seem to be from there, and walls the floor of what a keyframe tells of them.
+    p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D; a wall it turns, and moves
+    along its normal. The constant errors of tags add what they make of where tags seem to be from there, and walls the
+    floor of what a keyframe tells of them.
     """
     X_MD, s, size = estimate.X_MD, len(seen), len(estimate.covariance)
-    R_DM = se2.rotation(float(X_MD[2])).T
-    p = estimate.local_p_ML[seen] - X_MD[:2]
-    p_DL = p @ R_DM.T
+    R_DM, walls = se2.rotation(float(X_MD[2])).T, np.flatnonzero(~is_tag(estimate.ids[estimate.local[seen]]))
+    p_DL, p_DC = _in_departure(estimate, estimate.local[seen])
+    along = along_walls(p_DL[walls])
+    normal, lever = np.column_stack([along[:, 1], -along[:, 0]]) @ R_DM, np.sum(along * p_DC[walls], axis=1)
     at = np.append((2 * seen[:, None] + [0, 1]).ravel(), np.arange(size - 3, size))
     P = np.empty((2 * s + 3 + SHARED, 2 * s + 3 + SHARED))
     P[:-SHARED, :-SHARED] = estimate.covariance[np.ix_(at, at)]
@@ -234,21 +238,27 @@ def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[Fl
 
     def seen_from_D(rows: FloatArray) -> FloatArray:
         """Parameters, landmarks in D, X_MD, from landmarks in M, X_MD, parameters."""
-        apart = rows[: 2 * s].reshape(s, 2, rows.shape[1]) - rows[2 * s : 2 * s + 2]
-        in_D = np.einsum("ij,sjk->sik", R_DM, apart)
-        turned = rows[2 * s + 2]
+        in_M, of_D, turned = rows[: 2 * s].reshape(s, 2, -1), rows[2 * s : 2 * s + 2], rows[2 * s + 2]
+        in_D = np.einsum("ij,sjk->sik", R_DM, in_M - of_D)
         in_D[:, 0] += p_DL[:, 1, None] * turned
         in_D[:, 1] -= p_DL[:, 0, None] * turned
-        return np.vstack([rows[-SHARED:], in_D.reshape(2 * s, rows.shape[1]), rows[2 * s : 2 * s + 3]])
+        in_D[walls, 0] = in_M[walls, 0] - turned
+        in_D[walls, 1] = in_M[walls, 1] - normal @ of_D + lever[:, None] * turned
+        return np.vstack([rows[-SHARED:], in_D.reshape(2 * s, -1), rows[2 * s : 2 * s + 3]])
 
     joint = seen_from_D(seen_from_D(P).T)
-    tags = is_tag(estimate.ids[estimate.local[seen]])
     if estimate.tag_error.any():
-        own = np.where(tags[:, None, None], in_place(p_DL, estimate.tag_error), 0.0)
+        own = in_place(p_DL, estimate.tag_error)
+        own[walls] = 0.0
         joint[SHARED:-3, SHARED:-3] += scipy.linalg.block_diag(*own)
-    of_walls = SHARED + np.flatnonzero(np.repeat(~tags, 2))
-    joint[np.ix_(of_walls, of_walls)] += floor_of_points(p_DL[~tags], floor)
+    of_walls = SHARED + 2 * walls[:, None] + [0, 1]
+    joint[of_walls, of_walls] += np.square(floor * FLOOR)
     return joint[:-3, :-3].copy(), joint[:-3, -3:].copy(), p_DL
+
+
+def _in_departure(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Landmarks of the map, in rows (s,), and the anchors of walls, (s, 2), in D."""
+    return placed(se2.inverse(estimate.X_MD), estimate.ids[rows], estimate.p_ML[rows], estimate.anchor[rows])
 
 
 def _with_seen(localizer: Localizer, seen: IntArray) -> Localizer:

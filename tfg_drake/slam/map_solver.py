@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, is_tag, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
 from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import distance_to, entropy_of, estimate_of
@@ -55,14 +55,12 @@ def solve(
         joint: how many landmarks next to the node are known jointly. spread: and how many of the others.
     """
     node = len(graph.keyframes) if node < 0 else node
-    by_distance = np.argsort(distance_to(graph.ids, graph.p_ML, graph.X_MN[node]), kind="stable")
+    by_distance = np.argsort(distance_to(graph, graph.X_MN[node]), kind="stable")
     local = np.sort(by_distance[:joint])
     if spread:
         others = np.sort(by_distance[joint:])
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
-    # Of a wall both points: walls come first.
-    local = np.union1d(local, local[~is_tag(graph.ids[local])] ^ 1)
     graph, covariance = solved(graph, solver_of(graph), local, node)
     return graph, estimate_of(graph, stamp, observation, graph.p_ML, graph.X_MN[node], local, covariance)
 

@@ -15,9 +15,10 @@ from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, placed, residual, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
+from tfg_drake.slam.walls import known_walls
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
 # misread, has been moved or is tied to the wrong place. What comes of that, `evidence` says.
@@ -60,14 +61,13 @@ class _Update:
     nu: FloatArray
 
 
-def distance_to(ids: IntArray, p_ML: FloatArray, X: FloatArray) -> FloatArray:
-    """Distances (n,), m, of landmarks with ids (n,) at p_ML (n, 2) from a pose (3,); of both points of a wall that of
-    the stretch between them."""
-    off = p_ML - X[:2]
-    first, second = off[~is_tag(ids)].reshape(-1, 2, 2).transpose(1, 0, 2)
-    along = second - first
-    share = np.clip(-np.sum(first * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12), 0.0, 1.0)
-    off[: 2 * len(along)] = np.repeat(first + share[:, None] * along, 2, axis=0)
+def distance_to(known: MapEstimate | KeyframeGraph, X: FloatArray) -> FloatArray:
+    """Distances (n,), m, of landmarks from a pose X_MX (3,); of a wall that of what has been seen of it."""
+    off = known.p_ML - X[:2]
+    _, ends, _ = known_walls(known)
+    along = ends[:, 1] - ends[:, 0]
+    share = -np.sum((ends[:, 0] - X[:2]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+    off[: len(along)] = ends[:, 0] + np.clip(share, 0.0, 1.0)[:, None] * along - X[:2]
     return np.asarray(np.hypot(*off.T))
 
 
@@ -89,14 +89,11 @@ def updated(
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
-        update = _iterated(*before, local_row[kept], told, seen[kept])
+        update = _iterated(*before, local_row[kept], told, seen[kept], one, estimate.anchor[row[seen[kept]]])
         distance = _distances(update, len(kept))
         if np.max(distance, initial=0.0) <= REJECTED:
             break
-        worst = one.ids[seen[kept[np.argmax(distance)]]]
-        # A wall goes with both of its points.
-        pair = one.ids[seen[kept]] // 2 == worst // 2
-        kept = np.delete(kept, np.argmax(distance)) if is_tag(worst) else kept[~pair]
+        kept = np.delete(kept, np.argmax(distance))
     rejected = np.delete(one.ids[seen], kept)
     if len(rejected):
         one = without_tags(one, rejected)
@@ -110,11 +107,17 @@ def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> tuple[FloatArray, Float
     x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, estimate.shared])
     if one.unit == METRES:
         return x, estimate.joint_covariance
-    lengths = len(x) - SHARED - 1
-    lever, scale = np.append(x[:lengths], np.zeros(1 + SHARED)), scale_of(one.unit, estimate.shared)
-    P = _in_unit(estimate.joint_covariance, scale, lever, len(x) - SHARED + one.unit)
-    x[:lengths] *= scale
-    return x, P
+    length, scale = _is_length(estimate.ids[estimate.local]), scale_of(one.unit, estimate.shared)
+    P = _in_unit(estimate.joint_covariance, scale, np.where(length, x, 0.0), len(x) - SHARED + one.unit)
+    return np.where(length, scale * x, x), P
+
+
+def _is_length(ids: IntArray) -> BoolArray:
+    """Which of (landmarks with ids (m,), X_MD, shared) are lengths: not the angles of walls, the heading and what is
+    shared."""
+    tags = is_tag(ids)
+    of_landmarks = np.column_stack([tags, np.ones_like(tags)]).ravel()
+    return np.concatenate([of_landmarks, [True, True], np.zeros(1 + SHARED, dtype=bool)])
 
 
 @njit(cache=True)
@@ -168,7 +171,7 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
         return True
     if estimate.is_joint:
         return False
-    distance = distance_to(estimate.ids, estimate.p_ML, estimate.X_MD)
+    distance = distance_to(estimate, estimate.X_MD)
     return not estimate.is_local[np.argpartition(distance, NEAREST)[:NEAREST]].all()
 
 
@@ -228,28 +231,39 @@ def _entries(size: int, local_row: IntArray) -> IntArray:
     return np.append((2 * local_row[:, None] + [0, 1]).ravel(), np.arange(size - 3 - SHARED, size))
 
 
-def _iterated(mean: FloatArray, covariance: FloatArray, local_row: IntArray, told: _Told, seen: IntArray) -> _Update:
-    """The update by m tags: local_row (m,) where they are in local, seen (m,) where in the keyframe. mean, covariance:
-    the map's joint, see `_in_unit_of`."""
+def _iterated(
+    mean: FloatArray,
+    covariance: FloatArray,
+    local_row: IntArray,
+    told: _Told,
+    seen: IntArray,
+    one: Keyframe,
+    p_MC: FloatArray,
+) -> _Update:
+    """The update by m landmarks: local_row (m,) where they are in local, seen (m,) where in the keyframe, p_MC: (m, 2)
+    their anchors. mean, covariance: the map's joint, see `_in_unit_of`."""
     m, r = len(seen), len(told.told)
     at = _entries(len(covariance), local_row)
     P = covariance[np.ix_(at, at)]
     of_seen = (2 * seen[:, None] + [0, 1]).ravel()
     noise = scipy.linalg.block_diag(told.covariance[np.ix_(of_seen, of_seen)], np.eye(r))
     y, by_shared = told.mean[of_seen], told.by_shared[of_seen]
+    walls, p_AC = int(np.count_nonzero(seen < one.walls)), one.anchor[seen]
     x_0 = x = mean[at]
     H = np.zeros((2 * m + r, 2 * m + 3 + SHARED))
     H[2 * m :, 2 * m + 3 :] = told.of_shared.T
+    H[: 2 * m, 2 * m + 3 :] = -by_shared
     i = np.arange(m)
     for _ in range(ITERATIONS if m else 1):
         X_MA, shared = x[2 * m : 2 * m + 3], x[2 * m + 3 :]
-        R_AM = se2.rotation(float(X_MA[2])).T
-        in_A = (x[: 2 * m].reshape(-1, 2) - X_MA[:2]) @ R_AM.T
-        H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = R_AM
-        H[: 2 * m, 2 * m : 2 * m + 2] = np.tile(-R_AM, (m, 1))
-        H[0 : 2 * m : 2, 2 * m + 2], H[1 : 2 * m : 2, 2 * m + 2] = in_A[:, 1], -in_A[:, 0]
-        H[: 2 * m, 2 * m + 3 :] = -by_shared
-        off = np.append(y + by_shared @ shared - in_A.ravel(), told.told - told.of_shared.T @ shared)
+        measured = (y + by_shared @ shared).reshape(-1, 2)
+        # In the keyframe's unit, in which x is.
+        error, on, by_landmark = residual(
+            x[: 2 * m].reshape(-1, 2), p_MC, walls, measured, p_AC, X_MA, METRES, X_MA, X_MA, shared
+        )
+        H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = by_landmark[:m]
+        H[: 2 * m, 2 * m : 2 * m + 3] = on[: 2 * m, :3]
+        off = np.append(-error[: 2 * m], told.told - told.of_shared.T @ shared)
         innovation = off - H @ (x_0 - x)
         root = np.linalg.cholesky(H @ P @ H.T + noise)
         x = x_0 + P @ (H.T @ scipy.linalg.cho_solve((root, True), innovation, check_finite=False))
@@ -299,15 +313,22 @@ def _joined(
     # From (A, parameters, new tags and D in A) to (new tags, D in M, parameters).
     old, new = size - 3 - SHARED, (more - 3) // 2
     X_MA, shared, y = x[old : old + 3], x[old + 3 : size], x[size:]
-    R_MA = se2.rotation(float(X_MA[2]))
-    p_AL, X_AD = y[:-3].reshape(-1, 2), y[-3:]
-    lever = np.vstack([p_AL, X_AD[:2]]) @ R_MA.T
+    R_MA, fresh = se2.rotation(float(X_MA[2])), one.ids[~known]
+    p_AL, X_AD, walls = y[:-3].reshape(-1, 2), y[-3:], int(np.count_nonzero(~is_tag(fresh)))
+    p_ML, _ = placed(X_MA, fresh, p_AL, one.anchor[~known])
+    # A wall keeps its anchor, past which the pose brings it along its normal.
+    lever = np.vstack([one.anchor[~known][:walls], p_AL[walls:], X_AD[:2]]) @ R_MA.T
     J = np.zeros((more + SHARED, 3 + SHARED + more))
     of_places = J[: more - 1]
     of_places[:, :2] = np.tile(np.eye(2), (new + 1, 1))
     of_places[0::2, 2], of_places[1::2, 2] = -lever[:, 1], lever[:, 0]
     i = np.arange(new + 1)
     of_places[:, 3 + SHARED : -1].reshape(new + 1, 2, new + 1, 2)[i, :, i, :] = R_MA
+    for k in range(walls):
+        normal = np.array([np.cos(p_ML[k, 0]), np.sin(p_ML[k, 0])])
+        of_places[2 * k + 1, :3] = normal @ of_places[2 * k : 2 * k + 2, :3]
+        of_places[2 * k, :3] = 0.0, 0.0, 1.0
+        of_places[2 * k : 2 * k + 2, 3 + SHARED + 2 * k : 5 + SHARED + 2 * k] = np.eye(2)
     J[more - 1, 2] = J[more - 1, -1] = 1.0
     J[more:, 3 : 3 + SHARED] = np.eye(SHARED)
     across, within = J @ P[old:, :old], J @ P[old:, old:] @ J.T
@@ -316,11 +337,13 @@ def _joined(
     joint[old:, old:] = 0.5 * (within + within.T)
 
     # Back to metres.
-    X_MD, scale = se2.compose(X_MA, X_AD), scale_of(one.unit, shared)
-    places = np.concatenate([x[:old], se2.transform(X_MA, p_AL).ravel(), X_MD[:2]]) / scale
+    X_MD = se2.compose(X_MA, X_AD)
+    places = np.concatenate([x[:old], p_ML.ravel(), X_MD, shared])
     if one.unit != METRES:
+        scale, length = scale_of(one.unit, shared), _is_length(np.append(estimate.ids[estimate.local], fresh))
+        places = np.where(length, places / scale, places)
         X_MA, X_MD = X_MA / [scale, scale, 1.0], X_MD / [scale, scale, 1.0]
-        lever = np.append(-places / scale, np.zeros(1 + SHARED))
+        lever = np.where(length, -places / scale, 0.0)
         joint = _in_unit(joint, 1.0 / scale, lever, len(joint) - SHARED + one.unit)
     graph = replace(
         graph,
@@ -331,7 +354,7 @@ def _joined(
     p_ML, row = np.empty((len(graph.ids), 2)), np.searchsorted(graph.ids, estimate.ids)
     p_ML[row] = estimate.p_ML
     local = np.append(row[estimate.local], np.searchsorted(graph.ids, one.ids[~known]))
-    p_ML[local] = places[:-2].reshape(-1, 2)
+    p_ML[local] = places[: -3 - SHARED].reshape(-1, 2)
     if new:
         order = np.argsort(local, kind="stable")
         local, entries = local[order], _entries(len(joint), order)

@@ -7,16 +7,15 @@ are linearised in compiled loops.
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import linearised, residual, rows_of, with_errors
+from tfg_drake.slam.keyframe import hessian, residual, rows_of, turned, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.shared import SHARED, scale_of
+from tfg_drake.slam.shared import SHARED
 
 # Unknowns of the newest pose and the parameters.
 NEWEST = 3 + SHARED
@@ -25,14 +24,18 @@ NEWEST = 3 + SHARED
 class Keyframes(NamedTuple):
     """k keyframes in flat arrays.
 
-    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL and on_error. rows: of its
-    landmarks in p_ML. y_AL: (., 2), on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 13). starts: (k + 1,)
-    the same of information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
+    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL, anchor and on_error. rows: of
+    its landmarks in p_ML, walls: (k,) how many of them, the first, are walls. y_AL, anchor: (., 2), p_MC: (., 2) the
+    anchors in M, on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 13). starts: (k + 1,) the same of
+    information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
     """
 
     offsets: IntArray
     rows: IntArray
+    walls: IntArray
     y_AL: FloatArray
+    anchor: FloatArray
+    p_MC: FloatArray
     on_error: FloatArray
     y_AD: FloatArray
     unit: IntArray
@@ -140,11 +143,14 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     """The factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
     of_errors = [one.by_errors().ravel() for one in graph.keyframes] if graph.tag_error.any() else [np.empty(0)]
-    ids = np.concatenate([one.ids for one in graph.keyframes])
+    rows = rows_of(np.concatenate([one.ids for one in graph.keyframes]), graph.ids)[0]
     keyframes = Keyframes(
         offsets=np.append(0, np.cumsum(counts)),
-        rows=rows_of(ids, graph.ids)[0],
+        rows=rows,
+        walls=np.array([one.walls for one in graph.keyframes]),
         y_AL=np.concatenate([one.y_AL for one in graph.keyframes]),
+        anchor=np.concatenate([one.anchor for one in graph.keyframes]),
+        p_MC=graph.anchor[rows],
         on_error=np.concatenate([one.on_error for one in graph.keyframes]),
         y_AD=np.array([one.y_AD for one in graph.keyframes]),
         unit=np.array([one.unit for one in graph.keyframes]),
@@ -161,14 +167,30 @@ def factors_of(graph: KeyframeGraph) -> Factors:
 
 
 @njit(cache=True)
-def _seen(k: int, keyframes: Keyframes, values: Values) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Of keyframe k: the rows (n,) of its landmarks, where they are, (n, 2), its y_AL, (n, 2), and its information
-    (2n + 16, 2n + 16)."""
+def _information(k: int, n: int, keyframes: Keyframes) -> FloatArray:
+    """The information (2n + 16, 2n + 16) of keyframe k, of n landmarks."""
+    m = 2 * n + 3 + SHARED
+    return keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
+
+
+@njit(cache=True)
+def _residual(
+    k: int, rows: IntArray, keyframes: Keyframes, values: Values
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`residual` of keyframe k, of landmarks in rows (n,)."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-    rows = keyframes.rows[some]
-    m = 2 * len(rows) + 3 + SHARED
-    W = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
-    return rows, values.p_ML[rows], keyframes.y_AL[some], W
+    return residual(
+        values.p_ML[rows],
+        keyframes.p_MC[some],
+        keyframes.walls[k],
+        keyframes.y_AL[some],
+        keyframes.anchor[some],
+        keyframes.y_AD[k],
+        keyframes.unit[k],
+        values.X_MN[k],
+        values.X_MN[k + 1],
+        values.shared,
+    )
 
 
 @njit(cache=True)
@@ -195,29 +217,19 @@ def assemble(
     total = 0.0
     for k in which:
         begin = keyframes.offsets[k]
-        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
+        rows = keyframes.rows[begin : keyframes.offsets[k + 1]]
         n = len(rows)
-        H, g, cost = linearised(
-            p_ML,
-            y_AL,
-            keyframes.y_AD[k],
-            keyframes.unit[k],
-            W,
-            keyframes.vector[k],
-            values.X_MN[k],
-            values.X_MN[k + 1],
-            values.shared,
-        )
+        error, on, by_landmark = _residual(k, rows, keyframes, values)
+        W, vector = _information(k, n, keyframes), keyframes.vector[k]
+        H, g, cost = hessian(error, on, by_landmark, W, vector, values.shared)
         total += cost
         for i in range(n):
             places[begin + i, :, :2] = H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
         at = _of_keyframe(k, rows, unknowns)
         if n > 0 and unknowns.error_at[rows[0]] >= 0:
-            A, unit = values.X_MN[k], keyframes.unit[k]
-            error, on = residual(p_ML, y_AL, keyframes.y_AD[k], unit, A, values.X_MN[k + 1], values.shared)
             by_errors, errors = _errors(k, rows, keyframes, values)
-            H, g, more = with_errors(H, g, error, on, A[2], scale_of(unit, values.shared), by_errors, errors)
+            H, g, more = with_errors(H, g, error, on, by_landmark, by_errors, errors)
             at = np.append(at, _of_errors(rows, unknowns))
             total += more
         for i in range(len(at)):
@@ -244,37 +256,28 @@ def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gra
     """Add the gradient of the cost of k keyframes, and return twice that cost."""
     total = 0.0
     for k in range(len(keyframes.y_AD)):
-        rows, p_ML, y_AL, W = _seen(k, keyframes, values)
-        error, on = residual(
-            p_ML,
-            y_AL,
-            keyframes.y_AD[k],
-            keyframes.unit[k],
-            values.X_MN[k],
-            values.X_MN[k + 1],
-            values.shared,
-        )
+        rows = keyframes.rows[keyframes.offsets[k] : keyframes.offsets[k + 1]]
+        error, on, by_landmark = _residual(k, rows, keyframes, values)
         m = len(error) - SHARED
-        weighted = W @ error
+        weighted = _information(k, len(rows), keyframes) @ error
         total += error @ weighted + 2.0 * (keyframes.vector[k] @ values.shared)
         if len(rows) > 0 and unknowns.error_at[rows[0]] >= 0:
             by_errors, errors = _errors(k, rows, keyframes, values)
             coupling = np.ascontiguousarray(by_errors[: len(error), :-1])
-            force = coupling.T @ error + by_errors[len(error) :, -1]
+            of_errors = coupling.T @ error + by_errors[len(error) :, -1]
             own = np.ascontiguousarray(by_errors[len(error) :, :-1]) @ errors
-            total += errors @ (2.0 * force + own)
+            total += errors @ (2.0 * of_errors + own)
             weighted += coupling @ errors
-            own += force
+            own += of_errors
             for i, place in enumerate(_of_errors(rows, unknowns)):
                 gradient[place] += own[i]
         force_of_rest, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
-        scale = scale_of(keyframes.unit[k], values.shared)
-        c, s = scale * math.cos(values.X_MN[k, 2]), scale * math.sin(values.X_MN[k, 2])
+        force = np.empty((2, 1))
         for i in range(0, m - 1, 2):
-            x, y = c * weighted[i] - s * weighted[i + 1], s * weighted[i] + c * weighted[i + 1]
             if at[i] >= 0:
-                gradient[at[i]] += x
-                gradient[at[i] + 1] += y
+                turned(force, 0, 0, weighted[i], weighted[i + 1], by_landmark[i // 2])
+                gradient[at[i]] += force[0, 0]
+                gradient[at[i] + 1] += force[1, 0]
         if at[m - 1] >= 0:
             gradient[at[m - 1]] += weighted[m - 1]
         for i in range(NEWEST):

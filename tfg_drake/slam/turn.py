@@ -31,7 +31,7 @@ from tfg_drake.slam.measurement import (
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
 from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
-from tfg_drake.slam.walls import Looks, along_walls, grouped, no_lines, pairs_of, with_floor
+from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -294,23 +294,25 @@ def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray, level: float) -> tuple[Keyframe, IntArray]:
-    """The keyframe, its walls as pairs of points before its tags, and how many looks there are at each such point."""
+    """The keyframe, and how many looks there are at each of its walls (w,)."""
     n, unit = len(solution.ids), solution.unit
-    of_walls = slice(TAGS + 2 * n, None)
-    ids, p_AL, on_points, counts, floor = pairs_of(solution.looks, solution.walls, solution.X_AB, level)
-    information, gradient, rows = *with_floor(solution.information, solution.gradient, floor, of_walls), 2 * len(ids)
-    # From (D, parameters, tags, walls) to (points of walls, tags, D, shared parameters).
-    J = np.zeros((len(information), rows + 2 * n + 3 + SHARED))
-    J[of_walls, :rows], J[TAGS : TAGS + 2 * n, rows : rows + 2 * n] = on_points, np.eye(2 * n)
-    J[:3, rows + 2 * n : -SHARED] = np.eye(3)
+    seen = seen_walls(solution.looks, solution.walls, solution.X_AB)
+    w, at = len(seen.ids), TAGS + 2 * (n + seen.order)
+    # From (D, parameters, tags, walls) to (walls by their own anchors, tags, D, shared parameters).
+    J = np.zeros((len(solution.information), 2 * (w + n) + 3 + SHARED))
+    J[at, 2 * np.arange(w)] = J[at + 1, 2 * np.arange(w) + 1] = 1.0
+    J[at + 1, 2 * np.arange(w)] = seen.shift
+    J[TAGS : TAGS + 2 * n, 2 * w : 2 * (w + n)] = np.eye(2 * n)
+    J[:3, 2 * (w + n) : -SHARED] = np.eye(3)
     J[3:TAGS, -SHARED:] = _by_shared(shared.mean, unit)[1]
-    at = solution.parameters.copy()
-    at[SCALES] = (1.0 + at[SCALES]) * scale_of(unit, shared.mean) - 1.0
-    y = np.concatenate([p_AL.ravel(), solution.y_AL.ravel(), solution.X_AB[-1]])
-    W, g = J.T @ information @ J, J.T @ gradient
-    W[:rows, :rows] += along_walls(p_AL)
-    on_error = np.concatenate([np.zeros((len(ids), 2, 2)), on_error])
-    return keyframe(np.append(ids, solution.ids), y, at, unit, W, g, on_error), counts
+    parameters = solution.parameters.copy()
+    parameters[SCALES] = (1.0 + parameters[SCALES]) * scale_of(unit, shared.mean) - 1.0
+    walls = np.column_stack([solution.walls[seen.order, 0], np.zeros(w)])
+    y = np.concatenate([walls.ravel(), solution.y_AL.ravel(), solution.X_AB[-1]])
+    W, g = with_floor(J.T @ solution.information @ J, J.T @ solution.gradient, w, level)
+    on_error = np.concatenate([np.zeros((w, 2, 2)), on_error])
+    anchor, reach = (np.vstack([of_walls, np.zeros((n, 2))]) for of_walls in (seen.anchor, seen.reach))
+    return keyframe(np.append(seen.ids, solution.ids), y, anchor, reach, parameters, unit, W, g, on_error), seen.looks
 
 
 def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:

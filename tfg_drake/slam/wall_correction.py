@@ -22,30 +22,33 @@ from tfg_drake.slam.measurement import (
     sensor_pose,
 )
 from tfg_drake.slam.scan_lines import bearing_of
-from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR
 
 
 @njit(cache=True)
 def walls_seen(
-    X_DB: FloatArray, shared: FloatArray, twist: FloatArray, lines: FloatArray, walls: FloatArray, reach: FloatArray
+    X_DB: FloatArray,
+    shared: FloatArray,
+    twist: FloatArray,
+    lines: FloatArray,
+    walls: FloatArray,
+    p_DC: FloatArray,
+    reach: FloatArray,
 ) -> IntArray:
     """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it.
 
-    X_DB: (3,) and twist (2,): the robot's. walls: (w, 2, 2) pairs of points in D, reach: (w, 2) m from the first
-    towards the second.
+    X_DB: (3,) and twist (2,): the robot's. walls, p_DC, reach: (w, 2) walls, anchors and reaches in D.
     """
     found = np.full(len(lines), -1)
     for j in range(len(lines)):
         s_x, s_y, c, s, m_x, m_y = _line_from(X_DB, shared, twist, lines[j])
         least = min(OVERLAP, 0.5 * (lines[j, 3] - lines[j, 2]))
         for w in range(len(walls)):
-            a_x, a_y = walls[w, 1, 0] - walls[w, 0, 0], walls[w, 1, 1] - walls[w, 0, 1]
-            length = math.hypot(a_x, a_y)
-            a_x, a_y, d_x, d_y = a_x / length, a_y / length, s_x + m_x - walls[w, 0, 0], s_y + m_y - walls[w, 0, 1]
-            if a_y * c - a_x * s < SAME_DIRECTION or abs(a_y * d_x - a_x * d_y) > UNCLEAR:
+            n_x, n_y = math.cos(walls[w, 0]), math.sin(walls[w, 0])
+            d_x, d_y = s_x + m_x - p_DC[w, 0], s_y + m_y - p_DC[w, 1]
+            if n_x * c + n_y * s < SAME_DIRECTION or abs(n_x * d_x + n_y * d_y - walls[w, 1]) > UNCLEAR:
                 continue
-            at = a_x * d_x + a_y * d_y - lines[j, 4]
+            at = n_x * d_y - n_y * d_x - lines[j, 4]
             if min(reach[w, 1], at + lines[j, 3]) - max(reach[w, 0], at + lines[j, 2]) < least:
                 continue
             found[j] = w if found[j] == -1 else -2
@@ -60,6 +63,7 @@ def seen_through(
     lines: FloatArray,
     found: IntArray,
     walls: FloatArray,
+    p_DC: FloatArray,
     reach: FloatArray,
 ) -> int:
     """The number of lines (k, 11) of a scan, of no wall found (k,), that lie behind a wall where that has been seen.
@@ -72,15 +76,15 @@ def seen_through(
             continue
         s_x, s_y, _, _, m_x, m_y = _line_from(X_DB, shared, twist, lines[j])
         for w in range(len(walls)):
-            a_x, a_y = walls[w, 1, 0] - walls[w, 0, 0], walls[w, 1, 1] - walls[w, 0, 1]
-            length = math.hypot(a_x, a_y)
-            a_x, a_y, d_x, d_y = a_x / length, a_y / length, s_x - walls[w, 0, 0], s_y - walls[w, 0, 1]
+            n_x, n_y = math.cos(walls[w, 0]), math.sin(walls[w, 0])
+            d_x, d_y = s_x - p_DC[w, 0], s_y - p_DC[w, 1]
             # How far the scanner is before the wall, and the line's middle behind it.
-            before, behind = a_x * d_y - a_y * d_x, a_y * (d_x + m_x) - a_x * (d_y + m_y)
+            before = walls[w, 1] - n_x * d_x - n_y * d_y
+            behind = n_x * m_x + n_y * m_y - before
             if before <= 0.0 or behind < UNCLEAR:
                 continue
             share = before / (before + behind)
-            at = a_x * (d_x + share * m_x) + a_y * (d_y + share * m_y)
+            at = n_x * (d_y + share * m_y) - n_y * (d_x + share * m_x)
             if reach[w, 0] + OVERLAP < at < reach[w, 1] - OVERLAP:
                 count += 1
                 break
@@ -106,27 +110,22 @@ def correct_by_walls(
     twist: tuple[FloatArray, FloatArray],
     lines: FloatArray,
     column: IntArray,
-    p_DL: FloatArray,
+    walls: FloatArray,
+    p_DC: FloatArray,
 ) -> BoolArray:
     """Correct the state, in place, by lines (k, 11) of a scan; which of them are inside their gate, (k,), and are used.
 
-    column: (k,) where what is considered has the first point of each one's wall, the second next to it. p_DL: (s, 2) of
-    what is considered. twist: (2,) and its variances (2,).
+    column: (k,) where what is considered has each one's wall. walls, p_DC: (k, 2) it and its anchor in D. twist: (2,)
+    and its variances (2,).
     """
     (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
-    rows, look, wall = np.empty((2, COLUMNS)), np.empty(7), np.zeros(2)
+    rows, look = np.empty((2, COLUMNS)), np.empty(7)
     for j in range(len(lines)):
-        a, b, at, k = 2 * j, 2 * j + 2, column[j], (column[j] - SHARED) // 2
-        n_x, n_y = p_DL[k + 1, 1] - p_DL[k, 1], p_DL[k, 0] - p_DL[k + 1, 0]
-        length = math.hypot(n_x, n_y)
-        wall[0] = math.atan2(n_y, n_x)
+        a, b = 2 * j, 2 * j + 2
         look_of(lines[j], look)
-        linearise_wall(rows, mean, shared[SCANNER:], twist[0], look, wall, p_DL[k])
+        linearise_wall(rows, mean, shared[SCANNER:], twist[0], look, walls[j], p_DC[j])
         H[a:b, :POSE], H_c[a:b, SCANNER : SCANNER + OF_SENSOR] = rows[:, :POSE], rows[:, OF_MOUNT:OF_LANDMARK]
-        # The wall turns as its points part, and its distance is from the first.
-        for i, n in enumerate((n_x / length, n_y / length)):
-            turned = rows[:, OF_LANDMARK] * n / length
-            H_c[a:b, at + i], H_c[a:b, at + 2 + i] = turned + rows[:, OF_LANDMARK + 1] * n, -turned
+        H_c[a:b, column[j] : column[j] + 2] = rows[:, OF_LANDMARK:ERROR]
         off[a:b], noise[a:b] = rows[:, ERROR], lines[j, 5:7] ** 2 + rows[:, OF_TWIST:] ** 2 @ twist[1]
     return update(state, C, H, H_c, -off, noise)

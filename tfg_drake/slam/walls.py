@@ -1,30 +1,26 @@
 """Walls as landmarks: the lines that single scans see, tracked through a turn, and found again in the map.
 
-In a turn's solution a wall is a line (angle of its normal, distance from an anchor). In keyframe and map it is two
-points on it, of which each look tells the distance normal to the wall alone: so a wall moves, turns and is eliminated
-as tags are. Along the wall its first keyframe holds the points where they were first seen, which tells nothing else;
-others leave them free there. What a scan does not tell, as its way along a corridor, stays open.
+A wall is one landmark of two numbers: the angle of its normal, and its distance along that from an anchor, which is
+fixed where it was first seen; each keyframe has an anchor of its own, in the middle of what it saw, where the errors of
+both are independent. How far a wall reaches is known beside, and is no landmark: what a scan does not tell, as its way
+along a corridor, stays open.
 
-The points of wall w have the ids WALLS_BELOW - 2w - 2 and WALLS_BELOW - 2w - 1; in a turn, before it is known which
-walls they are, ids below PROVISIONAL. A normal points away from where the wall was seen from, so the two faces of one
-differ by pi.
+Wall w has the id WALLS_BELOW - w - 1; in a turn, before it is known which walls they are, ids are below PROVISIONAL. A
+normal points away from where the wall was seen from, so the two faces of one differ by pi.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
 
-from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, along_walls, residual, without_tags
 from tfg_drake.slam.odometry_model import wrap
-from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.shared import METRES, SHARED
 
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -40,10 +36,8 @@ DRIFT = 0.02
 FLOOR = np.array([1e-3, 2e-3])
 FLOORS = np.array([0.5, 1.0, 2.0, 4.0])
 PRIOR = np.array([0.25, 0.4, 0.25, 0.1])
-# Deviation (m) along a wall of its points, in the keyframe that they are of and in others.
-HELD, FREE = 0.01, 30.0
-# A wall is the map's where the squared error of both points is less than this (2 freedoms: 1 in 3000), its direction
-# differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
+# A wall is the map's where the squared error of angle and distance is less than this (2 freedoms: 1 in 3000), its
+# direction differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
 GATE = 16.0
 SAME_DIRECTION = 0.9
 OVERLAP = 0.3
@@ -90,21 +84,19 @@ class Looks(NamedTuple):
 
 @message
 class Walls:
-    """The walls of a map. first: (w,) ids of the first point of each, reach: (w, 2) how far each has been seen, m from
-    that point towards the second. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS,
-    floor: of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the
-    noise of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
+    """How well walls agree. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
+    of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the noise
+    of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
 
-    first: IntArray
-    reach: FloatArray
     by_floor: FloatArray
     floor: float = 1.0
     unevenness: float = 0.0
     least_looks: int = LEAST_LOOKS
 
-    def seen_again(self, off: FloatArray, S: FloatArray, floor: FloatArray, level: float) -> Walls:
-        """With points that were seen off (2q,) their walls, m, with covariance S (2q, 2q), in which there is floor (2q,
-        2q), times the square of its level then."""
+    def seen_again(self, off: FloatArray, S: FloatArray, level: float) -> Walls:
+        """With q walls that were seen off, (2q,) angle and distance, by these covariances (2q, 2q), in which there is
+        their floor at this level."""
+        floor = np.diag(np.tile(np.square(FLOOR), len(off) // 2))
         by_floor = self.by_floor.copy()
         for i, other in enumerate(FLOORS):
             root = np.linalg.cholesky(S + (other**2 - level**2) * floor)
@@ -116,8 +108,7 @@ class Walls:
 
 def no_walls(unevenness: float = 0.0, least_looks: int = LEAST_LOOKS) -> Walls:
     """None yet."""
-    none = np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(FLOORS))
-    return Walls(*none, unevenness=unevenness, least_looks=least_looks)
+    return Walls(np.zeros(len(FLOORS)), unevenness=unevenness, least_looks=least_looks)
 
 
 def no_lines() -> FloatArray:
@@ -125,22 +116,21 @@ def no_lines() -> FloatArray:
     return np.empty((0, 11))
 
 
-def whole_walls(known: MapEstimate, walls: Walls) -> FloatArray:
-    """(w, 2, 2) m, the ends of a map's walls as far as they have been seen."""
-    first, p_ML, _ = known_walls(known)
-    order = np.argsort(walls.first)
-    reach = walls.reach[order[np.searchsorted(walls.first, first, sorter=order)]]
-    return np.asarray(p_ML[:, :1] + reach[:, :, None] * directions(p_ML)[0][:, None])
-
-
 def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The walls among some landmarks: ids (w,) of their first points, both points (w, 2, 2) in M, m, and the deviations
-    normal to the wall there (w, 2), m. Along a wall its points tell nothing."""
-    rows = ~is_tag(known.ids)
-    p_ML, covariance = known.p_ML[rows].reshape(-1, 2, 2), known.landmark_covariance[rows].reshape(-1, 2, 2, 2)
-    _, normal, _ = directions(p_ML)
-    variance = np.einsum("wi,wkij,wj->wk", normal, covariance, normal)
-    return known.ids[rows][::2], p_ML, np.sqrt(np.maximum(variance, 0.0))
+    """The walls among some landmarks: ids (w,), both ends (w, 2, 2) as far as they have been seen, in M, m, and the
+    deviations normal to the wall there (w, 2), m."""
+    walls = ~is_tag(known.ids)
+    wall, reach, covariance = known.p_ML[walls], known.reach[walls], known.landmark_covariance[walls]
+    by = np.stack([-reach, np.ones_like(reach)], axis=2)
+    variance = np.einsum("wki,wij,wkj->wk", by, covariance, by)
+    return known.ids[walls], ends_of(wall, known.anchor[walls], reach), np.sqrt(np.maximum(variance, 0.0))
+
+
+def ends_of(wall: FloatArray, anchor: FloatArray, reach: FloatArray) -> FloatArray:
+    """Both ends (w, 2, 2) of walls (w, 2) that reach so far, (w, 2), from their anchors (w, 2)."""
+    along = along_walls(wall)
+    normal = np.column_stack([along[:, 1], -along[:, 0]])
+    return np.asarray((anchor + wall[:, 1:] * normal)[:, None] + reach[:, :, None] * along[:, None])
 
 
 def least_known(known: MapEstimate | KeyframeGraph) -> tuple[float, FloatArray] | None:
@@ -163,14 +153,6 @@ def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     length = np.hypot(*along.T)
     along = along / np.maximum(length, 1e-9)[:, None]
     return along, np.column_stack([along[:, 1], -along[:, 0]]), length
-
-
-def _diagonal(blocks: Sequence[ArrayLike], rows: int, columns: int) -> FloatArray:
-    """The matrix of q blocks (rows, columns) on its diagonal, (q rows, q columns)."""
-    q = len(blocks)
-    whole = np.zeros((q, rows, q, columns))
-    whole[np.arange(q), :, np.arange(q)] = np.array(blocks, dtype=float).reshape(q, rows, columns)
-    return whole.reshape(q * rows, q * columns)
 
 
 def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
@@ -230,106 +212,70 @@ def _grouped(
     return wall, newest[:walls].copy()
 
 
-def pairs_of(
-    looks: Looks, walls: FloatArray, X_AB: FloatArray, level: float
-) -> tuple[IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
-    """The walls (w, 2) of a solution as pairs of points, where each was seen to begin and to end: ids (2w,) ascending,
-    p_AL (2w, 2), derivative (2w, 4w) of the walls on the points, the number of looks (2w,) at each, and the covariance
-    (2w, 2w) of the walls' floor, level times FLOOR."""
-    w = len(walls)
-    n = np.column_stack([np.cos(walls[:, 0]), np.sin(walls[:, 0])])
-    along = np.column_stack([-n[:, 1], n[:, 0]])
+class Seen(NamedTuple):
+    """The walls of a turn as landmarks of its keyframe. order: (w,) of them among those of its looks, ids ascending.
+    anchor: (w, 2) in A, reach: (w, 2) m. shift: (w,) m, how far along the wall its anchor is from that of its looks.
+    looks: (w,) how many there are."""
+
+    order: IntArray
+    ids: IntArray
+    anchor: FloatArray
+    reach: FloatArray
+    shift: FloatArray
+    looks: IntArray
+
+
+def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> Seen:
+    """The walls (w, 2) of a solution, each by an anchor on it in the middle of what was seen."""
+    w, along = len(walls), along_walls(walls)
     middle = _in_frames(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
     s = np.einsum("qi,qi->q", middle, along[looks.wall])
     reach = np.column_stack([np.full(w, np.inf), np.full(w, -np.inf)])
     np.minimum.at(reach[:, 0], looks.wall, s + looks.ends[:, 0])
     np.maximum.at(reach[:, 1], looks.wall, s + looks.ends[:, 1])
-    order = np.argsort(-looks.name)
-    ids = PROVISIONAL - 2 * np.repeat(looks.name[order], 2) - np.tile([2, 1], w)
-    p_AL = (looks.anchor + walls[:, 1:] * n)[:, None] + reach[:, :, None] * along[:, None]
-    # A point at s along the wall moves by c - s angle normal to it.
-    length, on, floor = reach[:, 1] - reach[:, 0], np.zeros((2 * w, 4 * w)), np.zeros((2 * w, 2 * w))
-    for i, k in enumerate(order):
-        (begin, end), rows, columns = reach[k], slice(2 * k, 2 * k + 2), slice(4 * i, 4 * i + 4)
-        on[rows, columns] = np.kron([[1.0, -1.0], [end, -begin]], n[k]) / length[k]
-        at_middle = np.array([[1.0, 0.0], [0.5 * (begin + end), 1.0]])
-        floor[rows, rows] = at_middle @ np.diag(np.square(level * FLOOR)) @ at_middle.T
-    return ids, p_AL[order].reshape(-1, 2), on, np.repeat(np.bincount(looks.wall, minlength=w)[order], 2), floor
+    order, shift = np.argsort(-looks.name), reach.mean(axis=1)
+    anchor = ends_of(walls, looks.anchor, shift[:, None])[:, 0]
+    counts = np.bincount(looks.wall, minlength=w)
+    reach, ids = reach - shift[:, None], PROVISIONAL - 1 - looks.name
+    return Seen(order, ids[order], anchor[order], reach[order], shift[order], counts[order])
 
 
-def with_floor(
-    information: FloatArray, gradient: FloatArray, floor: FloatArray, of_walls: slice
-) -> tuple[FloatArray, FloatArray]:
-    """Information (u, u) and gradient (u,) on walls that are what a turn saw only but for a floor (2w, 2w)."""
-    if not len(floor):
-        return information, gradient
-    taken = np.linalg.solve(information[of_walls, of_walls] + np.linalg.inv(floor), information[of_walls])
-    anew = information - information[:, of_walls] @ taken
-    return 0.5 * (anew + anew.T), gradient - taken.T @ gradient[of_walls]
-
-
-def along_walls(p_AL: FloatArray, deviation: float = HELD) -> FloatArray:
-    """Information (4w, 4w) that holds pairs of points (2w, 2) along their walls."""
-    along = np.repeat(directions(p_AL.reshape(-1, 2, 2))[0], 2, axis=0)
-    return _diagonal([np.outer(one, one) / deviation**2 for one in along], 2, 2)
-
-
-def floor_of_points(p_AL: FloatArray, level: float = 1.0) -> FloatArray:
-    """Covariance (4w, 4w) of pairs of points (2w, 2) by the floor, level times FLOOR, of what a keyframe tells of their
-    walls."""
-    _, normals, lengths = directions(p_AL.reshape(-1, 2, 2))
-    across = zip(normals, lengths, strict=True)
-    return _diagonal([np.kron(level**2 * _floor_across(length), np.outer(n, n)) for n, length in across], 4, 4)
-
-
-def _floor_across(length: float) -> FloatArray:
-    """Covariance (2, 2), normal to the wall, of the ends of a piece of this length, m, by FLOOR in its middle."""
-    by = np.array([[-0.5 * length, 1.0], [0.5 * length, 1.0]]) * FLOOR
-    return np.asarray(by @ by.T)
+def with_floor(W: FloatArray, g: FloatArray, walls: int, level: float) -> tuple[FloatArray, FloatArray]:
+    """Information (u, u) and gradient (u,), of which so many walls are the first unknowns, with their floor."""
+    if not walls:
+        return W, g
+    of_walls = slice(0, 2 * walls)
+    of_floor = np.diag(np.tile(1.0 / np.square(level * FLOOR), walls))
+    taken = np.linalg.solve(W[of_walls, of_walls] + of_floor, W[of_walls])
+    anew = W - W[:, of_walls] @ taken
+    return 0.5 * (anew + anew.T), g - taken.T @ g[of_walls]
 
 
 @message
 class Names:
-    """Which walls of the map those of a turn are. provisional: (v,) ids of their first points, first: (v,) the map's,
-    p_AL: (v, 2, 2) m, the places of the points, is_new: (v,) whether the keyframe holds them along the wall."""
+    """Which walls of the map those of a turn are: provisional (v,) their ids in the turn, ids (v,) the map's."""
 
     provisional: IntArray
-    first: IntArray
-    p_AL: FloatArray
-    is_new: BoolArray
+    ids: IntArray
 
 
-def named(one: Keyframe, names: Names, shared: FloatArray) -> Keyframe:
-    """A keyframe with its walls by their names, linearised at some parameters (13,); those without a name are
-    marginalised out."""
-    firsts = one.ids[~is_tag(one.ids)][::2]
-    nameless = firsts[~np.isin(firsts, names.provisional)]
-    one = without_tags(one, np.append(nameless, nameless + 1))
-    v = int(np.count_nonzero(~is_tag(one.ids))) // 2
-    if not v:
-        return one
-    at = [int(np.flatnonzero(names.provisional == id_)[0]) for id_ in one.ids[: 2 * v : 2]]
-    J, W, ids = np.eye(len(one.information)), one.information, one.ids.copy()
-    m, held = len(W) - SHARED, np.zeros(W.shape)
-    y = np.append(one.y_AL.ravel(), one.y_AD) + one.conditional()[1] @ shared
-    error = np.append(y - np.append(one.y_AL.ravel(), one.y_AD), shared)
-    g = W @ error + np.append(np.zeros(m), one.vector)
-    for k, row in enumerate(at):
-        of_wall = slice(4 * k, 4 * k + 4)
-        q = y[of_wall].reshape(2, 2)
-        (along,), (normal,), (length,) = directions(q[None])
-        s = (names.p_AL[row] - q[0]) @ along
-        # How far the points seen are between those named.
-        share = (np.array([0.0, length]) - s[0]) / (s[1] - s[0])
-        J[of_wall, of_wall] = np.kron(np.column_stack([1.0 - share, share]), np.outer(normal, normal))
-        y[of_wall] = (q[0] + s[:, None] * along).ravel()
-        held[of_wall, of_wall] = along_walls(y[of_wall].reshape(2, 2), HELD if names.is_new[row] else FREE)
-        ids[2 * k], ids[2 * k + 1] = names.first[row], names.first[row] + 1
+def named(one: Keyframe, names: Names) -> Keyframe:
+    """A keyframe with its walls by their names; those without a name are marginalised out."""
+    walls = one.ids[: one.walls]
+    one = without_tags(one, walls[~np.isin(walls, names.provisional)])
+    ids, w = one.ids.copy(), one.walls
+    by_id = np.argsort(names.provisional)
+    ids[:w] = names.ids[by_id[np.searchsorted(names.provisional, ids[:w], sorter=by_id)]]
     order = np.argsort(ids, kind="stable")
-    rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(J)))
-    W, g = J.T @ W @ J + held, J.T @ g
-    return keyframe(
-        ids[order], y[rows[:m]], shared, one.unit, (0.5 * (W + W.T))[np.ix_(rows, rows)], g[rows], one.on_error[order]
+    rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(one.information)))
+    return replace(
+        one,
+        ids=ids[order],
+        y_AL=one.y_AL[order],
+        anchor=one.anchor[order],
+        reach=one.reach[order],
+        information=one.information[np.ix_(rows, rows)],
+        on_error=one.on_error[order],
     )
 
 
@@ -341,98 +287,131 @@ def identified(
     counts: (n,) looks behind each landmark of the keyframe. floor: that it was reduced with. What is unclear has no
     name.
     """
-    p_AL, _, covariance = one.given(estimate.shared)
-    seen = np.flatnonzero(~is_tag(one.ids))[::2]
-    length = directions(p_AL[seen[:, None] + [0, 1]])[2]
-    row, known = rows_of(walls.first, estimate.ids)
-    known &= estimate.is_local[row] if len(row) else known
-    at = np.flatnonzero(known)
-    entry = estimate.local_entry[row[at]]
-    P, reach, first = estimate.local_p_ML[entry[:, None] + [0, 1]], walls.reach.copy(), list(walls.first)
-    p_AL_known = se2.transform(se2.inverse(estimate.X_MD), P.reshape(-1, 2)).reshape(-1, 2, 2)
-    names: list[tuple[int, int, FloatArray, bool]] = []
-    again: list[tuple[int, int]] = []
-    taken, new_reach, next_id = np.zeros(len(at), dtype=bool), [], int(walls.first.min(initial=WALLS_BELOW)) - 2
+    y_AL, _, R = one.given(estimate.shared)
+    w, known = one.walls, np.flatnonzero(~is_tag(estimate.ids) & estimate.is_local)
+    entry, length = estimate.local_entry[known], one.reach[:w, 1] - one.reach[:w, 0]
+    squared, off, overlap = compared(
+        y_AL[:w],
+        one.anchor[:w],
+        one.reach[:w],
+        R,
+        estimate.p_ML[known],
+        estimate.anchor[known],
+        estimate.reach[known],
+        entry,
+        estimate.X_MD,
+        estimate.covariance,
+    )
+    provisional, ids, again = [], [], []
+    taken, next_id = np.zeros(len(known), dtype=bool), int(estimate.ids.min(initial=WALLS_BELOW)) - 1
     # The longest first: of two pieces of one wall it is the wall.
     for k in np.argsort(-length, kind="stable"):
-        pair, provisional = p_AL[seen[k] : seen[k] + 2], int(one.ids[seen[k]])
-        R = covariance[2 * seen[k] : 2 * seen[k] + 4, 2 * seen[k] : 2 * seen[k] + 4]
-        squared, off, s, overlap = _compared(pair, R, P, reach[at], entry, estimate)
-        agrees = squared < GATE
+        agrees = squared[k] < GATE
         if agrees.any():
-            best = int(np.argmax(np.where(agrees, overlap, -np.inf)))
-            rivals = agrees & (np.abs(off - off[best]) > ONE_WALL)
+            best = int(np.argmax(np.where(agrees, overlap[k], -np.inf)))
+            rivals = agrees & (np.abs(off[k] - off[k, best]) > ONE_WALL)
             if not rivals.any() and not taken[best]:
                 taken[best] = True
                 again.append((k, best))
-                reach[at[best]] = min(reach[at[best], 0], s[best, 0]), max(reach[at[best], 1], s[best, 1])
-                names.append((provisional, first[at[best]], p_AL_known[best], False))
-        elif not np.any(off < UNCLEAR) and counts[seen[k]] >= walls.least_looks and length[k] >= LEAST_LENGTH:
-            names.append((provisional, next_id, pair, True))
-            first.append(next_id)
-            new_reach.append((0.0, length[k]))
-            next_id -= 2
+                provisional.append(one.ids[k])
+                ids.append(estimate.ids[known[best]])
+        elif not np.any(off[k] < UNCLEAR) and counts[k] >= walls.least_looks and length[k] >= LEAST_LENGTH:
+            provisional.append(one.ids[k])
+            ids.append(next_id)
+            next_id -= 1
     if again:
         k, best = np.array(again).T
-        rows = (2 * seen[k, None] + np.arange(4)).ravel()
-        of_these = p_AL[seen[k, None] + [0, 1]], covariance[np.ix_(rows, rows)], P[best], entry[best]
-        walls = walls.seen_again(*_off(*of_these, estimate), floor)
-    walls = replace(
-        walls, first=np.array(first, dtype=np.int64), reach=np.vstack([reach, np.reshape(new_reach, (-1, 2))])
+        rows = (2 * k[:, None] + [0, 1]).ravel()
+        seen = y_AL[k], one.anchor[k], R[np.ix_(rows, rows)]
+        walls = walls.seen_again(*_off(*seen, known[best], entry[best], estimate), floor)
+    return Names(np.array(provisional, dtype=np.int64), np.array(ids, dtype=np.int64)), walls
+
+
+@njit(cache=True)
+def wall_off(
+    wall: FloatArray, p_MC: FloatArray, seen: FloatArray, p_AC: FloatArray, X_MA: FloatArray
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """Angle and distance of a wall (2,) of the map, by its anchor p_MC (2,), less those that were seen (2,), by an
+    anchor p_AC (2,), from X_MA (3,); derivatives (2, 2) on the wall and (2, 3) on the pose."""
+    error, on, by_wall = residual(
+        wall.reshape(1, 2),
+        p_MC.reshape(1, 2),
+        1,
+        seen.reshape(1, 2),
+        p_AC.reshape(1, 2),
+        np.zeros(3),
+        METRES,
+        X_MA,
+        X_MA,
+        np.zeros(SHARED),
     )
-    return Names(
-        provisional=np.array([name[0] for name in names], dtype=np.int64),
-        first=np.array([name[1] for name in names], dtype=np.int64),
-        p_AL=np.reshape([name[2] for name in names], (-1, 2, 2)),
-        is_new=np.array([name[3] for name in names], dtype=bool),
-    ), walls
+    return error[0], error[1], by_wall[0].copy(), on[:2, :3].copy()
+
+
+@njit(cache=True)
+def compared(
+    seen: FloatArray,
+    p_AC: FloatArray,
+    seen_reach: FloatArray,
+    R: FloatArray,
+    wall: FloatArray,
+    p_MC: FloatArray,
+    reach: FloatArray,
+    entry: IntArray,
+    X_MD: FloatArray,
+    covariance: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of s walls seen (s, 2) from the newest pose, the first that R is of, and k walls (k, 2) of the map: the squared
+    error (s, k) in deviations and how far off (s, k) m, infinite where they look another way or hardly overlap; and how
+    much they overlap (s, k) m.
+
+    p_AC, p_MC, seen_reach, reach: of both. entry: (k,) among the landmarks known jointly.
+    """
+    s, k, D = len(seen), len(wall), len(covariance) - 3
+    squared, far, overlap = np.full((s, k), np.inf), np.full((s, k), np.inf), np.full((s, k), -np.inf)
+    at = np.empty(5, dtype=np.int64)
+    at[2:] = np.arange(D, D + 3)
+    J = np.empty((2, 5))
+    ends = np.ones((2, 2))
+    c, t = math.cos(X_MD[2]), math.sin(X_MD[2])
+    for j in range(k):
+        at[0], at[1] = 2 * entry[j], 2 * entry[j] + 1
+        P = covariance[at][:, at]
+        n_x, n_y = math.cos(wall[j, 0]), math.sin(wall[j, 0])
+        for i in range(s):
+            turn, off, by_wall, by_pose = wall_off(wall[j], p_MC[j], seen[i], p_AC[i], X_MD)
+            if math.cos(turn) < SAME_DIRECTION:
+                continue
+            x = X_MD[0] + c * p_AC[i, 0] - t * p_AC[i, 1] - p_MC[j, 0]
+            y = X_MD[1] + t * p_AC[i, 0] + c * p_AC[i, 1] - p_MC[j, 1]
+            along = n_x * y - n_y * x
+            least = min(OVERLAP, 0.5 * (seen_reach[i, 1] - seen_reach[i, 0]))
+            shared = min(reach[j, 1], along + seen_reach[i, 1]) - max(reach[j, 0], along + seen_reach[i, 0])
+            overlap[i, j] = shared
+            if shared <= least:
+                continue
+            ends[:, 0] = -seen_reach[i]
+            of_ends = ends @ np.array([turn, off])
+            far[i, j] = np.abs(of_ends).max()
+            J[:, :2], J[:, 2:] = by_wall, by_pose
+            S = J @ P @ J.T + R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            if np.trace(ends @ S @ ends.T) < 2.0 * MOST_DEVIATION**2:
+                squared[i, j] = (S[1, 1] * turn * turn - 2.0 * S[0, 1] * turn * off + S[0, 0] * off * off) / (
+                    S[0, 0] * S[1, 1] - S[0, 1] ** 2
+                )
+    return squared, far, overlap
 
 
 def _off(
-    p_AL: FloatArray, R: FloatArray, P: FloatArray, entry: IntArray, estimate: MapEstimate
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How far off (2q,) m pairs of points (q, 2, 2), seen from the newest pose with covariance R (4q, 4q), are from
-    walls of the map, at P (q, 2, 2), along their normals; the covariance (2q, 2q) of that, and of one floor. entry:
-    (q,) of each first point among the landmarks known jointly."""
-    X_MD, (_, normal, _) = estimate.X_MD, directions(P)
-    Q = se2.transform(X_MD, p_AL.reshape(-1, 2)).reshape(-1, 2, 2)
-    by_walls, by_pose = zip(*(_on_wall(Q[k], P[k], X_MD) for k in range(len(P))), strict=True)
-    J = np.column_stack([_diagonal(by_walls, 2, 4), np.vstack(by_pose)])
-    columns = np.append((2 * entry[:, None] + np.arange(4)).ravel(), len(estimate.covariance) - np.arange(3, 0, -1))
-    N = _diagonal([np.kron(np.eye(2), n @ se2.rotation(float(X_MD[2]))) for n in normal], 2, 4)
-    floor = _diagonal([_floor_across(length) for length in directions(p_AL)[2]], 2, 2)
-    off = np.sum((Q - P[:, :1]) * normal[:, None], axis=2).ravel()
-    return off, J @ estimate.covariance[np.ix_(columns, columns)] @ J.T + N @ R @ N.T, floor
-
-
-def _on_wall(Q: FloatArray, P: FloatArray, X_MD: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives (2, 4) and (2, 3) of how far points Q (2, 2) are off a wall through P (2, 2), on that and on the pose
-    X_MD (3,) that they are seen from."""
-    (along,), (normal,), (length,) = directions(P[None])
-    u, lever = (Q - P[0]) @ along / length, Q - X_MD[:2]
-    turned = lever[:, 0] * normal[1] - lever[:, 1] * normal[0]
-    on_wall = np.hstack([np.outer(u - 1.0, normal), np.outer(-u, normal)])
-    return on_wall, np.column_stack([np.tile(normal, (2, 1)), turned])
-
-
-def _compared(
-    p_AL: FloatArray, R: FloatArray, P: FloatArray, reach: FloatArray, entry: IntArray, estimate: MapEstimate
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A pair of points (2, 2) seen from the newest pose, with covariance R (4, 4), and k walls of the map, at P
-    (k, 2, 2): the squared error (k,) in deviations and how far off (k,) m, infinite where they look another way or
-    hardly overlap, the error also where it is surely beyond GATE; where along the wall (k, 2) m, and how much they
-    overlap (k,) m. reach: as of Walls. entry: (k,) of each first point among the landmarks known jointly."""
-    Q = se2.transform(estimate.X_MD, p_AL)
-    along, normal, _ = directions(P)
-    apart, seen = Q - P[:, :1], Q[1] - Q[0]
-    s, e = np.einsum("kji,ki->kj", apart, along), np.einsum("kji,ki->kj", apart, normal)
-    overlap = np.minimum(reach[:, 1], s[:, 1]) - np.maximum(reach[:, 0], s[:, 0])
-    seen_length = float(np.hypot(*seen))
-    candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
-    squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
-    # No S with that trace lets in what is farther off.
-    for k in np.flatnonzero(candidates & (np.sum(e * e, axis=1) < 2.0 * MOST_DEVIATION**2 * GATE)):
-        _, S, _ = _off(p_AL[None], R, P[[k]], entry[[k]], estimate)
-        if np.trace(S) < 2.0 * MOST_DEVIATION**2:
-            squared[k] = e[k] @ np.linalg.solve(S, e[k])
-    return squared, off, s, overlap
+    seen: FloatArray, p_AC: FloatArray, R: FloatArray, row: IntArray, entry: IntArray, estimate: MapEstimate
+) -> tuple[FloatArray, FloatArray]:
+    """How far off (2q,), angle and distance, walls (q, 2), seen from the newest pose with covariance R (2q, 2q), are
+    from walls of the map, in rows (q,), entry (q,) among those known jointly; and the covariance (2q, 2q) of that."""
+    q = len(row)
+    J, off = np.zeros((2 * q, 2 * q + 3)), np.empty(2 * q)
+    for k in range(q):
+        of_wall = slice(2 * k, 2 * k + 2)
+        wall, anchor = estimate.p_ML[row[k]], estimate.anchor[row[k]]
+        *off[of_wall], J[of_wall, of_wall], J[of_wall, -3:] = wall_off(wall, anchor, seen[k], p_AC[k], estimate.X_MD)
+    at = np.append((2 * entry[:, None] + [0, 1]).ravel(), len(estimate.covariance) - np.arange(3, 0, -1))
+    return off, J @ estimate.covariance[np.ix_(at, at)] @ J.T + R
