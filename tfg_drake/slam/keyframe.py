@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -35,14 +36,14 @@ class Keyframe:
     `by_errors`, empty where it follows from on_error.
     """
 
-    ids: IntArray
-    y_AL: FloatArray
-    y_AD: FloatArray
+    ids: Annotated[IntArray, "n"]
+    y_AL: Annotated[FloatArray, "n", 2]
+    y_AD: Annotated[FloatArray, 3]
     unit: int
-    information: FloatArray
-    vector: FloatArray
-    on_error: FloatArray
-    errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+    information: Annotated[FloatArray, f"2n+{3 + SHARED}", f"2n+{3 + SHARED}"]
+    vector: Annotated[FloatArray, SHARED]
+    on_error: Annotated[FloatArray, "n", 2, 2]
+    errors: Annotated[FloatArray, "a", "b"] = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
 
     def by_errors(self) -> FloatArray:
         """Derivatives of the cost on the tags' errors, (4n + 16, 2n + 1): the Hessian by (e, the errors) on these, and

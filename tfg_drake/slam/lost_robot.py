@@ -27,7 +27,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
 from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
-from tfg_drake.slam.evidence import renewed, select
+from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe import Keyframe, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
@@ -36,6 +36,7 @@ from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.wall_search import find_place, tells_place
 from tfg_drake.slam.walls import LEAST_LENGTH, directions, no_lines
+from tfg_drake.table import take
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
 SAME_PLACE = 16.0
@@ -129,7 +130,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
         return begun_elsewhere(
             replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=KIDNAPPED)
         )
-    tags = select(seen, found.agreeing)
+    tags = take(seen, found.agreeing)
     # As far from what was expected as the search took it to be: two tags may say no more of where it is on their ring.
     sigma = moved if found.is_near and not anywhere else KIDNAPPED
     begun = replace(suspect, X_MB=se2.compose(found.X_MB, se2.inverse(way)), sigma=sigma)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -96,9 +96,9 @@ class Walls:
     floor: of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the
     noise of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
 
-    first: IntArray
-    reach: FloatArray
-    by_floor: FloatArray
+    first: Annotated[IntArray, "w"]
+    reach: Annotated[FloatArray, "w", 2]
+    by_floor: Annotated[FloatArray, 4]
     floor: float = 1.0
     unevenness: float = 0.0
     least_looks: int = LEAST_LOOKS
