@@ -23,7 +23,6 @@ from threadpoolctl import threadpool_limits
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.message_arrays import to_arrays
-from tfg_drake.mapfile.saved_map import REGISTRY
 from tfg_drake.messages import FloatArray, MapEstimate, replace
 from tfg_drake.slam.keyframe import Keyframe, of_places, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, fused, no_observation
@@ -141,7 +140,7 @@ def bytes_in_memory(graph: KeyframeGraph) -> int:
 def bytes_in_file(graph: KeyframeGraph) -> int:
     """As a map file has it."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **to_arrays(graph, REGISTRY))
+    np.savez_compressed(buffer, **to_arrays(graph))
     return len(buffer.getvalue())
 
 

@@ -11,8 +11,9 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
-from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
-from tfg_drake.tfg.graph import UnmappedSightings, empty_map, no_sightings, note_sightings, resolve, update
+from tfg_drake.table import empty
+from tfg_drake.tfg.feature_graph import TfgGraph
+from tfg_drake.tfg.graph import UnmappedSightings, empty_map, note_sightings, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
@@ -70,7 +71,7 @@ class TfgBuilder(LeafSystem):
             self, scan=LaserScan, map=MapEstimate, landmarks=MapEstimate, pose=PoseEstimate, mission=MissionStatus
         )
         # One value: Drake copies every abstract state at every event of any system.
-        initial = _BuilderState(empty_graph(), empty_map(), (), no_sightings())
+        initial = _BuilderState(empty(TfgGraph), empty_map(), (), empty(UnmappedSightings))
         self._state = MessageState(self, initial)
         self._state.declare_output(self, "tfg", lambda now: now.tfg)
         self._state.declare_output(self, "tfg_graph", lambda now: now.graph)
@@ -106,4 +107,4 @@ class TfgBuilder(LeafSystem):
             now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
         )
         tfg = replace(resolve(graph, estimate, self._robot, self._explorer), keep_out=self._keep_out)
-        return _BuilderState(graph, tfg, (), no_sightings())
+        return _BuilderState(graph, tfg, (), empty(UnmappedSightings))

@@ -111,7 +111,8 @@ def small_map():
     from tfg_drake.slam.map_solver import solve
     from tfg_drake.slam.map_update import updated
     from tfg_drake.slam.shared import by_data_sheet
-    from tfg_drake.tfg import feature_graph
+    from tfg_drake.table import empty
+    from tfg_drake.tfg.feature_graph import TfgGraph
     from tfg_drake.tfg.frontier import points_of
     from tfg_drake.tfg.surfaces import Surfaces
 
@@ -142,8 +143,8 @@ def small_map():
         vertices=np.array([[0, 0], [1, 0], [0, 0], [-0.5, 0.1], [0, 1], [0.5, 1.25], [1, 1.25]], dtype=float),
     )
     star = np.array([[1.5, -1.0], [1.5, 1.0], [-1.0, 1.5], [-1.0, -1.0]])
-    tfg_graph = dataclasses.replace(
-        feature_graph.empty_graph(),
+    tfg_graph = empty(
+        TfgGraph,
         stage=2,
         surfaces=surfaces,
         tag_ids=estimate.ids,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,8 +78,8 @@ class Odometry:
     """
 
     stamp: float
-    X_OB: FloatArray
-    V_B: FloatArray
+    X_OB: Annotated[FloatArray, 3]
+    V_B: Annotated[FloatArray, 2]
     at_rest: bool = False
     breaks: int = 0
 
@@ -93,11 +93,11 @@ class TagDetections:
     """
 
     stamp: float
-    ids: IntArray
-    range: FloatArray
-    bearing: FloatArray
-    sigma_range: FloatArray
-    sigma_bearing: FloatArray
+    ids: Annotated[IntArray, "n"]
+    range: Annotated[FloatArray, "n"]
+    bearing: Annotated[FloatArray, "n"]
+    sigma_range: Annotated[FloatArray, "n"]
+    sigma_bearing: Annotated[FloatArray, "n"]
 
 
 @message
@@ -109,8 +109,8 @@ class LaserScan:
     """
 
     stamp: float
-    angles: FloatArray
-    ranges: FloatArray
+    angles: Annotated[FloatArray, "m"]
+    ranges: Annotated[FloatArray, "m"]
     range_max: float
     sigma: float
 
@@ -135,12 +135,12 @@ class PoseEstimate:
     """
 
     stamp: float
-    X_MB: FloatArray
-    covariance: FloatArray
-    speed: FloatArray
+    X_MB: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3]
+    speed: Annotated[FloatArray, 2]
     stage: int
-    new_ids: IntArray
-    p_MU: FloatArray
+    new_ids: Annotated[IntArray, "u"]
+    p_MU: Annotated[FloatArray, "u", 2]
 
 
 @message
@@ -148,9 +148,9 @@ class Observation:
     """What a turn, glance or piece of the way saw. ids: (n,) tags. stamps: (t,) s and X_AB: (t, 3), its poses in its
     arrival frame A."""
 
-    ids: IntArray
-    stamps: FloatArray
-    X_AB: FloatArray
+    ids: Annotated[IntArray, "n"]
+    stamps: Annotated[FloatArray, "t"]
+    X_AB: Annotated[FloatArray, "t", 3]
 
 
 # Landmarks with lower ids are walls.
@@ -183,22 +183,22 @@ class MapEstimate:
 
     stage: int
     stamp: float
-    ids: IntArray
-    p_ML: FloatArray
-    anchor: FloatArray
-    reach: FloatArray
-    X_MD: FloatArray
-    local: IntArray
-    covariance: FloatArray
-    landmark_covariance: FloatArray
-    X_MA: FloatArray
+    ids: Annotated[IntArray, "n"]
+    p_ML: Annotated[FloatArray, "n", 2]
+    anchor: Annotated[FloatArray, "n", 2]
+    reach: Annotated[FloatArray, "n", 2]
+    X_MD: Annotated[FloatArray, 3]
+    local: Annotated[IntArray, "m"]
+    covariance: Annotated[FloatArray, "2m+3", "2m+3"]
+    landmark_covariance: Annotated[FloatArray, "n", 2, 2]
+    X_MA: Annotated[FloatArray, "k", 3]
     observation: Observation
     entropy: float
-    doubtful: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    doubtful_places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    doubtful: Annotated[IntArray, "d"] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    doubtful_places: Annotated[FloatArray, "d", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     frame_worth: float = 1.0
-    tag_error: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
-    shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    tag_error: Annotated[FloatArray, 2] = dataclasses.field(default_factory=lambda: np.zeros(2))
+    shared: Annotated[FloatArray, "q"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     with_shared: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     by_walls: bool = False
 
@@ -291,32 +291,34 @@ class TfgMap:
     left. star_offsets: (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from view j, has the vertices
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
-    given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (v, 2) places in M, m, from where tags that the map
-    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there. keep_out: (k, 4)
+    given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (p, 2) places in M, m, from where tags that the map
+    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there. keep_out: (o, 4)
     what surrounds and fills the areas that the robot must not enter, m in M: it sees across them.
     """
 
     stage: int
-    segments: FloatArray
-    segment_kind: IntArray
-    segment_ids: IntArray
-    facing: FloatArray
-    frontiers: FloatArray
-    frontier_length: FloatArray
-    frontier_normal: FloatArray
-    star_offsets: IntArray
-    star_vertices: FloatArray
-    star_centers: FloatArray
-    given_up: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
-    given_up_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    given_up_normal: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
-    viewpoints: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    segments: Annotated[FloatArray, "m", 4]
+    segment_kind: Annotated[IntArray, "m"]
+    segment_ids: Annotated[IntArray, "m", 2]
+    facing: Annotated[FloatArray, "n", 2]
+    frontiers: Annotated[FloatArray, "f", 2]
+    frontier_length: Annotated[FloatArray, "f"]
+    frontier_normal: Annotated[FloatArray, "f", 2]
+    star_offsets: Annotated[IntArray, "k+1"]
+    star_vertices: Annotated[FloatArray, "v", 2]
+    star_centers: Annotated[FloatArray, "k", 2]
+    given_up: Annotated[FloatArray, "g", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    given_up_length: Annotated[FloatArray, "g"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    given_up_normal: Annotated[FloatArray, "g", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    viewpoints: Annotated[FloatArray, "p", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     inspected: float = dataclasses.field(default=0.0, metadata={"kept": False})
-    keep_out: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)), metadata={"kept": False})
+    keep_out: Annotated[FloatArray, "o", 4] = dataclasses.field(
+        default_factory=lambda: np.zeros((0, 4)), metadata={"kept": False}
+    )
 
     @property
     def obstacles(self) -> FloatArray:
-        """What the robot must keep clear of, (m + k, 4), m in M: the segments and keep_out."""
+        """What the robot must keep clear of, (m + o, 4), m in M: the segments and keep_out."""
         return _freeze(np.vstack([self.segments, self.keep_out])) if len(self.keep_out) else self.segments
 
 
@@ -353,13 +355,13 @@ class Roadmap:
     """
 
     stage: int
-    points: FloatArray
-    edges: IntArray
-    reachable: BoolArray
-    enterable: BoolArray
-    entry: IntArray
-    travel_time: FloatArray
-    travel_length: FloatArray
+    points: Annotated[FloatArray, "n", 2]
+    edges: Annotated[IntArray, "e", 2]
+    reachable: Annotated[BoolArray, "n"]
+    enterable: Annotated[BoolArray, "n"]
+    entry: Annotated[IntArray, "n"]
+    travel_time: Annotated[FloatArray, "n"]
+    travel_length: Annotated[FloatArray, "n"]
     home_time: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     home_length: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     driven: float = 0.0
@@ -406,22 +408,22 @@ class GoalChoice:
 
     stage: int
     node: int
-    p_MG: FloatArray
-    candidates: IntArray
-    exploitation: FloatArray
-    exploration: FloatArray
-    pose_price: FloatArray
-    gain: FloatArray
-    value: FloatArray
+    p_MG: Annotated[FloatArray, 2]
+    candidates: Annotated[IntArray, "c"]
+    exploitation: Annotated[FloatArray, "c"]
+    exploration: Annotated[FloatArray, "c"]
+    pose_price: Annotated[FloatArray, "c"]
+    gain: Annotated[FloatArray, "c"]
+    value: Annotated[FloatArray, "c"]
     verdict: str
     reason: str
     latest_arrival: float = math.inf
     spent: bool = False
-    look: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    looked_again: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    look: Annotated[FloatArray, "l"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    looked_again: Annotated[IntArray, "t"] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     explored: float = math.inf
     longest_way: float = math.inf
-    tour: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    tour: Annotated[IntArray, "s"] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def is_explored(self) -> bool:
@@ -435,7 +437,7 @@ class Path:
 
     id: int
     stage: int
-    points: FloatArray
+    points: Annotated[FloatArray, "n", 2]
 
 
 @message

@@ -37,7 +37,8 @@ from tfg_drake.percent import percent
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.storage.trajectory import write_tum
-from tfg_drake.tfg.feature_graph import empty_graph
+from tfg_drake.table import empty
+from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import empty_map
 
 _log = logging.getLogger("tfg_drake.slam_command")
@@ -263,7 +264,7 @@ def _keep_map(folder: Path, state: EstimatorState) -> None:
         star_offsets=stars,
         star_centers=estimate.X_MA[:, :2],
     )
-    saved = saved_map(np.zeros(3), state, replace(empty_graph(), stage=stage, star_offsets=stars), tfg)
+    saved = saved_map(np.zeros(3), state, empty(TfgGraph, stage=stage, star_offsets=stars), tfg)
     save_map(folder / "map.npz", saved)
     write_atomic(folder / "landmarks.csv", landmark_csv(saved))
 

@@ -27,7 +27,7 @@ from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.mapfile.message_arrays import to_arrays
-from tfg_drake.mapfile.saved_map import REGISTRY, SavedMap, whole_map
+from tfg_drake.mapfile.saved_map import SavedMap, whole_map
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
@@ -259,7 +259,7 @@ class Mission:
         self.wall_start -= self.wall_time
         self._cpu_start -= self.cpu_time
         if (known := self.newest_map()) is not None:
-            whole_map(to_arrays(known, REGISTRY))
+            whole_map(to_arrays(known))
         self.resumed = [*self.resumed, self.time]
         _log.info("goes on from %.2f s", self.time)
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from tfg_drake.mapfile.message_arrays import SCALARS, dtype_of, element_of, hints_of, optional_of
+from tfg_drake.mapfile.message_arrays import SCALARS, element_of, hints_of, optional_of
+from tfg_drake.table import dtype_of, shapes_of
 
 
-def array_names(kind, registry, path=""):
+def array_names(kind, path=""):
     """By its name the type and shape of each in words; symmetric matrices whole."""
     names = {}
     for field, hint in hints_of(kind).items():
@@ -15,9 +16,9 @@ def array_names(kind, registry, path=""):
             hint = inner
         dtype = dtype_of(hint)
         if dtype is not None:
-            names[name] = f"{dtype} ({', '.join(map(str, registry[kind].get(field, ('...',))))})"
+            names[name] = f"{dtype} ({', '.join(map(str, shapes_of(kind)[field]))})"
         elif hint in SCALARS or hint is str:
             names[name] = np.dtype(SCALARS.get(hint, np.str_)).name
         else:
-            names |= array_names(hint, registry, name)
+            names |= array_names(hint, name)
     return names

@@ -20,11 +20,12 @@ from tfg_drake.mapfile.merge import merge
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, restored_estimate, save_map
 from tfg_drake.messages import WALLS_BELOW, is_tag
 from tfg_drake.slam.estimator_state import unknown_way
-from tfg_drake.slam.evidence import no_evidence
+from tfg_drake.slam.evidence import Evidence
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import METRES
 from tfg_drake.slam.walls import FREE, HELD, directions, known_walls, no_walls
-from tfg_drake.tfg.feature_graph import empty_graph
+from tfg_drake.table import empty
+from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import empty_map
 from tfg_drake.tfg.surfaces import Surfaces
 
@@ -39,7 +40,7 @@ def saved(keyframes, surfaces=None, star=None):
     k, none = len(graph.view_keyframe), np.zeros((0, 2))
     stars = [none if star is None else se2.transform(se2.inverse(X), star) for X in graph.X_MA]
     offsets = np.append(0, np.cumsum([len(one) for one in stars]))
-    tfg = dataclasses.replace(empty_graph(), stage=k, star_offsets=offsets, star_vertices=np.concatenate(stars))
+    tfg = empty(TfgGraph, stage=k, star_offsets=offsets, star_vertices=np.concatenate(stars))
     resolved = dataclasses.replace(
         empty_map(),
         stage=k,
@@ -58,7 +59,7 @@ def saved(keyframes, surfaces=None, star=None):
     first, pairs, _ = known_walls(graph)
     walls = dataclasses.replace(no_walls(), first=first, reach=directions(pairs)[2][:, None] * [0.0, 1.0])
     doubtful = np.zeros(0, dtype=np.int64)
-    return SavedMap(X_WM, k, estimate.stamp, graph, 0, doubtful, walls, no_evidence(), tfg, resolved)
+    return SavedMap(X_WM, k, estimate.stamp, graph, 0, doubtful, walls, empty(Evidence), tfg, resolved)
 
 
 def halves(seed, noise):

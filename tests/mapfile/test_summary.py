@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from tfg_drake.mapfile.summary import landmark_counts, map_rows
-from tfg_drake.slam.evidence import no_evidence
+from tfg_drake.slam.evidence import Evidence
+from tfg_drake.table import empty
 
 
 @pytest.mark.parametrize(
@@ -21,7 +22,7 @@ def test_a_map_without_tags_speaks_of_walls_alone(walled_map):
     walls = dataclasses.replace(
         graph, ids=graph.ids[:2], p_ML=graph.p_ML[:2], landmark_covariance=graph.landmark_covariance[:2]
     )
-    told = dict(map_rows(dataclasses.replace(walled_map, graph=walls, evidence=no_evidence()), 1000))
+    told = dict(map_rows(dataclasses.replace(walled_map, graph=walls, evidence=empty(Evidence)), 1000))
     assert told["landmarks"] == "1 wall"
     assert told["walls"] == "1\u03c3 across 0.1600 m median, 0.3000 m worst"
     assert "tags" not in told

@@ -10,20 +10,19 @@ from tfg_drake.slam.evidence import (
     LEAST_FRAMES,
     MOST,
     MOST_AT_ONCE,
+    Evidence,
     Sighted,
+    TagWatch,
     believable,
     contradicted,
     disputed,
     doubtful,
     forgotten,
     missing,
-    no_evidence,
-    no_watch,
     only,
     overturned,
     renewed,
     sanitized,
-    select,
     watched,
     weighed,
     with_doubts,
@@ -31,6 +30,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.keyframe_graph import empty_graph, extended, taken_back
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import exactly_known
+from tfg_drake.table import empty, take
 
 # Four tags; the robot stands at the origin, and moves a step and a turn from keyframe to keyframe.
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
@@ -74,7 +74,7 @@ def test_of_two_sightings_with_one_id_neither_is_believed():
 
 
 def test_select_keeps_rows_together():
-    kept = select(sightings_of([7, 8, 9], [1.0, 2.0, 3.0]), np.array([True, False, True]))
+    kept = take(sightings_of([7, 8, 9], [1.0, 2.0, 3.0]), np.array([True, False, True]))
     assert kept.ids.tolist() == [7, 9]
     assert kept.range.tolist() == [1.0, 3.0]
 
@@ -84,7 +84,7 @@ class Account:
 
     def __init__(self):
         self.rng = np.random.default_rng(0)
-        self.graph, self.evidence = empty_graph(exactly_known()), no_evidence()
+        self.graph, self.evidence = empty_graph(exactly_known()), empty(Evidence)
 
     def see(self, frames, p_ML=P_ML, agrees=(True, True, True, True)):
         """One keyframe more, with each tag seen in so many frames; agrees: where the map has it."""
@@ -98,7 +98,7 @@ class Account:
 
     def frames(self, tag=TAG):
         """For each place of the tag, whether the map has it there: the frames that speak for it."""
-        of_tag = self.evidence.kept(self.evidence.ids == tag)
+        of_tag = take(self.evidence, self.evidence.ids == tag)
         return sorted(zip(of_tag.is_mapped.tolist(), of_tag.frames.tolist(), strict=True))
 
 
@@ -237,7 +237,7 @@ def gone(watch):
 @pytest.fixture
 def known():
     """All three were seen for ten frames, up to 0.6 rad aside, before the newest view."""
-    watch = look(renewed(no_watch(), WALL_IDS), [3, 5, 8], 10)
+    watch = look(renewed(empty(TagWatch), WALL_IDS), [3, 5, 8], 10)
     assert gone(watch) == []
     return renewed(replace(watch, widest=0.6, all_expected=1000, all_seen=1000), WALL_IDS)
 

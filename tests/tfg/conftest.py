@@ -11,8 +11,9 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorC
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import WALLS_BELOW, LaserScan, MapEstimate, Observation, TfgMap, replace
-from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph
-from tfg_drake.tfg.graph import UnmappedSightings, no_sightings, resolve, update
+from tfg_drake.table import empty
+from tfg_drake.tfg.feature_graph import TfgGraph
+from tfg_drake.tfg.graph import UnmappedSightings, resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
 
 
@@ -27,7 +28,7 @@ class Simulation:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
     X_MA: list[np.ndarray] = field(default_factory=list)
     mapped: set[int] = field(default_factory=set)
-    graph: TfgGraph = field(default_factory=empty_graph)
+    graph: TfgGraph = field(default_factory=lambda: empty(TfgGraph))
     estimate: MapEstimate | None = None
     last_panorama: Panorama | None = None
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
@@ -95,7 +96,7 @@ class Simulation:
             self.graph,
             self.estimate,
             self.last_panorama,
-            sightings or no_sightings(),
+            sightings or empty(UnmappedSightings),
             self.tags,
             self.robot,
             self.explorer,

@@ -6,9 +6,10 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import MapEstimate, replace
-from tfg_drake.tfg.feature_graph import TfgGraph, empty_graph, part_of, with_part
-from tfg_drake.tfg.frontier import join, place_points, points_of, select
-from tfg_drake.tfg.graph import UnmappedSightings, no_sightings, resolve, update
+from tfg_drake.table import concat, empty, take
+from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
+from tfg_drake.tfg.frontier import place_points, points_of
+from tfg_drake.tfg.graph import UnmappedSightings, resolve, update
 
 # A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
 WALLS = [[0, 0, 70, 0], [70, 3, 0, 3], [0, 3, 0, 0], [0, 8, 70, 8], [0, 3, 0, 8], [70, 3, 70, 8]]
@@ -54,9 +55,9 @@ def assert_same(a: TfgGraph, b: TfgGraph, world) -> None:
 def toured(world, glance=False, sightings_at=-1, small_until=0):
     """The tour of a world, whose graph takes every view up as the whole, and the graph that takes it up by what is
     near."""
-    graph = empty_graph()
+    graph = empty(TfgGraph)
     for k, X_WA in enumerate(TOUR):
-        seen = no_sightings()
+        seen = empty(UnmappedSightings)
         if k == sightings_at:
             seen = UnmappedSightings(np.array([10_000]), X_WA[None, :2] + [1.0, 0.5], X_WA[None, :2])
         graph = take_up(world, graph, X_WA, seen, glance, is_large=k >= small_until)
@@ -64,7 +65,7 @@ def toured(world, glance=False, sightings_at=-1, small_until=0):
 
 
 def take_up(world, graph, X_WA, seen=None, glance=False, is_large=True):
-    before, seen = world.graph, seen or no_sightings()
+    before, seen = world.graph, seen or empty(UnmappedSightings)
     world.observe(X_WA, seen, glance=glance)
     world.estimate = large(world.estimate) if is_large else world.estimate
     arguments = world.estimate, world.last_panorama, seen, world.tags, world.robot, world.explorer
@@ -118,7 +119,7 @@ def test_unseen_faces_stay_at_their_surface_when_the_heading_of_the_view_that_fo
     before = world.estimate.X_MA
     after = before.copy()
     after[-1, 2] += 0.006
-    points = join(world.graph.unseen_backs, world.graph.open_ends)
+    points = concat(world.graph.unseen_backs, world.graph.open_ends)
     places = place_points(points, before).p
     _, nearest = cKDTree(before[:, :2]).query(places)
     elsewhere = nearest != len(TOUR) - 1
@@ -133,17 +134,17 @@ def test_what_was_mapped_another_way_round_and_what_is_found_here_say_nothing_of
     walls += [[-8.0, 0.0, 8.0, 0.0], [-8.0, -1.0, 8.0, -1.0], [-1.0, -1.0, -1.0, -0.45]]
     in_room, in_passage = np.array([-2.0, 1.6, 0.0]), np.array([0.5, -0.5, 0.0])
     alone, world = simulate(walls, noise=0.0), simulate(walls, noise=0.0)
-    passage, graph = (take_up(each, empty_graph(), np.array([1000.0, 0.0, 0.0])) for each in (alone, world))
+    passage, graph = (take_up(each, empty(TfgGraph), np.array([1000.0, 0.0, 0.0])) for each in (alone, world))
     passage = take_up(alone, passage, in_passage)
     graph = take_up(world, graph, in_room)
     drifted = in_room - np.array([0.0, 1.0, 0.0])
     # Much of what is open in the room lies now where it is in the passage, and in the middle of that.
     open_there = {}
     for name in ("free_space_frontiers", "uninspected"):
-        there = place_points(select(of := getattr(passage, name), of.view == 1), np.array(alone.X_MA))
+        there = place_points(take(of := getattr(passage, name), of.view == 1), np.array(alone.X_MA))
         p, normal = (np.vstack([each, [xy]]) for each, xy in ((there.p, [1.0, -0.5]), (there.normal, [0.0, -1.0])))
         points = points_of(1, transform(inverse(drifted), p), normal, np.full(len(p), 0.3))
-        open_there[name] = join(getattr(graph, name), points)
+        open_there[name] = concat(getattr(graph, name), points)
     room = graph = replace(graph, **open_there)
     of_room = np.isin(np.arange(len(world.p_WT)), room.tag_ids) & (world.p_WT[:, 0] < 100.0)
     world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
@@ -156,7 +157,7 @@ def test_what_was_mapped_another_way_round_and_what_is_found_here_say_nothing_of
         np.testing.assert_array_equal(mine.p[mine.view == 2], alone_there.p[alone_there.view == 1])
     # ... which loses nothing by that.
     for name in ("free_space_frontiers", "uninspected"):
-        mine, before = (select(of := getattr(each, name), of.view == 1) for each in (graph, room))
+        mine, before = (take(of := getattr(each, name), of.view == 1) for each in (graph, room))
         assert len(before.p) > 1
         np.testing.assert_array_equal(mine.p, before.p)
 
@@ -166,7 +167,7 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
     box = [[-3.0, -3.0, 3.0, -3.0], [3.0, -3.0, 3.0, 3.0], [3.0, 3.0, -3.0, 3.0], [-3.0, 3.0, -3.0, -3.0]]
     elsewhere = [[998.0, 2.0, 1002.0, 2.0], [96.0, 2.0, 108.0, 2.0]]
     world = simulate([*elsewhere, *box], noise=0.0)
-    graph = take_up(world, empty_graph(), np.array([1000.0, 0.0, 0.0]))
+    graph = take_up(world, empty(TfgGraph), np.array([1000.0, 0.0, 0.0]))
     graph = take_up(world, graph, np.array([100.0, 0.0, 0.0]))
     of_wall = (world.p_WT[:, 0] > 50.0) & (world.p_WT[:, 0] < 200.0)
     world.error = np.where(of_wall, -106.0, 0.0)[:, None] * [[1.0, 0.0]]
@@ -180,5 +181,5 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
 def test_a_part_has_both_points_of_a_wall_if_one_is_near(simulate) -> None:
     world = simulate([[-30.0, 2.0, 3.0, 2.0]], landmarks=np.array([[3.0, 2.0, -30.0, 2.0], [-29.0, 2.0, -30.0, 2.0]]))
     world.observe(np.array([0.0, 0.0, 0.0]))
-    part = part_of(empty_graph(), world.estimate, 5.0)
+    part = part_of(empty(TfgGraph), world.estimate, 5.0)
     assert part.estimate.ids[part.estimate.ids < 0].tolist() == world.estimate.ids[:2].tolist()

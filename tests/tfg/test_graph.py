@@ -11,7 +11,8 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import PoseEstimate, TfgMap, replace
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.tfg.feature_graph import empty_graph
+from tfg_drake.table import empty
+from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     PUSH,
@@ -25,7 +26,6 @@ from tfg_drake.tfg.graph import (
     empty_map,
     expects_tags,
     explored_elsewhere,
-    no_sightings,
     note_sightings,
     resolve,
     update,
@@ -66,7 +66,7 @@ def test_an_empty_graph_resolves_to_an_empty_map(two_rooms) -> None:
             two_rooms.graph,
             two_rooms.estimate,
             two_rooms.panorama(TOUR[0]),
-            no_sightings(),
+            empty(UnmappedSightings),
             two_rooms.tags,
             two_rooms.robot,
             two_rooms.explorer,
@@ -296,7 +296,7 @@ def test_sightings_are_noted_once_with_the_place_they_were_seen_from() -> None:
         return PoseEstimate(0.0, np.array([x, 0.0, 0.0]), np.eye(3), np.zeros(2), 1, np.array(ids, dtype=np.int64),
                             np.array([[i, 1.0] for i in ids]).reshape(-1, 2))  # fmt: skip
 
-    sightings = note_sightings(no_sightings(), pose(0.0, []))
+    sightings = note_sightings(empty(UnmappedSightings), pose(0.0, []))
     assert len(sightings.ids) == 0
     sightings = note_sightings(sightings, pose(1.0, [7]))
     assert note_sightings(sightings, pose(2.0, [7])) is sightings
@@ -320,7 +320,7 @@ def test_what_a_turn_sees_past_is_taken_out(two_rooms) -> None:
 
 def test_the_graph_is_the_same_to_the_bit(two_rooms) -> None:
     first = [two_rooms.observe(X) for X in TOUR[:3]]
-    two_rooms.rng, two_rooms.graph = np.random.default_rng(1), empty_graph()
+    two_rooms.rng, two_rooms.graph = np.random.default_rng(1), empty(TfgGraph)
     two_rooms.X_MA.clear()
     two_rooms.mapped.clear()
     second = [two_rooms.observe(X) for X in TOUR[:3]]
@@ -459,7 +459,7 @@ def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate, closed) -> N
         keep = np.append(np.repeat(estimate.p_ML[:, 0] > 6.0, 2), np.ones(3, dtype=bool))
         estimate = replace(estimate, local=known, covariance=estimate.covariance[np.ix_(keep, keep)])
     settings = world.tags, world.robot, world.explorer
-    graph = update(before, estimate, world.last_panorama, no_sightings(), *settings)
+    graph = update(before, estimate, world.last_panorama, empty(UnmappedSightings), *settings)
     tfg = resolve(graph, estimate, world.robot, world.explorer)
     at = {round(float(x)) for x, y in tfg.frontiers if abs(y) < 0.8}
     assert {-16, 28} <= at
@@ -706,7 +706,9 @@ def test_surface_is_looked_at_for_tags_until_there_seem_to_be_none_and_again_whe
     # A face that nobody has seen is looked at nevertheless.
     assert for_tags(none)[1] > 0.5
     # A tag that is sighted on the way counts before it is mapped.
-    sighted = replace(no_sightings(), ids=np.array([7]), p_MU=np.array([[8.0, 9.0]]), p_MS=np.array([[8.0, 7.0]]))
+    sighted = replace(
+        empty(UnmappedSightings), ids=np.array([7]), p_MU=np.array([[8.0, 9.0]]), p_MS=np.array([[8.0, 7.0]])
+    )
     again = world.observe(np.array([8.0, 6.0, 0.0]), sighted)
     assert for_tags(again)[0] > 2.0
     assert for_tags(again)[1] > 0.5

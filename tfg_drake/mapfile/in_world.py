@@ -9,6 +9,7 @@ import numpy as np
 from tfg_drake.geometry.se2 import rotation, transform
 from tfg_drake.mapfile.saved_map import PLACES, SavedMap
 from tfg_drake.messages import FloatArray, TfgMap, replace
+from tfg_drake.table import take
 
 # Kinds of surface (TfgMap.segment_kind) by number.
 KINDS = ("edge", "wall_end", "bare_surface")
@@ -25,17 +26,15 @@ def tfg_in_world(saved: SavedMap) -> TfgMap:
     tfg, R_WM = saved.tfg, rotation(float(saved.X_WM[2]))
     moved: dict[str, Any] = {name: transform(saved.X_WM, getattr(tfg, name).reshape(-1, 2)) for name in PLACES}
     segments = moved.pop("segments").reshape(-1, 4)
-    some = np.hypot(*(segments[:, 2:] - segments[:, :2]).T) > 0.0
-    return replace(
+    in_W = replace(
         tfg,
         **moved,
-        segments=segments[some],
-        segment_kind=tfg.segment_kind[some],
-        segment_ids=tfg.segment_ids[some],
+        segments=segments,
         facing=saved.facing @ R_WM.T,
         frontier_normal=tfg.frontier_normal @ R_WM.T,
         given_up_normal=tfg.given_up_normal @ R_WM.T,
     )
+    return take(in_W, m=np.hypot(*(segments[:, 2:] - segments[:, :2]).T) > 0.0)
 
 
 def stars_of(tfg: TfgMap) -> list[FloatArray]:

@@ -20,12 +20,13 @@ from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
 from tfg_drake.messages import WALLS_BELOW, MapEstimate, is_tag, replace
 from tfg_drake.slam.estimator import MOST_TAKEN_BACK
 from tfg_drake.slam.estimator_state import unknown_way
-from tfg_drake.slam.evidence import Evidence, contradicted, disputed
+from tfg_drake.slam.evidence import contradicted, disputed
 from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import FREE, Names, Walls, directions, identified, known_walls, named
+from tfg_drake.table import concat, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import joined, resolve
 from tfg_drake.tfg.surfaces import place
@@ -75,9 +76,8 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
         graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
     tfg_graph = joined(first.tfg_graph, _with_names(second, told, one, names), estimate, TagSensorConfig())
     tfg = resolve(tfg_graph, estimate, RobotConfig(), ExplorerConfig())
-    others = second.evidence.kept(~np.isin(second.evidence.ids, first.evidence.ids))
-    columns = zip(vars(first.evidence).values(), vars(others).values(), strict=True)
-    evidence = disputed(Evidence(*map(np.concatenate, columns)), wrong)
+    others = take(second.evidence, ~np.isin(second.evidence.ids, first.evidence.ids))
+    evidence = disputed(concat(first.evidence, others), wrong)
     doubtful = np.unique(np.concatenate([first.doubtful, second.doubtful, wrong]))
     both = replace(first, stage=estimate.stage, stamp=estimate.stamp, graph=graph, walls=walls, evidence=evidence)
     return replace(both, doubtful=doubtful, tfg_graph=tfg_graph, tfg=tfg)

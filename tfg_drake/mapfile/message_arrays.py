@@ -13,8 +13,8 @@ one of these or None. Marks behind the name tell what a plain array cannot:
 
 A field with the metadata `kept: False` has no array and is read as its default. Only fields named `covariance` or
 `..._covariance` are stored by the lower triangle, and only where every one of them is symmetric to the bit. Classes are
-never named in the file: which class stands where follows from the annotations, and all of them must be in the registry
-that the caller gives. Nothing that is read is ever run.
+never named in the file: which class stands where follows from the annotations, and so do the shapes of all arrays.
+Nothing that is read is ever run.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -32,13 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake.messages import BoolArray
+from tfg_drake.table import dtype_of, misfit, shapes_of
 
 Array = NDArray[Any]
-# A length: a number, a letter that means the same number throughout one message, or such as "2n+3".
-Shape = tuple[int | str, ...]
-# The classes that a tree may hold, each with the shapes of its array fields.
-Registry = Mapping[type, Mapping[str, Shape]]
-
 T = TypeVar("T")
 
 # Numbers in a row of an array without rows, at most.
@@ -52,24 +47,24 @@ class ArraysError(ValueError):
     """The arrays do not hold the tree they should; the message names the array."""
 
 
-def to_arrays(message: object, registry: Registry) -> dict[str, Array]:
+def to_arrays(message: object) -> dict[str, Array]:
     """The arrays of a message and of everything in it.
 
     Raises:
-        TypeError: something in the tree is not what its annotation says, or of a class that is not registered.
+        TypeError: something in the tree is not what its annotation says, or this gives an array no shape.
     """
-    writer = _Writer(registry)
+    writer = _Writer()
     writer.fields(type(message), [message], "", single=True)
     return writer.arrays
 
 
-def from_arrays(kind: type[T], arrays: Mapping[str, Array], registry: Registry) -> T:
+def from_arrays(kind: type[T], arrays: Mapping[str, Array]) -> T:
     """The message of a class that arrays hold.
 
     Raises:
         ArraysError: an array is missing, unknown, of the wrong type or shape, or holds NaN.
     """
-    reader = _Reader(arrays, registry)
+    reader = _Reader(arrays)
     (message,) = reader.fields(kind, 1, "", single=True)
     unknown = sorted(set(arrays) - reader.used)
     if unknown:
@@ -102,24 +97,11 @@ def element_of(hint: Any) -> Any | None:
     return None
 
 
-def dtype_of(hint: Any) -> np.dtype[Any] | None:
-    """The type of an array's entries, None for an annotation of anything else."""
-    hint = spelled_out(hint)
-    if typing.get_origin(hint) is not np.ndarray:
-        return None
-    entry: type[np.generic] = typing.get_args(typing.get_args(hint)[1])[0]
-    return np.dtype(entry)
-
-
-def spelled_out(hint: Any) -> Any:
-    """An annotation with what an alias of it stands for: NDArray is one of ndarray from numpy 2.5 on."""
-    value = getattr(typing.get_origin(hint), "__value__", None)
-    return hint if value is None else value[typing.get_args(hint)]
-
-
-def _check_class(kind: Any, registry: Registry, name: str) -> None:
-    if not dataclasses.is_dataclass(kind) or kind not in registry:
-        raise TypeError(f"{name or 'the tree'}: {getattr(kind, '__name__', kind)} is not registered")
+def _check_class(kind: Any, name: str) -> None:
+    if not hasattr(kind, "__dataclass_fields__") or any(
+        dtype_of(hint) is not None and field not in shapes_of(kind) for field, hint in hints_of(kind).items()
+    ):
+        raise TypeError(f"{name or 'the tree'}: {getattr(kind, '__name__', kind)} is no dataclass with shapes")
 
 
 def _may_be_symmetric(name: str) -> bool:
@@ -157,12 +139,11 @@ def _stored_size(shape: Sequence[int], lower: bool) -> int:
 class _Writer:
     """Collects the arrays of a tree."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self) -> None:
         self.arrays: dict[str, Array] = {}
-        self._registry = registry
 
     def fields(self, kind: type, messages: Sequence[Any], path: str, single: bool) -> None:
-        _check_class(kind, self._registry, path)
+        _check_class(kind, path)
         for message in messages:
             if type(message) is not kind:
                 raise TypeError(f"{path or 'the tree'} must be a {kind.__name__}, not {type(message).__name__}")
@@ -219,24 +200,19 @@ class _Writer:
 class _Reader:
     """Takes a tree out of its arrays; used: the names of those that were."""
 
-    def __init__(self, arrays: Mapping[str, Array], registry: Registry) -> None:
+    def __init__(self, arrays: Mapping[str, Array]) -> None:
         self.used: set[str] = set()
-        self._arrays_by_name, self._registry = arrays, registry
+        self._arrays_by_name = arrays
 
     def fields(self, kind: type, count: int, path: str, single: bool) -> list[Any]:
-        _check_class(kind, self._registry, path)
+        _check_class(kind, path)
         columns: dict[str, list[Any]] = {}
         for name, hint in hints_of(kind).items():
             columns[name] = self._values(hint, count, f"{path}.{name}" if path else name, single)
-        shapes = self._registry[kind]
-        for row in range(count):
-            lengths: dict[str, int] = {}
-            for name, column in columns.items():
-                value = column[row]
-                if isinstance(value, np.ndarray) and not _fits(value.shape, shapes[name], lengths):
-                    where = f"{path}.{name}" if path else name
-                    raise ArraysError(f"{where} has the wrong shape")
-        return [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]
+        messages = [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]
+        for wrong in filter(None, map(misfit, messages)):
+            raise ArraysError(f"{path}.{wrong}" if path else wrong)
+        return messages
 
     def _values(self, hint: Any, count: int, path: str, single: bool) -> list[Any]:
         inner, element = optional_of(hint), element_of(hint)
@@ -319,22 +295,3 @@ def _triangle_size(length: int) -> int | None:
     """The size of a matrix whose lower triangle has a length; None where there is none."""
     size = (math.isqrt(8 * length + 1) - 1) // 2
     return size if _triangle_length(size) == length else None
-
-
-def _fits(found: tuple[int, ...], wanted: Shape, lengths: dict[str, int]) -> bool:
-    """Whether a shape is as wanted; letters met for the first time get their lengths."""
-    if len(found) != len(wanted):
-        return False
-    for size, length in zip(found, wanted, strict=True):
-        if isinstance(length, int):
-            if size != length:
-                return False
-            continue
-        match = re.fullmatch(r"(\d*)([a-z])(?:\+(\d+))?", length)
-        assert match is not None, length
-        factor, letter, offset = int(match[1] or 1), match[2], int(match[3] or 0)
-        if letter not in lengths:
-            lengths[letter] = (size - offset) // factor
-        if lengths[letter] < 0 or size != factor * lengths[letter] + offset:
-            return False
-    return True

@@ -11,26 +11,27 @@ import functools
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
-from tfg_drake.mapfile.message_arrays import Array, ArraysError, Registry, from_arrays, to_arrays
+from tfg_drake.mapfile.message_arrays import Array, ArraysError, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.evidence import Evidence
-from tfg_drake.slam.keyframe import Keyframe, of_places
+from tfg_drake.slam.keyframe import of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import LEAST_SIGMA, METRES, SHARED, Shared, exactly_known
 from tfg_drake.slam.walls import Walls
+from tfg_drake.table import take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
-from tfg_drake.tfg.surfaces import Surfaces
 from tfg_drake.world.world import LONGEST
 
-# To be raised whenever the fields of a class in REGISTRY change.
+# To be raised whenever the fields of a class in a SavedMap change.
 SCHEMA = 13
 # Kinds of a TfgMap's segments.
 KINDS_OF_SEGMENTS = 3
@@ -54,12 +55,12 @@ class SavedMap:
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
 
-    X_WM: FloatArray
+    X_WM: Annotated[FloatArray, 3]
     stage: int
     stamp: float
     graph: KeyframeGraph
     compared: int
-    doubtful: IntArray
+    doubtful: Annotated[IntArray, "d"]
     walls: Walls
     evidence: Evidence
     tfg_graph: TfgGraph
@@ -109,77 +110,6 @@ class SavedMap:
         return facing
 
 
-# The classes a map may hold, with the shapes of their arrays; letters are lengths that agree within one message.
-REGISTRY: Registry = {
-    SavedMap: {
-        "X_WM": (3,),
-        "doubtful": ("d",),
-    },
-    Shared: {"mean": (SHARED,), "covariance": (SHARED, SHARED)},
-    KeyframeGraph: {
-        "X_MN": ("v", 3),
-        "view_keyframe": ("g",),
-        "X_AV": ("g", 3),
-        "ids": ("n",),
-        "p_ML": ("n", 2),
-        "landmark_covariance": ("n", 2, 2),
-        "tag_error": (2,),
-    },
-    Keyframe: {
-        "ids": ("n",),
-        "y_AL": ("n", 2),
-        "y_AD": (3,),
-        "information": ("r", "r"),
-        "vector": (SHARED,),
-        "on_error": ("n", 2, 2),
-        "errors": ("a", "b"),
-    },
-    Walls: {"first": ("w",), "reach": ("w", 2), "by_floor": ("f",)},
-    Evidence: {"ids": ("h",), "view": ("h",), "p_AL": ("h", 2), "variance": ("h",), "frames": ("h",)},
-    TfgGraph: {
-        "tag_ids": ("n",),
-        "tag_view": ("n",),
-        "tag_facing": ("n", 2),
-        "tag_range": ("n",),
-        "star_offsets": ("k+1",),
-        "star_vertices": ("v", 2),
-        "tried_count": ("t",),
-        "met_stamp": ("p",),
-    },
-    Surfaces: {
-        "ids": ("s", 2),
-        "view": ("s",),
-        "range": ("s",),
-        "offsets": ("s+1",),
-        "vertices": ("v", 2),
-    },
-    FrontierPoints: {
-        "view": ("f",),
-        "p": ("f", 2),
-        "normal": ("f", 2),
-        "length": ("f",),
-        "on_surface": ("f",),
-        "id": ("f",),
-    },
-    TfgMap: {
-        "segments": ("m", 4),
-        "segment_kind": ("m",),
-        "segment_ids": ("m", 2),
-        "facing": ("n", 2),
-        "frontiers": ("f", 2),
-        "frontier_length": ("f",),
-        "frontier_normal": ("f", 2),
-        "star_offsets": ("k+1",),
-        "star_vertices": ("v", 2),
-        "star_centers": ("k", 2),
-        "given_up": ("g", 2),
-        "given_up_length": ("g",),
-        "given_up_normal": ("g", 2),
-        "viewpoints": ("p", 2),
-    },
-}
-
-
 def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
     """The map as it is saved.
 
@@ -202,7 +132,7 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
         compared=state.ranges.pairs,
         doubtful=estimate.doubtful,
         walls=state.walls,
-        evidence=state.evidence.kept(state.evidence.is_mapped),
+        evidence=take(state.evidence, state.evidence.is_mapped),
         tfg_graph=tfg_graph,
         tfg=tfg,
     )
@@ -252,7 +182,7 @@ def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
     """
     buffer = io.BytesIO()
     save = np.savez_compressed if final else np.savez
-    save(buffer, schema=np.int64(SCHEMA), **to_arrays(saved, REGISTRY))  # type: ignore[arg-type]
+    save(buffer, schema=np.int64(SCHEMA), **to_arrays(saved))  # type: ignore[arg-type]
     write_atomic(path, buffer.getvalue(), durable=final)
 
 
@@ -281,7 +211,7 @@ def load_map(path: Path) -> SavedMap:
 
 def whole_map(arrays: Mapping[str, Array]) -> SavedMap:
     """The map that arrays hold, all its indices within bounds. Raises ArraysError."""
-    saved = from_arrays(SavedMap, arrays, REGISTRY)
+    saved = from_arrays(SavedMap, arrays)
     contradiction = _contradiction(saved)
     if contradiction:
         raise ArraysError(contradiction)
@@ -307,8 +237,6 @@ def _contradiction(saved: SavedMap) -> str:
     known = graph.ids
     if not 1 <= stage == len(graph.view_keyframe):
         return "graph.view_keyframe does not fit stage"
-    if len(graph.keyframes) != len(graph.X_MN) - 1:
-        return "graph.keyframes does not fit graph.X_MN"
     if np.any((graph.view_keyframe < 0) | (graph.view_keyframe >= len(graph.keyframes))):
         return "graph.view_keyframe does not fit graph.keyframes"
     if np.any(np.diff(known) <= 0):
@@ -318,8 +246,6 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.ids has walls without two points"
     if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
         return "graph.keyframes.ids does not fit graph.ids"
-    if any(len(one.information) != 2 * len(one.ids) + 3 + SHARED for one in graph.keyframes):
-        return "graph.keyframes.information does not fit graph.keyframes.ids"
     of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
     if any(one.errors.shape not in shapes for one, shapes in zip(graph.keyframes, of_errors, strict=True)):
         return "graph.keyframes.errors does not fit graph.keyframes.ids"
@@ -331,12 +257,6 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg.facing does not fit graph.ids"
     if not (_within(saved.walls.first, of_walls) and _within(saved.evidence.ids, known)):
         return "walls or evidence does not fit graph.ids"
-    if len(tfg_graph.tried_count) != len(tfg_graph.tried.view):
-        return "tfg_graph.tried_count does not fit tfg_graph.tried"
-    if len(tfg_graph.met_stamp) != len(tfg_graph.met.view):
-        return "tfg_graph.met_stamp does not fit tfg_graph.met"
-    if len(tfg_graph.viewpoints.view) != len(tfg_graph.sighted.view):
-        return "tfg_graph.viewpoints does not fit tfg_graph.sighted"
     places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
     places |= {f"tfg.{name}": getattr(tfg, name) for name in PLACES}
     for name, p_M in places.items():
@@ -362,15 +282,9 @@ def _contradiction(saved: SavedMap) -> str:
     for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():
         if not _within(some[some != -1], known):
             return f"{name} does not fit graph.ids"
-    for name, offsets, length in (
-        ("tfg_graph.surfaces.offsets", tfg_graph.surfaces.offsets, len(tfg_graph.surfaces.vertices)),
-        ("tfg_graph.star_offsets", tfg_graph.star_offsets, len(tfg_graph.star_vertices)),
-        ("tfg.star_offsets", tfg.star_offsets, len(tfg.star_vertices)),
-    ):
-        if offsets[0] != 0 or offsets[-1] != length or np.any(np.diff(offsets) < 0):
-            return f"{name} does not fit its vertices"
-        if "star" in name and len(offsets) != tfg.stage + 1:
-            return f"{name} does not fit tfg.stage"
+    for name, stars in (("tfg_graph", tfg_graph), ("tfg", tfg)):
+        if len(stars.star_offsets) != tfg.stage + 1:
+            return f"{name}.star_offsets does not fit tfg.stage"
     return ""
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.information_gain import Gains
+from tfg_drake.table import put
 
 # Candidates that may be the best are judged so many at a time.
 AT_ONCE = 12
@@ -44,18 +45,7 @@ class ExpectedGains:
         rows = rows[~self._judged[rows]]
         if not len(rows) or self._expected is None:
             return
-        now = self._expected(rows)
-
-        def put(all_of: FloatArray, some: FloatArray) -> FloatArray:
-            result = all_of.copy()
-            result[rows] = some
-            return result
-
-        self.gains = Gains(
-            exploitation=put(self.gains.exploitation, now.exploitation),
-            exploration=put(self.gains.exploration, now.exploration),
-            pose_price=put(self.gains.pose_price, now.pose_price),
-        )
+        self.gains = put(self.gains, rows, self._expected(rows))
         self._judged[rows] = True
 
     def best(self, value: Callable[[FloatArray], FloatArray]) -> tuple[int, float]:

@@ -17,6 +17,7 @@ from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_gr
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.slam.scan_lines import SLANT
 from tfg_drake.slam.walls import FLOOR
+from tfg_drake.table import taken
 from tfg_drake.tfg.frontier import GRAZE
 
 # A landmark lies on a surface piece that passes within the map's own error of it, m.
@@ -48,11 +49,7 @@ class Visibility:
 
     def of(self, points: IntArray) -> Visibility:
         """The visibility from some of the points, (k,) rows."""
-        count = self.count[points]
-        offsets = np.zeros(len(points) + 1, dtype=np.int64)
-        np.cumsum(count, out=offsets[1:])
-        row = np.repeat(self.offsets[:-1][points] - offsets[:-1], count) + np.arange(offsets[-1])
-        return Visibility(offsets, self.index[row])
+        return Visibility(*taken(points, self.offsets, self.index))
 
     def spread(self, points: IntArray, count: int) -> Visibility:
         """The visibility from `count` points: these are the rows (k,), ascending, of them; the others see nothing."""

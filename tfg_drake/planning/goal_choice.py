@@ -25,6 +25,7 @@ from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
+from tfg_drake.table import empty
 
 # After so many times the tag sensor's range of way without a landmark or a surface there is no building here. Views say
 # nothing of that: most are glances a metre apart.
@@ -35,20 +36,7 @@ MOST_FIRST_TURNS = 2.0
 
 def empty_choice() -> GoalChoice:
     """Before the first choice."""
-    none = np.zeros(0)
-    return GoalChoice(
-        stage=0,
-        node=-1,
-        p_MG=np.zeros(2),
-        candidates=np.zeros(0, dtype=np.int64),
-        exploitation=none,
-        exploration=none,
-        pose_price=none,
-        gain=none,
-        value=none,
-        verdict="goal",
-        reason="",
-    )
+    return empty(GoalChoice, node=-1, verdict="goal")
 
 
 def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False) -> GoalChoice:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -57,9 +58,9 @@ class Gains:
     far map and robot have drifted together. gain: exploitation + exploration, the price paid.
     """
 
-    exploitation: FloatArray
-    exploration: FloatArray
-    pose_price: FloatArray
+    exploitation: Annotated[FloatArray, "c"]
+    exploration: Annotated[FloatArray, "c"]
+    pose_price: Annotated[FloatArray, "c"]
 
     @property
     def gain(self) -> FloatArray:

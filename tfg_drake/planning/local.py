@@ -8,7 +8,6 @@ sight but what is in it, too.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -16,8 +15,8 @@ from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, is_tag, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
+from tfg_drake.table import concat, put, take
 from tfg_drake.tfg.near import radius_of, within
-from tfg_drake.tfg.polyline import taken
 
 # Rules that look for the next goal in the whole map at every stage.
 FAR_SIGHTED = ("argmax", "random")
@@ -40,23 +39,19 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
         return estimate, tfg
     here = estimate.X_MA[-1, :2]
     far = radius + sight
-    landmarks, stars = within(estimate.p_ML, here, far), within(tfg.star_centers, here, far)
-    tags = is_tag(estimate.ids)
+    landmarks, tags = within(estimate.p_ML, here, far), is_tag(estimate.ids)
     landmarks[~tags] = np.repeat(landmarks[~tags].reshape(-1, 2).any(axis=1), 2)  # A wall has two points.
     near = {
-        ("segments", "segment_kind", "segment_ids"): clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,
-        ("facing",): landmarks[tags],
-        ("star_centers",): stars,
-        ("frontiers", "frontier_length", "frontier_normal"): within(tfg.frontiers, here, radius),
-        ("given_up", "given_up_length", "given_up_normal"): within(tfg.given_up, here, radius),
-        ("viewpoints",): within(tfg.viewpoints, here, radius),
+        "m": clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,
+        "n": landmarks[tags],
+        "k": within(tfg.star_centers, here, far),
+        "f": within(tfg.frontiers, here, radius),
+        "g": within(tfg.given_up, here, radius),
+        "p": within(tfg.viewpoints, here, radius),
     }
     if landmarks.all() and all(rows.all() for rows in near.values()):
         return estimate, tfg
-    star_offsets, star_vertices = taken(np.flatnonzero(stars), tfg.star_offsets, tfg.star_vertices)
-    columns: dict[str, Any] = {name: getattr(tfg, name)[rows] for names, rows in near.items() for name in names}
-    part = replace(tfg, star_offsets=star_offsets, star_vertices=star_vertices, **columns)
-    return estimate.of_landmarks(landmarks), part
+    return estimate.of_landmarks(landmarks), take(tfg, **near)
 
 
 def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:
@@ -69,16 +64,8 @@ def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> 
     rows = _rows_between(near, nodes.edges)
     ends = (np.cumsum(near) - 1)[nodes.edges.nodes[rows]]
     order = np.argsort(_pairs(ends, len(near)))
-    part = replace(
-        nodes,
-        ids=nodes.ids[near],
-        anchor=nodes.anchor[near],
-        p_AN=nodes.p_AN[near],
-        points=points[near],
-        sigma=nodes.sigma[near],
-        edges=replace(nodes.edges.of(rows[order]), nodes=ends[order]),
-    )
-    return part, near
+    part = take(replace(nodes, points=points), n=near, e=rows[order])
+    return replace(part, edges=replace(part.edges, nodes=ends[order])), near
 
 
 def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate: MapEstimate) -> RoadmapState:
@@ -92,16 +79,11 @@ def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate
     added = np.setdiff1d(np.arange(len(edges)), at, assume_unique=True)
     sigma = nodes.sigma.copy()
     sigma[old] = part.sigma[:first]
-    anchor, p_AN = np.append(nodes.anchor, part.anchor[first:]), np.vstack([nodes.p_AN, part.p_AN[first:]])
-    return replace(
-        part,
-        ids=np.append(nodes.ids, part.ids[first:]),
-        anchor=anchor,
-        p_AN=p_AN,
-        points=place_in_map(anchor, p_AN, estimate.X_MA),
-        sigma=np.append(sigma, part.sigma[first:]),
-        edges=nodes.edges.changed(rows, edges.of(at), edges.of(added)),
-    )
+    whole = replace(nodes, sigma=sigma, edges=put(nodes.edges, rows, take(edges, at)))
+    part = replace(part, edges=edges)
+    whole = concat(whole, take(part, n=np.arange(first, len(part.ids)), e=added))
+    points = place_in_map(whole.anchor, whole.p_AN, estimate.X_MA)
+    return replace(whole, stage=part.stage, next_id=part.next_id, way_end=part.way_end, points=points)
 
 
 def _rows_between(near: BoolArray, edges: Edges) -> IntArray:

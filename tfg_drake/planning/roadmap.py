@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -31,6 +32,7 @@ from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.near import within
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
@@ -101,33 +103,15 @@ class Edges:
     clearance that it needs. usable: (e,).
     """
 
-    nodes: IntArray
-    travelled: BoolArray
-    free: BoolArray
-    clearance: FloatArray
-    required: FloatArray
-    usable: BoolArray
+    nodes: Annotated[IntArray, "e", 2]
+    travelled: Annotated[BoolArray, "e"]
+    free: Annotated[BoolArray, "e"]
+    clearance: Annotated[FloatArray, "e"]
+    required: Annotated[FloatArray, "e"]
+    usable: Annotated[BoolArray, "e"]
 
     def __len__(self) -> int:
         return len(self.nodes)
-
-    def of(self, rows: IntArray) -> Edges:
-        """Some of the edges, in this order."""
-        return Edges(*(column.take(rows, axis=0) for column in vars(self).values()))
-
-    def and_those_of(self, *others: Edges) -> Edges:
-        """These edges and the others behind them."""
-        tables = (vars(edges).values() for edges in (self, *others))
-        return Edges(*map(np.concatenate, zip(*tables, strict=True)))
-
-    def changed(self, rows: IntArray, to: Edges, added: Edges) -> Edges:
-        """These edges with some of them as others are, and those added behind them."""
-        tables = zip(vars(self).values(), vars(to).values(), vars(added).values(), strict=True)
-        columns = []
-        for mine, changed, new in tables:
-            columns.append(np.concatenate([mine, new]))
-            columns[-1][rows] = changed
-        return Edges(*columns)
 
 
 @message
@@ -142,13 +126,13 @@ class RoadmapState:
     """
 
     stage: int
-    ids: IntArray
+    ids: Annotated[IntArray, "n"]
     next_id: int
-    anchor: IntArray
-    p_AN: FloatArray
-    points: FloatArray
-    sigma: FloatArray
-    edges: Edges
+    anchor: Annotated[IntArray, "n"]
+    p_AN: Annotated[FloatArray, "n", 2]
+    points: Annotated[FloatArray, "n", 2]
+    sigma: Annotated[FloatArray, "n"]
+    edges: Annotated[Edges, "e"]
     way_end: int
 
 
@@ -160,19 +144,7 @@ def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
 
 def empty_roadmap() -> RoadmapState:
     """The roadmap before the first view."""
-    number, pairs = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-    none = unchecked(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.bool_))
-    return RoadmapState(
-        stage=0,
-        ids=number,
-        next_id=0,
-        anchor=number,
-        p_AN=pairs,
-        points=pairs,
-        sigma=np.zeros(0),
-        edges=none,
-        way_end=-1,
-    )
+    return empty(RoadmapState, way_end=-1)
 
 
 @njit(cache=True)
@@ -531,11 +503,11 @@ def _distinct(edges: Edges, proposed: Edges, count: int) -> Edges:
     travelled one stands for its twin."""
     if not len(proposed):
         return edges
-    both = edges.and_those_of(proposed)
+    both = concat(edges, proposed)
     pair = both.nodes[:, 0] * count + both.nodes[:, 1]
     order = np.argsort(2 * pair + ~both.travelled, kind="stable")
     pair = pair[order]
-    return both.of(order[np.append(True, pair[1:] > pair[:-1])])
+    return take(both, order[np.append(True, pair[1:] > pair[:-1])])
 
 
 def _checked(

@@ -89,7 +89,7 @@ from tfg_drake.slam.scan_lines import scan_lines, surface_seen
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.turn import SAME_INSTANT, Reduced, TurnFrame, no_detections, reduced
-from tfg_drake.slam.walls import Walls, identified, named, no_lines
+from tfg_drake.slam.walls import Walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
@@ -106,8 +106,6 @@ FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
 LONGEST_DOUBT = 60.0
 # A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
 REDUCED_WITHIN = 0.5
-# But not where a wall in it would move by more than this, m: by other parameters a turn's walls may be others.
-SAME_WALL = 0.3
 # And where the level of some noise has, by this.
 LEVEL_WITHIN = 0.2
 # Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
@@ -594,12 +592,9 @@ def _reduced_anew(
         anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared, state.walls.floor)
         one = anew.keyframe
         if source.names is not None:
-            one = named(one, source.names, shared.mean)
+            one = named(one, source.names)
         one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))
-        walls = ~is_tag(one.ids)
-        if np.array_equal(one.ids, keyframes[at].ids) and np.all(
-            np.abs(one.y_AL - keyframes[at].y_AL)[walls] < SAME_WALL
-        ):
+        if np.array_equal(one.ids, keyframes[at].ids) and same_walls(one, keyframes[at]):
             keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level, floor=state.walls.floor)
     if tuple(kept) == sources:
         return graph, sources
@@ -715,8 +710,8 @@ def _with_names(
     if tags.all():
         return seen, source, walls
     names, walls = identified(one, seen.frames, walls, estimate, source.floor)
-    one = named(one, names, graph.shared.mean)
-    of_walls = np.zeros(np.count_nonzero(~is_tag(one.ids)), dtype=np.int64)
+    one = named(one, names)
+    of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls
 
 

@@ -17,7 +17,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, no_evidence, no_watch
+from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
@@ -28,6 +28,7 @@ from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
 from tfg_drake.slam.turn import TurnFrame, no_detections
 from tfg_drake.slam.walls import Names, Walls, no_walls
+from tfg_drake.table import empty
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
@@ -167,8 +168,8 @@ def initial_state(
         graph=graph,
         solved=graph,
         ranges=none_compared(),
-        evidence=no_evidence(),
-        watch=no_watch(),
+        evidence=empty(Evidence),
+        watch=empty(TagWatch),
         landmarks=landmarks,
         walls=walls or no_walls(),
         may_be_moved=may_be_moved,

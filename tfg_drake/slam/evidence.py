@@ -15,6 +15,7 @@ any more.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -36,6 +37,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.scan_ranges import surface
 from tfg_drake.slam.tag_error import in_place
+from tfg_drake.table import concat, take
 
 # A tag is believed to be where it was seen in so many frames.
 CONFIRMATIONS = 3
@@ -73,7 +75,7 @@ def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
     good = _good(detections.ids, detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing)
     if good.all():
         return detections, 0
-    return select(detections, good), int(np.count_nonzero(~good))
+    return take(detections, good), int(np.count_nonzero(~good))
 
 
 @njit(cache=True)
@@ -90,18 +92,6 @@ def _good(
             and np.sum(ids == ids[i]) == 1
         )
     return good
-
-
-def select(detections: TagDetections, keep: BoolArray) -> TagDetections:
-    """Some of a frame's sightings, keep: (n,)."""
-    return TagDetections(
-        stamp=detections.stamp,
-        ids=detections.ids[keep],
-        range=detections.range[keep],
-        bearing=detections.bearing[keep],
-        sigma_range=detections.sigma_range[keep],
-        sigma_bearing=detections.sigma_bearing[keep],
-    )
 
 
 @message
@@ -121,20 +111,16 @@ class Evidence:
     more than for other places since.
     """
 
-    ids: IntArray
-    view: IntArray
-    p_AL: FloatArray
-    variance: FloatArray
-    frames: IntArray
+    ids: Annotated[IntArray, "h"]
+    view: Annotated[IntArray, "h"]
+    p_AL: Annotated[FloatArray, "h", 2]
+    variance: Annotated[FloatArray, "h"]
+    frames: Annotated[IntArray, "h"]
 
     @property
     def is_mapped(self) -> BoolArray:
         """(h,) which of the places the map has."""
         return np.asarray(self.view == MAPPED)
-
-    def kept(self, rows: BoolArray | IntArray) -> Evidence:
-        """The evidence of some of the places (h,), given by rows or by a truth value each."""
-        return Evidence(self.ids[rows], self.view[rows], self.p_AL[rows], self.variance[rows], self.frames[rows])
 
 
 def only(seen: Sighted, tags: BoolArray) -> Sighted:
@@ -142,12 +128,6 @@ def only(seen: Sighted, tags: BoolArray) -> Sighted:
     if tags.all():
         return seen
     return Sighted(without_tags(seen.keyframe, seen.keyframe.ids[~tags]), seen.frames[tags])
-
-
-def no_evidence() -> Evidence:
-    """The evidence before anything was seen."""
-    none = np.empty(0, dtype=np.int64)
-    return Evidence(none, none, np.empty((0, 2)), np.empty(0), none)
 
 
 def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> BoolArray:
@@ -174,18 +154,13 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     gain = once + _of_tags(len(once), tag[joins], evidence.frames[joins])
     change = np.where(same, np.append(gain, 0)[tag], -np.append(once, 0)[tag])
     old = replace(evidence, frames=np.clip(evidence.frames + change, 0, MOST))
-    old = old.kept(~joins & (old.is_mapped | (old.frames > 0)))
+    old = take(old, ~joins & (old.is_mapped | (old.frames > 0)))
     new = np.ones(len(once), dtype=bool)
     new[tag[same & ~joins]] = False
     p_AL, variance = _places_and_variance(seen, graph)
     p_AL = se2.transform(se2.between(_of_views(graph, newest), X_MA)[0], p_AL[new])
-    return Evidence(
-        np.concatenate([old.ids, seen.keyframe.ids[new]]),
-        np.concatenate([old.view, np.where(agrees[new], MAPPED, newest)]),
-        np.concatenate([old.p_AL, p_AL]),
-        np.concatenate([old.variance, variance[new]]),
-        np.concatenate([old.frames, np.minimum(gain[new], MOST)]),
-    )
+    view, frames = np.where(agrees[new], MAPPED, newest), np.minimum(gain[new], MOST)
+    return concat(old, Evidence(seen.keyframe.ids[new], view, p_AL, variance[new], frames))
 
 
 def overturned(evidence: Evidence) -> IntArray:
@@ -196,7 +171,7 @@ def overturned(evidence: Evidence) -> IntArray:
 
 def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
     """The evidence without the places that the map had of some tags."""
-    return evidence.kept(~(evidence.is_mapped & np.isin(evidence.ids, ids)))
+    return take(evidence, ~(evidence.is_mapped & np.isin(evidence.ids, ids)))
 
 
 def disputed(evidence: Evidence, ids: IntArray) -> Evidence:
@@ -215,9 +190,7 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         n = len(one.ids)
         rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
         shared = graph.shared.mean
-        H, g, _ = linearised(
-            graph.p_ML[rows], one.y_AL, one.y_AD, one.unit, one.information, one.vector, X_MA, X_MD, shared
-        )
+        H, g, _ = linearised(graph.p_ML[rows], graph.anchor[rows], *one.told, X_MA, X_MD, shared)
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)
         spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)
@@ -238,10 +211,10 @@ def with_doubts(estimate: MapEstimate, evidence: Evidence, graph: KeyframeGraph)
     """The estimate with the tags that are doubtful, each at the place that most frames speak for. graph: the map's."""
     ids = doubtful(evidence)
     order = np.lexsort((~evidence.is_mapped, -evidence.frames, evidence.ids))
-    best = evidence.kept(order[np.searchsorted(evidence.ids[order], ids)])
+    best = take(evidence, order[np.searchsorted(evidence.ids[order], ids)])
     places, mapped = np.empty((len(ids), 2)), best.is_mapped
     places[mapped] = estimate.p_ML[rows_of(best.ids[mapped], estimate.ids)[0]]
-    places[~mapped] = _places(best.kept(~mapped), graph)
+    places[~mapped] = _places(take(best, ~mapped), graph)
     return replace(estimate, doubtful=ids, doubtful_places=places)
 
 
@@ -265,7 +238,7 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
     if len(at):
         p_AL, own = _places_and_variance(seen, graph)
         p_ML = se2.transform(X_MA, p_AL[tag[at]])
-        before = _places(evidence.kept(at), graph)
+        before = _places(take(evidence, at), graph)
         variance = evidence.variance[at] + own[tag[at]] + LEAST_DEVIATION**2
         same[at] = np.square(p_ML - before).sum(axis=1) <= SAME * variance
     return tag, same
@@ -303,18 +276,12 @@ class TagWatch:
     all_expected: frames that should have shown a tag, of all tags together, all_seen: those that did.
     """
 
-    ids: IntArray
-    seen_from: FloatArray
-    failed: IntArray
+    ids: Annotated[IntArray, "k"]
+    seen_from: Annotated[FloatArray, "k", 2]
+    failed: Annotated[IntArray, "k"]
     widest: float
     all_expected: int
     all_seen: int
-
-
-def no_watch() -> TagWatch:
-    """Before the first view."""
-    none = np.empty(0, dtype=np.int64)
-    return TagWatch(none, np.empty((0, 2)), none, 0.0, 0, 0)
 
 
 def watched(

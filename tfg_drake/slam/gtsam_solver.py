@@ -13,11 +13,10 @@ import numpy as np
 import scipy.linalg
 from gtsam.symbol_shorthand import L, S, X
 
-from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
-from tfg_drake.slam.shared import SHARED, scale_of
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import Factors, Unknowns, Values, factors_of
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
@@ -29,9 +28,10 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
 
     graph: `exploration.look("estimator_state").graph` of a mission, `load_run(folder).map.graph` of a run that is kept.
 
-    The keys: L(row), (2,) landmark graph.ids[row], m. X(j), (3,) the pose graph.X_MN[j] in which keyframe j - 1 ends
-    and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's origin and no variable. S(0), (13,) the
-    parameters that all keyframes share, in the order of `tfg_drake.slam.shared`. All are vectors, in the map frame M.
+    The keys: L(row), (2,) landmark graph.ids[row], m, a wall as in `messages.MapEstimate`. X(j), (3,) the pose
+    graph.X_MN[j] in which keyframe j - 1 ends and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's
+    origin and no variable. S(0), (13,) the parameters that all keyframes share, in the order of
+    `tfg_drake.slam.shared`. All are vectors, in the map frame M.
     Factor 0 is the prior of S(0), factor j + 1 keyframe j: a `CustomFactor`, which GTSAM cannot serialise. Constant
     errors of tags (graph.tag_error) are in none.
 
@@ -49,7 +49,7 @@ def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.Nonlinear
     for j, one in enumerate(graph.keyframes):
         rows = np.searchsorted(graph.ids, one.ids)
         keys = [*(names[row] for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
-        factors.add(_factor(one, keys, from_origin=j == 0))
+        factors.add(_factor(one, graph.anchor[rows], keys, from_origin=j == 0))
     values = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
     return factors, _values_of(values, names)
 
@@ -64,9 +64,9 @@ def _values_of(values: Values, names: list[int]) -> gtsam.Values:
     return where
 
 
-def _factor(one: Keyframe, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
+def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
     """W = R^T R with its empty directions left out, and R^T d = (0, v): half |R e + d|^2 is the cost but for a
-    constant."""
+    constant. p_MC: (n, 2) the anchors of its landmarks."""
     diagonal = np.sqrt(np.maximum(np.diag(one.information), np.finfo(float).tiny))
     value, direction = np.linalg.eigh(one.information / np.outer(diagonal, diagonal))
     some = value > LEAST_SHARE * value[-1]
@@ -80,12 +80,11 @@ def _factor(one: Keyframe, keys: list[int], *, from_origin: bool) -> gtsam.Custo
         p_ML = np.array([values.atVector(key) for key in keys[:n]]).reshape(n, 2)
         D, shared = values.atVector(keys[n]), values.atVector(keys[-1])
         A = np.zeros(3) if from_origin else values.atVector(keys[n + 1])
-        e, on = residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)
+        e, on, by_landmark = residual(p_ML, p_MC, *one.measured, A, D, shared)
         if jacobians is not None:
-            R_AM = scale_of(one.unit, shared) * se2.rotation(float(A[2])).T
             for i in range(n):
-                jacobians[i] = R[:, 2 * i : 2 * i + 2] @ R_AM
-            jacobians[n] = R[:, 2 * n : 2 * n + 3] @ scipy.linalg.block_diag(R_AM, 1.0)
+                jacobians[i] = R[:, 2 * i : 2 * i + 2] @ by_landmark[i]
+            jacobians[n] = R[:, 2 * n : 2 * n + 3] @ scipy.linalg.block_diag(by_landmark[n], 1.0)
             if not from_origin:
                 jacobians[n + 1] = R @ on[:, :3]
             jacobians[len(keys) - 1] = R @ on[:, 3:]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -18,6 +19,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, is_tag, message, replace
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED, scale_of
+from tfg_drake.table import take
 
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
 SMALL_STEP = 1e-6
@@ -36,16 +38,16 @@ class Keyframe:
     errors: see `by_errors`, empty where it follows from on_error.
     """
 
-    ids: IntArray
-    y_AL: FloatArray
-    anchor: FloatArray
-    reach: FloatArray
-    y_AD: FloatArray
+    ids: Annotated[IntArray, "n"]
+    y_AL: Annotated[FloatArray, "n", 2]
+    anchor: Annotated[FloatArray, "n", 2]
+    reach: Annotated[FloatArray, "n", 2]
+    y_AD: Annotated[FloatArray, 3]
     unit: int
-    information: FloatArray
-    vector: FloatArray
-    on_error: FloatArray
-    errors: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+    information: Annotated[FloatArray, f"2n+{3 + SHARED}", f"2n+{3 + SHARED}"]
+    vector: Annotated[FloatArray, SHARED]
+    on_error: Annotated[FloatArray, "n", 2, 2]
+    errors: Annotated[FloatArray, "a", "b"] = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def walls(self) -> int:
@@ -149,13 +151,8 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
     across = W[np.ix_(rows, ~rows)]
     information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
     return replace(
-        one,
-        ids=one.ids[keep],
-        y_AL=one.y_AL[keep],
-        anchor=one.anchor[keep],
-        reach=one.reach[keep],
+        take(one, keep),
         information=0.5 * (information + information.T),
-        on_error=one.on_error[keep],
         errors=_errors_without(one, rows, keep) if len(one.errors) else one.errors,
     )
 

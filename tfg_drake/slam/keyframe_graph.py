@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Annotated
 
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, way, without_tags
 from tfg_drake.slam.shared import Shared
+from tfg_drake.table import empty, take
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
 WITNESSES = 2
@@ -45,20 +47,20 @@ class KeyframeGraph:
     of `config.SOLVERS`; no part of a saved map.
     """
 
-    keyframes: tuple[Keyframe, ...]
-    X_MN: FloatArray
-    view_keyframe: IntArray
-    X_AV: FloatArray
-    ids: IntArray
-    p_ML: FloatArray
-    anchor: FloatArray
-    reach: FloatArray
-    landmark_covariance: FloatArray
+    keyframes: Annotated[tuple[Keyframe, ...], "k"]
+    X_MN: Annotated[FloatArray, "k+1", 3]
+    view_keyframe: Annotated[IntArray, "g"]
+    X_AV: Annotated[FloatArray, "g", 3]
+    ids: Annotated[IntArray, "n"]
+    p_ML: Annotated[FloatArray, "n", 2]
+    anchor: Annotated[FloatArray, "n", 2]
+    reach: Annotated[FloatArray, "n", 2]
+    landmark_covariance: Annotated[FloatArray, "n", 2, 2]
     entropy: float
     entropy_beyond: float
     prior: Shared
     shared: Shared
-    tag_error: FloatArray
+    tag_error: Annotated[FloatArray, 2]
     solver: str = dataclasses.field(default="dissection", metadata={"kept": False})
 
     @property
@@ -69,53 +71,19 @@ class KeyframeGraph:
 
 def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
     """The graph before the first view."""
-    none = np.empty(0, dtype=np.int64)
-    return KeyframeGraph(
-        keyframes=(),
-        X_MN=np.zeros((1, 3)),
-        view_keyframe=none,
-        X_AV=np.empty((0, 3)),
-        ids=none,
-        p_ML=np.empty((0, 2)),
-        anchor=np.empty((0, 2)),
-        reach=np.empty((0, 2)),
-        landmark_covariance=np.empty((0, 2, 2)),
-        entropy=0.0,
-        entropy_beyond=0.0,
-        prior=prior,
-        shared=prior,
-        tag_error=np.zeros(2),
-        solver=solver,
-    )
+    return empty(KeyframeGraph, prior=prior, shared=prior, solver=solver)
 
 
 def empty_map(prior: Shared | None = None) -> MapEstimate:
     """The map of stage 0: no landmark, the robot at the origin, known exactly, the shared parameters by their prior;
     without one the map tells of none."""
-    none = np.empty(0, dtype=np.int64)
     shared, covariance = (prior.mean, prior.covariance) if prior is not None else (np.zeros(0), np.zeros((0, 0)))
-    return MapEstimate(
-        stage=0,
-        stamp=0.0,
-        ids=none,
-        p_ML=np.empty((0, 2)),
-        anchor=np.empty((0, 2)),
-        reach=np.empty((0, 2)),
-        X_MD=np.zeros(3),
-        local=none,
-        covariance=np.zeros((3, 3)),
-        landmark_covariance=np.empty((0, 2, 2)),
-        X_MA=np.empty((0, 3)),
-        observation=no_observation(),
-        entropy=0.0,
-        shared=shared,
-        with_shared=np.vstack([np.zeros((3, len(shared))), covariance]),
-    )
+    return empty(MapEstimate, shared=shared, with_shared=np.vstack([np.zeros((3, len(shared))), covariance]))
 
 
 def no_observation() -> Observation:
     """What nobody has seen."""
-    return Observation(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 3)))
+    return empty(Observation)
 
 
 def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: bool) -> KeyframeGraph:
@@ -143,6 +111,13 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
         reach=np.vstack([reach, one.reach[~known]])[order],
         landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
     )
+
+
+def moved_part(graph: KeyframeGraph, landmarks: BoolArray, move: FloatArray) -> KeyframeGraph:
+    """The graph with some landmarks (n,) moved by a pose (3,) in M, but none of its poses."""
+    p_ML, anchor = graph.p_ML.copy(), graph.anchor.copy()
+    p_ML[landmarks], anchor[landmarks] = placed(move, graph.ids[landmarks], p_ML[landmarks], anchor[landmarks])
+    return replace(graph, p_ML=p_ML, anchor=anchor)
 
 
 def fused(graph: KeyframeGraph) -> KeyframeGraph:
@@ -176,16 +151,8 @@ def forget(graph: KeyframeGraph, ids: IntArray) -> KeyframeGraph:
     """The graph without some landmarks, as if they had never been seen: they stand elsewhere now."""
     keep = ~np.isin(graph.ids, ids)
     lost = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[~keep])[1]
-    return replace(
-        graph,
-        keyframes=tuple(without_tags(one, ids) for one in graph.keyframes),
-        ids=graph.ids[keep],
-        p_ML=graph.p_ML[keep],
-        anchor=graph.anchor[keep],
-        reach=graph.reach[keep],
-        landmark_covariance=graph.landmark_covariance[keep],
-        entropy=graph.entropy - 0.5 * float(np.sum(lost)),
-    )
+    keyframes = tuple(without_tags(one, ids) for one in graph.keyframes)
+    return replace(take(graph, n=keep), keyframes=keyframes, entropy=graph.entropy - 0.5 * float(np.sum(lost)))
 
 
 def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:

@@ -221,9 +221,9 @@ def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]
 def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """considered (13 + 2s, 13 + 2s), with_D (13 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
 
-    p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D; a wall it turns, and moves
-    along its normal. The constant errors of tags add what they make of where tags seem to be from there, and walls the
-    floor of what a keyframe tells of them.
+    p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D; it turns a wall, and
+    moves it along its normal. The constant errors of tags add what they make of where tags seem to be from there, and
+    walls the floor of what a keyframe tells of them.
     """
     X_MD, s, size = estimate.X_MD, len(seen), len(estimate.covariance)
     R_DM, walls = se2.rotation(float(X_MD[2])).T, np.flatnonzero(~is_tag(estimate.ids[estimate.local[seen]]))

@@ -27,15 +27,16 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
 from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
-from tfg_drake.slam.evidence import renewed, select
+from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe import Keyframe, rows_of
-from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled
+from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.wall_search import find_place, tells_place
-from tfg_drake.slam.walls import LEAST_LENGTH, directions, no_lines
+from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, known_walls, no_lines
+from tfg_drake.table import take
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
 SAME_PLACE = 16.0
@@ -129,7 +130,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
         return begun_elsewhere(
             replace(state, localizer=without_local(state.localizer)), replace(opened(state), sigma=KIDNAPPED)
         )
-    tags = select(seen, found.agreeing)
+    tags = take(seen, found.agreeing)
     # As far from what was expected as the search took it to be: two tags may say no more of where it is on their ring.
     sigma = moved if found.is_near and not anywhere else KIDNAPPED
     begun = replace(suspect, X_MB=se2.compose(found.X_MB, se2.inverse(way)), sigma=sigma)
@@ -181,16 +182,15 @@ def _found_among_walls(
     # Not what was seen while the robot was being moved.
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
     one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
-    seen = one.given(shared.mean)[0][~is_tag(one.ids)].reshape(-1, 2, 2)
+    seen = ends_seen(one, shared.mean)
     seen = seen[directions(seen)[2] >= LEAST_LENGTH]
-    row, known = rows_of(state.walls.first, estimate.ids)
-    if not known.any() or not tells_place(seen):
+    _, walls, deviation = known_walls(estimate)
+    if not len(walls) or not tells_place(seen):
         return state
-    firm = known & (np.trace(estimate.landmark_covariance[row], axis1=1, axis2=2) < LOOSE**2)
-    walls, reach = estimate.p_ML[row[firm, None] + [0, 1]], state.walls.reach[firm]
+    walls = walls[deviation.max(axis=1) < LOOSE]
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     anywhere = math.isnan(state.placed)
-    X_MA, here = find_place(seen, walls, reach, expected, anywhere=anywhere)
+    X_MA, here = find_place(seen, walls, expected, anywhere=anywhere)
     if here > LEAST_LIKE and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
     if X_MA is None:
@@ -436,6 +436,7 @@ def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe
         return graph, estimate
     before, since = seen_by(graph, keyframes[:j]), seen_by(graph, keyframes[j + 1 :])
     row, known = rows_of(observation.ids, graph.ids)
+    known &= is_tag(observation.ids)
     old, new = known & before[row] & ~since[row], known & since[row] & ~before[row]
     if (before & since).sum() >= WITNESSES or min(old.sum(), new.sum()) < LEAST_TAGS:
         return graph, estimate
@@ -444,12 +445,12 @@ def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe
     if max(_misfit(by_old, p_AL[old], p_ML[old]), _misfit(by_new, p_AL[new], p_ML[new])) > FIT:
         return graph, estimate
     move = se2.compose(by_old, se2.inverse(by_new))
-    X_MN, p_ML = graph.X_MN.copy(), estimate.p_ML.copy()
+    X_MN = graph.X_MN.copy()
     X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
-    p_ML[since & ~before] = se2.transform(move, p_ML[since & ~before])
     # The unknown way is given the motion that leads there.
     way = replace(keyframes[j], y_AD=se2.between(X_MN[j], X_MN[j + 1]))
-    graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=p_ML)
+    graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=estimate.p_ML)
+    graph = moved_part(graph, since & ~before, move)
     return solve(graph, estimate.stamp, estimate.observation)
 
 

@@ -15,12 +15,12 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, MapEstimate, is_tag, replace
 from tfg_drake.slam.estimator_state import EstimatorState, Source, unknown_way
 from tfg_drake.slam.evidence import Sighted
-from tfg_drake.slam.keyframe import Keyframe, rows_of
-from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
 from tfg_drake.slam.lost_robot import PLACED, adrift, is_unknown, seen_by
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.wall_search import LEAST_SINE, find_place, matched
-from tfg_drake.slam.walls import LEAST_LENGTH, directions
+from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, known_walls
 
 Ways = tuple[tuple[Sighted, Source | None], ...]
 
@@ -30,7 +30,7 @@ _log = logging.getLogger("tfg_drake.slam")
 def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[KeyframeGraph, MapEstimate, Ways]:
     """Graph and map before a view, and the way to it, known where they were not but the view's walls tell where it
     is."""
-    graph, estimate, walls = state.graph, state.map or state.localizer.map, state.walls
+    graph, estimate = state.graph, state.map or state.localizer.map
     j, lost = adrift(graph), any(is_unknown(one.keyframe) for one, _ in way)
     if not (lost or j >= 0) or not state.placed < np.inf:
         return graph, estimate, way
@@ -38,33 +38,30 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     before = before if j >= 0 else since
     if not lost and (before & since).any():
         return graph, estimate, way
-    row, known = rows_of(walls.first, graph.ids)
-    known[known] = before[row[known]]
+    known = before[~is_tag(graph.ids)]
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    seen = view.given(graph.shared.mean)[0][~is_tag(view.ids)].reshape(-1, 2, 2)
-    X = _place(seen, estimate.p_ML[row[known, None] + [0, 1]], walls.reach[known], at)
+    X = _place(ends_seen(view, graph.shared.mean), known_walls(estimate)[1][known], at)
     if X is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)
     if lost:
         return graph, estimate, (unknown_way(se2.between(estimate.X_MD, X), PLACED),)
-    move, poses, p_ML = se2.compose(X, se2.inverse(at)), graph.X_MN.copy(), estimate.p_ML.copy()
+    move, poses = se2.compose(X, se2.inverse(at)), graph.X_MN.copy()
     poses[j + 1 :] = se2.compose(move, poses[j + 1 :])
-    p_ML[since] = se2.transform(move, p_ML[since])
     tie, _ = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
-    graph = replace(graph, keyframes=keyframes, X_MN=poses, p_ML=p_ML)
+    graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, move)
     return *solve(graph, estimate.stamp, estimate.observation), way
 
 
-def _place(seen: FloatArray, walls: FloatArray, reach: FloatArray, expected: FloatArray) -> FloatArray | None:
+def _place(seen: FloatArray, walls: FloatArray, expected: FloatArray) -> FloatArray | None:
     """As of `find_place`; none where what is seen stands one way only, so that it tells nothing of the way along."""
     seen = seen[directions(seen)[2] >= LEAST_LENGTH]
-    X, _ = find_place(seen, walls, reach, expected)
+    X, _ = find_place(seen, walls, expected)
     if X is None:
         return None
-    along = directions(seen[matched(X, seen, walls, reach) >= 0])[0]
+    along = directions(seen[matched(X, seen, walls) >= 0])[0]
     across = along[:, :1] * along[:, 1] - along[:, 1:] * along[:, 0]
     return X if np.abs(across).max() > LEAST_SINE else None

@@ -6,6 +6,8 @@ they are estimated with the map, jointly; the published pose is as uncertain as 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 
@@ -31,8 +33,8 @@ LEAST_SIGMA = 1e-6
 class Shared:
     """Gaussian of the shared parameters. mean: (13,), covariance: (13, 13), in the units and the order above."""
 
-    mean: FloatArray
-    covariance: FloatArray
+    mean: Annotated[FloatArray, SHARED]
+    covariance: Annotated[FloatArray, SHARED, SHARED]
 
     @property
     def sigma(self) -> FloatArray:

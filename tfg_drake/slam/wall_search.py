@@ -35,20 +35,20 @@ STEPS = 5
 
 
 def find_place(
-    seen: FloatArray, walls: FloatArray, reach: FloatArray, expected: FloatArray, *, anywhere: bool = False
+    seen: FloatArray, walls: FloatArray, expected: FloatArray, *, anywhere: bool = False
 ) -> tuple[FloatArray | None, float]:
     """The pose X_MA (3,) of the frame A in which walls (s, 2, 2) m were seen, None where that is not known; and the
     share of what was seen that lies on the map's walls from the best pose that is no farther than SAME from the
     expected one (3,).
 
-    walls: (w, 2, 2) pairs of points of the map's walls, m in M, reach: (w, 2) how far each has been seen, m from its
-    first point towards the second. anywhere: the robot may be, and no place is likelier than others beforehand.
+    walls: (w, 2, 2) the ends of the map's walls, m in M. anywhere: the robot may be, and no place is likelier than
+    others beforehand.
     """
     if not (len(walls) and len(seen)):
         return None, 0.0
     seen = seen[np.argsort(-directions(seen)[2], kind="stable")[:MOST]]
     poses = np.vstack([expected, _candidates(seen, walls)])
-    share, on = _judged(poses, seen, walls, reach)
+    share, on = _judged(poses, seen, walls)
     here, off = float(share[~_elsewhere(poses, expected)].max()), np.hypot(*(poses - expected)[:, :2].T)
     near = ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED))
     for is_rival, farthest in ((off < np.inf, np.inf),) if anywhere else near:
@@ -60,18 +60,18 @@ def find_place(
     return None, here
 
 
-def refined(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> FloatArray:
+def refined(X_MA: FloatArray, seen: FloatArray, walls: FloatArray) -> FloatArray:
     """A pose (3,) that is known roughly, by least squares of all walls seen (s, 2, 2) that lie on those of the map from
-    it; walls and reach as of `find_place`."""
+    it; walls as of `find_place`."""
     for _ in range(STEPS):
-        on = matched(X_MA, seen, walls, reach)
+        on = matched(X_MA, seen, walls)
         X_MA = _fitted(X_MA, seen[on >= 0], walls[on[on >= 0]])
     return X_MA
 
 
-def matched(X_MA: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> IntArray:
+def matched(X_MA: FloatArray, seen: FloatArray, walls: FloatArray) -> IntArray:
     """The row (s,) of the map's wall that each wall seen from a pose (3,) lies on, -1 for none; as of `find_place`."""
-    return np.asarray(_judged(X_MA[None], seen, walls, reach)[1][0])
+    return np.asarray(_judged(X_MA[None], seen, walls)[1][0])
 
 
 def tells_place(seen: FloatArray) -> bool:
@@ -114,10 +114,10 @@ def _candidates(seen: FloatArray, walls: FloatArray) -> FloatArray:
     return np.concatenate(poses)
 
 
-def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray, reach: FloatArray) -> tuple[FloatArray, IntArray]:
+def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray) -> tuple[FloatArray, IntArray]:
     """The share (k,) of what was seen that lies on walls of the map, from each of the poses (k, 3), and the wall (k, s)
     that each seen one lies on most, -1 for none."""
-    (along, normal, _), (along_seen, _, length) = directions(walls), directions(seen)
+    (along, normal, reach), (along_seen, _, length) = directions(walls), directions(seen)
     heading, heading_seen = _headings(along), _headings(along_seen)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     total, on = np.zeros(len(poses)), np.empty((len(poses), len(seen)), dtype=np.int64)
@@ -127,7 +127,7 @@ def _judged(poses: FloatArray, seen: FloatArray, walls: FloatArray, reach: Float
             ends.append(np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y]))
         off = [e @ normal.T - np.sum(walls[:, 0] * normal, axis=1) for e in ends]
         at = [e @ along.T - np.sum(walls[:, 0] * along, axis=1) for e in ends]
-        overlap = np.minimum(reach[:, 1], at[1]) - np.maximum(reach[:, 0], at[0])
+        overlap = np.minimum(reach, at[1]) - np.maximum(at[0], 0.0)
         turned = np.cos(poses[:, 2, None] + heading_seen[k] - heading)
         fits = (np.maximum(np.abs(off[0]), np.abs(off[1])) < ON_WALL) & (turned > 0.9)
         overlap = np.where(fits, np.maximum(overlap, 0.0), 0.0)

@@ -12,7 +12,7 @@ normal points away from where the wall was seen from, so the two faces of one di
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -21,6 +21,7 @@ from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, Map
 from tfg_drake.slam.keyframe import Keyframe, along_walls, residual, without_tags
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED
+from tfg_drake.table import take
 
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -49,6 +50,8 @@ UNCLEAR = 0.4
 ONE_WALL = 0.05
 # A new wall has been seen by so many looks, so long, m.
 LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
+# A keyframe is not reduced anew where a wall in it would move by more than this, m and rad: by other parameters a turn's walls may be others.
+SAME_WALL = 0.3
 
 
 class Looks(NamedTuple):
@@ -88,7 +91,7 @@ class Walls:
     of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the noise
     of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
 
-    by_floor: FloatArray
+    by_floor: Annotated[FloatArray, 4]
     floor: float = 1.0
     unevenness: float = 0.0
     least_looks: int = LEAST_LOOKS
@@ -212,6 +215,21 @@ def _grouped(
     return wall, newest[:walls].copy()
 
 
+def ends_seen(one: Keyframe, shared: FloatArray) -> FloatArray:
+    """Both ends (w, 2, 2), m in A, of the walls of a keyframe, given the parameters (13,)."""
+    w = one.walls
+    return ends_of(one.given(shared)[0][:w], one.anchor[:w], one.reach[:w])
+
+
+def same_walls(one: Keyframe, other: Keyframe) -> bool:
+    """Whether two keyframes of the same walls have each within SAME_WALL, m and rad, of where the other has it."""
+    apart = (one.y_AL - other.y_AL)[: one.walls]
+    along = along_walls(one.y_AL[: one.walls])
+    moved = (one.anchor - other.anchor)[: one.walls]
+    off = apart[:, 1] + along[:, 1] * moved[:, 0] - along[:, 0] * moved[:, 1]
+    return bool(np.all(np.abs(apart[:, 0]) < SAME_WALL) and np.all(np.abs(off) < SAME_WALL))
+
+
 class Seen(NamedTuple):
     """The walls of a turn as landmarks of its keyframe. order: (w,) of them among those of its looks, ids ascending.
     anchor: (w, 2) in A, reach: (w, 2) m. shift: (w,) m, how far along the wall its anchor is from that of its looks.
@@ -255,8 +273,8 @@ def with_floor(W: FloatArray, g: FloatArray, walls: int, level: float) -> tuple[
 class Names:
     """Which walls of the map those of a turn are: provisional (v,) their ids in the turn, ids (v,) the map's."""
 
-    provisional: IntArray
-    ids: IntArray
+    provisional: Annotated[IntArray, "v"]
+    ids: Annotated[IntArray, "v"]
 
 
 def named(one: Keyframe, names: Names) -> Keyframe:
@@ -268,15 +286,7 @@ def named(one: Keyframe, names: Names) -> Keyframe:
     ids[:w] = names.ids[by_id[np.searchsorted(names.provisional, ids[:w], sorter=by_id)]]
     order = np.argsort(ids, kind="stable")
     rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(one.information)))
-    return replace(
-        one,
-        ids=ids[order],
-        y_AL=one.y_AL[order],
-        anchor=one.anchor[order],
-        reach=one.reach[order],
-        information=one.information[np.ix_(rows, rows)],
-        on_error=one.on_error[order],
-    )
+    return replace(take(one, order), ids=ids[order], information=one.information[np.ix_(rows, rows)])
 
 
 def identified(

@@ -31,7 +31,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
-from tfg_drake.mapfile.message_arrays import dtype_of, hints_of
+from tfg_drake.mapfile.message_arrays import hints_of
 from tfg_drake.messages import (
     Hazards,
     IntArray,
@@ -44,6 +44,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import foxglove
+from tfg_drake.table import dtype_of
 
 FILE_NAME = "ports.mcap"
 # Of a killed program no more than so much is lost, s.

@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake import messages
-from tfg_drake.mapfile.message_arrays import dtype_of, spelled_out
 from tfg_drake.slam import noise, turn
+from tfg_drake.table import dtype_of, spelled_out
 
 # Types of an array's entries.
 DTYPES = ("<f8", "<i8", "|b1", "<f4", "<i4", "|i1", "|u1")

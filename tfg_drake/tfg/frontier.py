@@ -8,6 +8,7 @@ that saw them, so that they move with the map.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -66,18 +67,12 @@ class FrontierPoints:
     for uninspected surface. id: (f,) of the tag sighted there, -1 for none.
     """
 
-    view: IntArray
-    p: FloatArray
-    normal: FloatArray
-    length: FloatArray
-    on_surface: BoolArray
-    id: IntArray
-
-
-def no_points() -> FrontierPoints:
-    """No frontier at all."""
-    none = np.zeros(0, dtype=np.int64)
-    return FrontierPoints(none, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool), none)
+    view: Annotated[IntArray, "f"]
+    p: Annotated[FloatArray, "f", 2]
+    normal: Annotated[FloatArray, "f", 2]
+    length: Annotated[FloatArray, "f"]
+    on_surface: Annotated[BoolArray, "f"]
+    id: Annotated[IntArray, "f"]
 
 
 def points_of(
@@ -87,16 +82,6 @@ def points_of(
     if ids is None:
         ids = np.full(len(p), -1, dtype=np.int64)
     return FrontierPoints(np.full(len(p), view, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool), ids)
-
-
-def select(points: FrontierPoints, keep: BoolArray) -> FrontierPoints:
-    """The points to keep (f,)."""
-    return FrontierPoints(*(column.compress(keep, axis=0) for column in vars(points).values()))
-
-
-def join(*parts: FrontierPoints) -> FrontierPoints:
-    """The points of all parts, one part after the other."""
-    return FrontierPoints(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:

@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -34,6 +35,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
+from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.drift import MOST_DRIFT, known_jointly
 from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, with_part
 from tfg_drake.tfg.frontier import (
@@ -51,13 +53,10 @@ from tfg_drake.tfg.frontier import (
     find_uninspected,
     find_unseen_backs,
     in_front,
-    join,
     most_within,
-    no_points,
     open_frontiers,
     place_points,
     points_of,
-    select,
     uninspected_frontiers,
 )
 from tfg_drake.tfg.near import within
@@ -92,14 +91,9 @@ WITHOUT_TAGS = 30.0
 class UnmappedSightings:
     """Tags seen on the way that are not in the map yet. ids: (s,). p_MU, p_MS: (s, 2) m, tag and where it was seen."""
 
-    ids: IntArray
-    p_MU: FloatArray
-    p_MS: FloatArray
-
-
-def no_sightings() -> UnmappedSightings:
-    """No tag sighted."""
-    return UnmappedSightings(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    ids: Annotated[IntArray, "s"]
+    p_MU: Annotated[FloatArray, "s", 2]
+    p_MS: Annotated[FloatArray, "s", 2]
 
 
 def note_sightings(sightings: UnmappedSightings, pose: PoseEstimate) -> UnmappedSightings:
@@ -107,11 +101,8 @@ def note_sightings(sightings: UnmappedSightings, pose: PoseEstimate) -> Unmapped
     new = (pose.new_ids[:, None] != sightings.ids).all(axis=1)
     if not new.any():
         return sightings
-    return UnmappedSightings(
-        np.concatenate([sightings.ids, pose.new_ids[new]]),
-        np.concatenate([sightings.p_MU, pose.p_MU[new]]),
-        np.concatenate([sightings.p_MS, np.tile(pose.X_MB[:2], (int(new.sum()), 1))]),
-    )
+    p_MS = np.tile(pose.X_MB[:2], (int(new.sum()), 1))
+    return concat(sightings, UnmappedSightings(pose.new_ids[new], pose.p_MU[new], p_MS))
 
 
 def update(
@@ -149,7 +140,7 @@ def update(
     # What the view may have seen was seen by views from as far off again.
     part = part_of(graph, estimate, 2.0 * seen)
     scene = dataclasses.replace(scene, estimate=part.estimate, radius=seen)
-    return with_part(graph, part, _with_view(part.graph, np.flatnonzero(part.views), scene))
+    return with_part(graph, part, _with_view(part.graph, np.flatnonzero(part.rows["k"]), scene))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -304,7 +295,7 @@ class _Newest:
             return now
         # Not a weakly tied one's, which says nothing of the robot's surroundings.
         firm = np.flatnonzero(~self.weak)
-        return join(select(then, ~which(then)), anchored(select(now, which(now)), self.estimate.X_MA, firm))
+        return concat(take(then, ~which(then)), anchored(take(now, which(now)), self.estimate.X_MA, firm))
 
     @property
     def _view(self) -> int:
@@ -353,9 +344,9 @@ def _without_dynamic(
     stays = ~seen_past(transform(inverse(X_MA[-1]), before), static.panorama)
     # An obstacle that still stands where it was met keeps its stamp.
     new = static.left_out[far_from(transform(X_MA[-1], static.left_out), before[stays], SAME_PLACE)]
-    nothing = np.zeros(len(new))
-    met = join(select(graph.met, stays), points_of(estimate.stage - 1, new, np.zeros_like(new), nothing))
-    graph = replace(graph, met=met, met_stamp=np.append(graph.met_stamp[stays], nothing + estimate.stamp))
+    nothing, graph = np.zeros(len(new)), take(graph, p=stays)
+    met = concat(graph.met, points_of(estimate.stage - 1, new, np.zeros_like(new), nothing))
+    graph = replace(graph, met=met, met_stamp=np.append(graph.met_stamp, nothing + estimate.stamp))
     if static.bodies:
         bodies = [transform(X_MA[-1], body) for body in static.bodies]
         offsets, vertices = without_bodies(graph.star_offsets, graph.star_vertices, earlier, bodies)
@@ -379,16 +370,8 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
     is_open[k:] &= far_from(free.p[k:], free.p[:k][is_open[:k]], SAME_FRONTIER)
     poorly = place_points(graph.uninspected, X_MA)
     missing = ~np.isin(graph.sighted.id, estimate.ids)
-    return replace(
-        graph,
-        surfaces=surfaces,
-        free_space_frontiers=select(graph.free_space_frontiers, is_open),
-        uninspected=select(graph.uninspected, by_all._not_inspected(stars, poorly)),
-        unseen_backs=backs,
-        open_ends=ends,
-        sighted=select(graph.sighted, missing),
-        viewpoints=select(graph.viewpoints, missing),
-    )
+    graph = take(graph, f=is_open, u=by_all._not_inspected(stars, poorly), g=missing)
+    return replace(graph, surfaces=surfaces, unseen_backs=backs, open_ends=ends)
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
@@ -403,7 +386,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
     if not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks):
-        graph = replace(graph, uninspected=no_points())
+        graph = replace(graph, uninspected=empty(FrontierPoints))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
     bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
@@ -415,7 +398,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
         facing[np.isin(tag_ids, drifted)] = 0.0
     in_vain = _attempts(graph, free_space_frontiers, estimate) >= explorer.frontier_attempts
-    given_up = _openings(select(free_space_frontiers, in_vain), robot)
+    given_up = _openings(take(free_space_frontiers, in_vain), robot)
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([placed.segments, np.hstack([p_ML[bare], p_ML[bare]])]),
@@ -446,20 +429,7 @@ def expects_tags(inspected: float, tags: int, landmarks: str) -> bool:
 
 def empty_map() -> TfgMap:
     """The TfgMap of the empty graph."""
-    none, points = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-    return TfgMap(
-        stage=0,
-        segments=np.zeros((0, 4)),
-        segment_kind=none,
-        segment_ids=np.zeros((0, 2), dtype=np.int64),
-        facing=points,
-        frontiers=points,
-        frontier_length=np.zeros(0),
-        frontier_normal=points,
-        star_offsets=np.zeros(1, dtype=np.int64),
-        star_vertices=points,
-        star_centers=points,
-    )
+    return empty(TfgMap)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -512,20 +482,20 @@ def _live_frontiers(
     Those that explorer.frontier_attempts views have tried in vain are left out. What fewer have tried counts for less:
     a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
-    poorly = uninspected_frontiers(place_points(join(graph.uninspected, graph.unseen_backs), estimate.X_MA))
+    poorly = uninspected_frontiers(place_points(concat(graph.uninspected, graph.unseen_backs), estimate.X_MA))
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
-    points = join(free_space_frontiers, poorly)
-    points = join(points, place_points(join(graph.open_ends, graph.sighted), estimate.X_MA))
+    points = concat(free_space_frontiers, poorly)
+    points = concat(points, place_points(concat(graph.open_ends, graph.sighted), estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     here = ~placed.weak.views[points.view]
-    return select(replace(points, length=points.length * left**2), (left > 0.0) & here)
+    return take(replace(points, length=points.length * left**2), (left > 0.0) & here)
 
 
 def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
     """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
     point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
     explored = inside_any(points.p, *stars.polygons)
-    inside = select(points, explored)
+    inside = take(points, explored)
     behind = inside.p - MOST_DRIFT * inside.normal
     explored[explored] = inside_any(behind, *stars.polygons) & known_jointly(inside.p, estimate)
     return np.asarray(explored)
@@ -534,7 +504,7 @@ def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstima
 def _open_free_space_frontiers(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
     """Frontier points of free space, in the map frame, that no surface explains, without those of weakly tied views."""
     points = place_points(graph.free_space_frontiers, estimate.X_MA)
-    return select(points, open_frontiers(points, placed.segments) & ~placed.weak.views[points.view])
+    return take(points, open_frontiers(points, placed.segments) & ~placed.weak.views[points.view])
 
 
 def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
@@ -550,7 +520,7 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
     neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TRIED_DISTANCE)
     _, label = connected_components(neighbours, directed=False)
     length = np.bincount(label, points.length)
-    return select(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
+    return take(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
 
 
 def anchored(points: FrontierPoints, X_MA: FloatArray, views: IntArray | None = None) -> FrontierPoints:
@@ -615,9 +585,9 @@ def _merge(
     """
     placed = place_points(old, X_MA)
     keep = keep_old(placed)
-    old, placed = select(old, keep), select(placed, keep)
+    old, placed = take(old, keep), take(placed, keep)
     new_placed = place_points(new, X_MA)
-    return join(old, select(new, lacks(placed, new_placed) & keep_new(new_placed)))
+    return concat(old, take(new, lacks(placed, new_placed) & keep_new(new_placed)))
 
 
 def _faces(points: FrontierPoints) -> FloatArray:
@@ -638,10 +608,10 @@ def _update_sighted(
     front = p + UNINSPECTED_STANDOFF * normal
     length = np.full(len(p), SIGHTED_LENGTH)
     new = ~np.isin(sightings.ids, sighted.id)
-    points = join(sighted, select(points_of(view, front, normal, length, sightings.ids), new))
-    places = join(viewpoints, select(points_of(view, seen_from, normal, length, sightings.ids), new))
+    points = concat(sighted, take(points_of(view, front, normal, length, sightings.ids), new))
+    places = concat(viewpoints, take(points_of(view, seen_from, normal, length, sightings.ids), new))
     missing = ~np.isin(points.id, estimate.ids)
-    return select(points, missing), select(places, missing)
+    return take(points, missing), take(places, missing)
 
 
 def _count_attempts(
@@ -695,6 +665,6 @@ def _count_attempts(
     nothing = np.zeros(len(added))
     return replace(
         graph,
-        tried=join(graph.tried, points_of(graph.stage - 1, added, np.zeros_like(added), nothing)),
+        tried=concat(graph.tried, points_of(graph.stage - 1, added, np.zeros_like(added), nothing)),
         tried_count=np.concatenate([graph.tried_count + again, np.ones(len(added), dtype=np.int64)]),
     )

@@ -20,9 +20,10 @@ from tfg_drake.geometry.distance import point_distance, point_segment_distance
 from tfg_drake.geometry.se2 import inverse, transform, wrap_angle
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, replace
+from tfg_drake.table import taken
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import pack, taken
+from tfg_drake.tfg.polyline import pack
 from tfg_drake.tfg.stars import Stars
 
 # A dynamic body has points this deep in free space, m, over at least this width, m: a post may have been missed. Points

@@ -211,11 +211,3 @@ def uncovered_runs(
     last = np.flatnonzero(bare & ~np.append(goes_on, False)[: len(bare)])
     long = stop[last] - start[first] >= least
     return owner[first[long]], start[first[long]], stop[last[long]]
-
-
-def taken(rows: IntArray, offsets: IntArray, packed: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Offsets and contents of some rows of a packed array, in this order."""
-    count = offsets[1:][rows] - offsets[:-1][rows]
-    starts = np.zeros(len(rows) + 1, dtype=np.int64)
-    np.cumsum(count, out=starts[1:])
-    return starts, packed.take(np.repeat(offsets[:-1][rows] - starts[:-1], count) + np.arange(starts[-1]), axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.tfg.polyline import taken
+from tfg_drake.table import taken
 
 
 class Stars(NamedTuple):

@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -23,6 +23,7 @@ from scipy.ndimage import minimum_filter1d
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.slam.walls import directions
+from tfg_drake.table import concat, take, taken
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import (
@@ -34,7 +35,6 @@ from tfg_drake.tfg.polyline import (
     sample,
     segments_of,
     sub_polyline,
-    taken,
     uncovered_runs,
 )
 from tfg_drake.tfg.segmentation import Components
@@ -76,11 +76,11 @@ class Surfaces:
     (s + 1,) and vertices: (v, 2), see the module.
     """
 
-    ids: IntArray
-    view: IntArray
-    range: FloatArray
-    offsets: IntArray
-    vertices: FloatArray
+    ids: Annotated[IntArray, "s", 2]
+    view: Annotated[IntArray, "s"]
+    range: Annotated[FloatArray, "s"]
+    offsets: Annotated[IntArray, "s+1"]
+    vertices: Annotated[FloatArray, "v", 2]
 
     @property
     def kind(self) -> IntArray:
@@ -137,11 +137,10 @@ class _Draft:
 
     def surfaces(self, rows: Sequence[int]) -> Surfaces:
         """Some of the surfaces, in this order, with vertices in A."""
-        old, made = self.old, self.made
-        of = np.array(rows, dtype=np.int64)
-        ids = np.concatenate([old.ids, np.array([(s.first, s.second) for s in made], dtype=np.int64).reshape(-1, 2)])
-        view = np.concatenate([old.view, np.array([s.view for s in made], dtype=np.int64)])
-        return Surfaces(ids[of], view[of], np.append(old.range, [s.range for s in made])[of], *self.packed(rows))
+        made, of = self.made, np.array(rows, dtype=np.int64)
+        ids = np.array([(s.first, s.second) for s in made], dtype=np.int64).reshape(-1, 2)
+        view, reach = np.array([s.view for s in made], dtype=np.int64), np.array([s.range for s in made])
+        return take(concat(self.old, Surfaces(ids, view, reach, *pack([s.polyline for s in made]))), of)
 
 
 class _SeenTags(NamedTuple):
@@ -170,13 +169,6 @@ class _Walls(NamedTuple):
     def at(self, row: int, points: FloatArray) -> FloatArray:
         """How far along a wall points (k, 2), m in A, are from its first one, (k,), m."""
         return np.asarray((points - self.origin[row]) @ self.along[row])
-
-
-def no_surfaces() -> Surfaces:
-    """The surfaces of an empty map."""
-    none = np.zeros(0, dtype=np.int64)
-    offsets = np.zeros(1, dtype=np.int64)
-    return Surfaces(np.zeros((0, 2), dtype=np.int64), none, np.zeros(0), offsets, np.zeros((0, 2)))
 
 
 def place(surfaces: Surfaces, landmarks: MapEstimate) -> FloatArray:

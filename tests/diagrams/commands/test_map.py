@@ -23,8 +23,9 @@ from tfg_drake.geometry.star import covered_area
 from tfg_drake.io.extras import pip_install
 from tfg_drake.mapfile.saved_map import load_map, save_map
 from tfg_drake.messages import replace
-from tfg_drake.slam.evidence import no_evidence
+from tfg_drake.slam.evidence import Evidence
 from tfg_drake.slam.keyframe import without_tags as without_landmarks
+from tfg_drake.table import empty
 
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
@@ -201,7 +202,7 @@ def without_tags(saved):
     names = replace(saved.tfg_graph, tag_ids=none, tag_view=none, tag_facing=np.empty((0, 2)), tag_range=np.empty(0))
     names = replace(names, surfaces=replace(names.surfaces, ids=np.full_like(names.surfaces.ids, -1)))
     tfg = replace(saved.tfg, facing=np.empty((0, 2)), segment_ids=np.full_like(saved.tfg.segment_ids, -1))
-    return replace(saved, graph=graph, evidence=no_evidence(), tfg_graph=names, tfg=tfg)
+    return replace(saved, graph=graph, evidence=empty(Evidence), tfg_graph=names, tfg=tfg)
 
 
 def test_no_empty_file_is_written(call, tmp_path, small_map):
