@@ -208,6 +208,15 @@ class MapEstimate:
         return np.isin(self.ids, self.doubtful)
 
     @property
+    def places(self) -> FloatArray:
+        """(n, 2) where in M each landmark is, m; of a wall the point on it that is nearest to its anchor."""
+        walls = ~is_tag(self.ids)
+        angle, distance = self.p_ML[walls].T
+        places = self.p_ML.copy()
+        places[walls] = self.anchor[walls] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return places
+
+    @property
     def of_tags(self) -> MapEstimate:
         """The map without its walls."""
         tags = is_tag(self.ids)

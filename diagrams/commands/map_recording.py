@@ -31,7 +31,7 @@ from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray, IntArray, Observation
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
-from tfg_drake.slam.walls import whole_walls
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.trajectory import write_tum
 
 # What the summary says where a reference is known.
@@ -122,7 +122,7 @@ def map_recording(
     state = mission.estimator_state()
     walls = np.empty((0, 2, 2))
     if state is not None and state.map is not None:
-        walls = whole_walls(state.map, state.walls)
+        _, walls, _ = known_walls(state.map)
     summary = {
         **result.summary,
         "dataset": str(dataset),

@@ -367,7 +367,7 @@ class Mission:
     def walls(self) -> int:
         """How many walls are landmarks of the newest map."""
         landmarks = self.landmarks
-        return 0 if landmarks is None else int(np.count_nonzero(~is_tag(landmarks.ids))) // 2
+        return 0 if landmarks is None else int(np.count_nonzero(~is_tag(landmarks.ids)))
 
     @property
     def world_then(self) -> World | None:

@@ -13,7 +13,7 @@ from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe_graph import forget, no_observation
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.walls import directions, known_walls
+from tfg_drake.slam.walls import known_walls
 
 
 def begun_with(saved: SavedMap, state: EstimatorState) -> EstimatorState:
@@ -23,26 +23,22 @@ def begun_with(saved: SavedMap, state: EstimatorState) -> EstimatorState:
     file does not grow from one session to the next. Its poses go, and walls of which nothing is left.
     """
     stood, _, _ = known_walls(saved.graph)
-    gone = stood[_gone(saved)]
-    graph = forget(saved.graph, np.sort(np.concatenate([gone, gone + 1])))
+    graph = forget(saved.graph, stood[_gone(saved)])
     graph, estimate = solve(graph, 0.0, no_observation(), joint=known_jointly(graph))
     if estimate.is_joint:
         graph = as_one_keyframe(estimate, state.sheet)
     none = np.empty(0, dtype=np.int64)
     graph = replace(graph, prior=state.sheet, view_keyframe=none, X_AV=np.empty((0, 3)), solver=state.graph.solver)
     graph, estimate = solve(graph, 0.0, no_observation(), joint=known_jointly(graph))
-    kept = np.isin(saved.walls.first, graph.ids)
-    walls = replace(state.walls, first=saved.walls.first[kept], reach=saved.walls.reach[kept])
     state = replace(
         state,
         graph=graph,
         solved=graph,
         map=estimate,
         published=estimate.of_tags,
-        walls=walls,
         evidence=saved.evidence,
         watch=replace(renewed(state.watch, saved.ids), seen_from=saved.facing),
-        localizer=start_localizer(estimate, walls),
+        localizer=start_localizer(estimate, state.walls),
     )
     state = carried(state)
     return replace(state, look=FirstLook(state))
@@ -50,9 +46,6 @@ def begun_with(saved: SavedMap, state: EstimatorState) -> EstimatorState:
 
 def _gone(saved: SavedMap) -> BoolArray:
     """Which walls (w,) the newest session has looked through: no surface hangs on them, and their middle is free."""
-    stood, p_ML, _ = known_walls(saved.graph)
-    order = np.argsort(saved.walls.first)
-    reach = saved.walls.reach[order[np.searchsorted(saved.walls.first, stood, sorter=order)]]
-    middle = p_ML[:, 0] + directions(p_ML)[0] * reach.mean(axis=1)[:, None]
-    free = inside_any(middle, saved.tfg.star_offsets, saved.tfg.star_vertices)
+    stood, ends, _ = known_walls(saved.graph)
+    free = inside_any(ends.mean(axis=1), saved.tfg.star_offsets, saved.tfg.star_vertices)
     return np.asarray(free & ~np.isin(stood, saved.tfg_graph.surfaces.ids))

@@ -17,19 +17,18 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.placement import Placement, by_tags, by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
-from tfg_drake.messages import WALLS_BELOW, MapEstimate, is_tag, replace
+from tfg_drake.messages import WALLS_BELOW, FloatArray, MapEstimate, replace
 from tfg_drake.slam.estimator import MOST_TAKEN_BACK
 from tfg_drake.slam.estimator_state import unknown_way
 from tfg_drake.slam.evidence import contradicted, disputed
-from tfg_drake.slam.keyframe import Keyframe, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, along_walls, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import exactly_known
-from tfg_drake.slam.walls import FREE, Names, Walls, directions, identified, known_walls, named
+from tfg_drake.slam.walls import Names, Walls, identified, named
 from tfg_drake.table import concat, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import joined, resolve
-from tfg_drake.tfg.surfaces import place
 
 # Landmarks of B at most: files with the joint Gaussian of more are not read.
 MOST_LANDMARKS = 1900
@@ -60,7 +59,8 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
             "the walls fit nowhere or in several places: map more of what both have, or hang up three tags there"
         )
     told = solve(second.graph, second.stamp, no_observation(), joint=len(second.graph.ids))[1]
-    one, names, walls = _with_walls_of(first, second, without_tags(_keyframe(told), found.wrong), found)
+    own = as_one_keyframe(told, exactly_known()).keyframes[0]
+    one, names, walls = _with_walls_of(first, without_tags(own, found.wrong), found)
     views, X_BV = first.tfg_graph.stage, told.X_MA[: second.tfg_graph.stage]
     unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X_AB))[0].keyframe
     graph = extended(first.graph, unknown, found.X_AB, is_view=False)
@@ -74,7 +74,9 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
             break
         graph, wrong = taken_back(graph, *sighting), np.append(wrong, sighting[0])
         graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
-    tfg_graph = joined(first.tfg_graph, _with_names(second, told, one, names), estimate, TagSensorConfig())
+    tfg_graph = joined(
+        first.tfg_graph, _with_names(second, one, names, estimate, graph.X_MN[-2]), estimate, TagSensorConfig()
+    )
     tfg = resolve(tfg_graph, estimate, RobotConfig(), ExplorerConfig())
     others = take(second.evidence, ~np.isin(second.evidence.ids, first.evidence.ids))
     evidence = disputed(concat(first.evidence, others), wrong)
@@ -88,23 +90,9 @@ def _looks(saved: SavedMap) -> set[bytes]:
     return {one.y_AL.tobytes() + one.information.tobytes() for one in saved.graph.keyframes if len(one.ids)}
 
 
-def _keyframe(told: MapEstimate) -> Keyframe:
-    """A map as one keyframe that begins at its origin and tells nothing along its walls."""
-    along = np.repeat(directions(told.p_ML[~is_tag(told.ids)].reshape(-1, 2, 2))[0], 2, axis=0)
-    # There the points are only held, by poses that are uncertain themselves: named() would take these to be known.
-    covariance, entries = told.covariance.copy(), np.arange(2 * len(along)).reshape(-1, 2)
-    covariance[entries[:, :, None], entries[:, None]] += FREE**2 * along[:, :, None] * along[:, None]
-    return as_one_keyframe(replace(told, covariance=covariance), exactly_known()).keyframes[0]
-
-
-def _with_walls_of(first: SavedMap, second: SavedMap, one: Keyframe, at: Placement) -> tuple[Keyframe, Names, Walls]:
+def _with_walls_of(first: SavedMap, one: Keyframe, at: Placement) -> tuple[Keyframe, Names, Walls]:
     """B's keyframe with the names of A's walls where they agree and new ones where that is not clear, the names, in the
     order of B's walls, and the walls of both."""
-    shared, (ids, pairs, _) = first.graph.shared.mean, known_walls(second.graph)
-    order = np.argsort(second.walls.first)
-    reach = second.walls.reach[order[np.searchsorted(second.walls.first, ids, sorter=order)]]
-    ends = pairs[:, :1] + reach[:, :, None] * directions(pairs)[0][:, None]
-    one = named(one, Names(ids, ids, ends, np.ones(len(ids), dtype=np.bool_)), shared)
     estimate = solve(first.graph, first.stamp, no_observation(), joint=known_jointly(first.graph))[1]
     covariance = estimate.covariance.copy()
     covariance[-3:], covariance[:, -3:] = 0.0, 0.0
@@ -112,24 +100,24 @@ def _with_walls_of(first: SavedMap, second: SavedMap, one: Keyframe, at: Placeme
     at_B = replace(estimate, X_MD=at.X_AB, covariance=covariance)
     # No look counts: none of them is new to `identified`, which leaves what is not clear.
     again, walls = identified(one, np.zeros(len(one.ids), dtype=np.int64), first.walls, at_B, 0.0)
-    rows, points = np.searchsorted(ids, again.provisional), pairs.copy()
-    new = int(walls.first.min(initial=WALLS_BELOW)) - 2 * np.arange(1, len(ids) + 1)
-    new[rows], points[rows] = again.first, again.p_AL
-    is_new = ~np.isin(new, walls.first)
-    names, known = Names(ids, new, points, is_new), np.append(walls.first, new[is_new])
-    walls = replace(first.walls, first=known, reach=np.vstack([walls.reach, reach[is_new]]))
-    return named(one, names, shared), names, walls
+    ids = one.ids[: one.walls]
+    new = int(first.graph.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
+    new[np.searchsorted(ids, again.provisional)] = again.ids
+    names = Names(ids, new)
+    return named(one, names), names, walls
 
 
-def _with_names(saved: SavedMap, told: MapEstimate, one: Keyframe, names: Names) -> TfgGraph:
-    """The TFG of a map, which tells this, with its walls by the names and the points that they have in its keyframe."""
+def _with_names(saved: SavedMap, one: Keyframe, names: Names, estimate: MapEstimate, X_MB: FloatArray) -> TfgGraph:
+    """The TFG of a map with its walls by the names and anchors that they have in both. one: the map as a keyframe, its
+    walls by their names, which lies at X_MB (3,) of the estimate."""
     surfaces = saved.tfg_graph.surfaces
     wall, is_on = rows_of(surfaces.ids[:, 0], names.provisional)
     ids, vertices = surfaces.ids.copy(), surfaces.vertices.copy()
-    ids[is_on] = names.first[wall[is_on], None] + [0, 1]
-    points = one.y_AL[rows_of(ids[is_on], one.ids)[0]]
-    on, count = (np.repeat(column, np.diff(surfaces.offsets)) for column in (is_on, np.cumsum(is_on) - 1))
-    first, second = points[count[on]].transpose(1, 0, 2)
-    along = second - first
-    vertices[on, 0] = np.sum((place(surfaces, told)[on] - first) * along, axis=1) / np.sum(along**2, axis=1)
+    named_so = names.ids[wall[is_on]]
+    ids[is_on] = named_so[:, None]
+    row = np.searchsorted(estimate.ids, named_so)
+    at = se2.transform(X_MB, one.anchor[np.searchsorted(one.ids, named_so)])
+    shift = np.sum((at - estimate.anchor[row]) * along_walls(estimate.p_ML[row]), axis=1)
+    count = np.diff(surfaces.offsets)
+    vertices[np.repeat(is_on, count), 0] += np.repeat(shift, count[is_on])
     return replace(saved.tfg_graph, surfaces=replace(surfaces, ids=ids, vertices=vertices))

@@ -101,7 +101,7 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
         X_AB = X_AB[~alike]
     if len(places) != 1 or places[0][1] < LEAST_VIEWS:
         return None
-    X = refined(places[0][0], _walls(in_B)[0], *_walls(in_A))
+    X = refined(places[0][0], _walls(in_B), _walls(in_A))
     return Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))
 
 
@@ -109,15 +109,14 @@ def _found(in_A: Standing, in_B: Standing) -> FloatArray:
     """Poses X_AB (q, 3) at which a robot that stands at some view of B has found itself in A by its walls."""
     walls = _walls(in_A)
     views = in_B.X_MV[:: max(len(in_B.X_MV) // VIEWS, 1)]
-    found = [(find_place(_seen_from(X, in_B), *walls, np.zeros(3), anywhere=True)[0], X) for X in views]
+    found = [(find_place(_seen_from(X, in_B), walls, np.zeros(3), anywhere=True)[0], X) for X in views]
     return np.array([se2.compose(X_AV, se2.inverse(X)) for X_AV, X in found if X_AV is not None]).reshape(-1, 3)
 
 
-def _walls(of: Standing) -> tuple[FloatArray, FloatArray]:
-    """The walls (w, 2, 2) among what stands, and how far they reach (w, 2), m, as `find_place` takes them."""
+def _walls(of: Standing) -> FloatArray:
+    """The walls (w, 2, 2) among what stands, as `find_place` takes them."""
     walls = of.segments.reshape(-1, 2, 2)
-    walls = walls[directions(walls)[2] >= LEAST_LENGTH]
-    return walls, directions(walls)[2][:, None] * [0.0, 1.0]
+    return walls[directions(walls)[2] >= LEAST_LENGTH]
 
 
 def _seen_from(X_BV: FloatArray, in_B: Standing) -> FloatArray:

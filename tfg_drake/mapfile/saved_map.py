@@ -32,7 +32,7 @@ from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
-SCHEMA = 13
+SCHEMA = 14
 # Kinds of a TfgMap's segments.
 KINDS_OF_SEGMENTS = 3
 # Fields of the TfgMap that are places.
@@ -49,8 +49,8 @@ class SavedMap:
 
     X_WM: (3,) pose of the map frame in the world, m and rad. stage: views in it. stamp: time of the last, s. graph: the
     estimator's keyframes and values. compared: how many sightings were compared with the scan. doubtful: (d,) ids,
-    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. walls: how far each
-    has been seen. evidence: for where the map has its tags. tfg_graph: the
+    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. walls: how well
+    they agree. evidence: for where the map has its tags. tfg_graph: the
     topological feature graph, anchored to landmarks and views, of the same stage or, where a run was cut short between
     the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
     """
@@ -68,7 +68,7 @@ class SavedMap:
 
     @property
     def is_tag(self) -> BoolArray:
-        """Which of the graph's landmarks are tags, not points of walls."""
+        """Which of the graph's landmarks are tags, not walls."""
         return is_tag(self.graph.ids)
 
     @property
@@ -163,7 +163,7 @@ def as_one_keyframe(estimate: MapEstimate, prior: Shared) -> KeyframeGraph:
         covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own
     joint = np.append(np.stack([2 * estimate.local, 2 * estimate.local + 1], axis=1).ravel(), 2 * n + np.arange(3))
     covariance[np.ix_(joint, joint)] = estimate.covariance + LEAST_SIGMA**2 * np.eye(len(joint))
-    one = of_places(estimate.ids, estimate.p_ML, estimate.X_MD, covariance)
+    one = of_places(estimate.ids, estimate.p_ML, estimate.anchor, estimate.reach, estimate.X_MD, covariance)
     return extended(empty_graph(prior), one, estimate.X_MD, is_view=False)
 
 
@@ -241,9 +241,6 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.view_keyframe does not fit graph.keyframes"
     if np.any(np.diff(known) <= 0):
         return "graph.ids is not ascending"
-    of_walls = known[~is_tag(known)]
-    if len(of_walls) % 2 or np.any(of_walls[1::2] - of_walls[::2] != 1):
-        return "graph.ids has walls without two points"
     if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
         return "graph.keyframes.ids does not fit graph.ids"
     of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
@@ -255,9 +252,9 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg_graph.stage does not fit stage"
     if tfg.stage == stage and len(tfg.facing) != len(saved.ids):
         return "tfg.facing does not fit graph.ids"
-    if not (_within(saved.walls.first, of_walls) and _within(saved.evidence.ids, known)):
-        return "walls or evidence does not fit graph.ids"
-    places = {"graph.p_ML": graph.p_ML, "graph.X_MN": graph.X_MN[:, :2]}
+    if not _within(saved.evidence.ids, known):
+        return "evidence does not fit graph.ids"
+    places = {"graph.p_ML": graph.p_ML, "graph.anchor": graph.anchor, "graph.X_MN": graph.X_MN[:, :2]}
     places |= {f"tfg.{name}": getattr(tfg, name) for name in PLACES}
     for name, p_M in places.items():
         if not (np.abs(p_M) <= LONGEST).all():

@@ -14,7 +14,6 @@ from tfg_drake.planning.candidates import Situation, time_all_round
 from tfg_drake.planning.exact_gain import to_arrival, whitened
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, local_visibility
 from tfg_drake.planning.odometry_drift import odometry_covariance
-from tfg_drake.slam.walls import FREE
 
 # Places that are asked, about as many at most: landmarks are seen from so far away that more tell little more.
 PLACES = 100
@@ -23,6 +22,8 @@ SCREENING = 12
 BEST = 10
 # The error is that of about so many landmarks.
 SAMPLE = 400
+# Deviation, m, of a look at a point of a wall along that wall.
+FREE = 30.0
 
 
 def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:

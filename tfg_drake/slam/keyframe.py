@@ -169,17 +169,19 @@ def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArr
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
     """A way known from elsewhere than odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
-    return of_places(np.empty(0, dtype=np.int64), np.empty((0, 2)), X_AD, covariance)
+    none = np.empty((0, 2))
+    return of_places(np.empty(0, dtype=np.int64), none, none, none, X_AD, covariance)
 
 
-def of_places(ids: IntArray, p_AL: FloatArray, X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
-    """A keyframe that tells nothing of the parameters: p_AL (n, 2) of some tags (n,), ascending, and X_AD (3,), m and
-    rad, where the parameters are zero, with their covariance (2n + 3, 2n + 3)."""
+def of_places(
+    ids: IntArray, p_AL: FloatArray, anchor: FloatArray, reach: FloatArray, X_AD: FloatArray, covariance: FloatArray
+) -> Keyframe:
+    """A keyframe that tells nothing of the parameters: p_AL (n, 2) of some landmarks (n,), ascending, and X_AD (3,), m
+    and rad, where the parameters are zero, with their covariance (2n + 3, 2n + 3). anchor, reach: of walls."""
     n = len(ids)
     information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    none = np.zeros((n, 2))
-    return Keyframe(ids, p_AL, none, none, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
+    return Keyframe(ids, p_AL, anchor, reach, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:

@@ -238,13 +238,13 @@ def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[Fl
 
     def seen_from_D(rows: FloatArray) -> FloatArray:
         """Parameters, landmarks in D, X_MD, from landmarks in M, X_MD, parameters."""
-        in_M, of_D, turned = rows[: 2 * s].reshape(s, 2, -1), rows[2 * s : 2 * s + 2], rows[2 * s + 2]
+        in_M, of_D, turned = rows[: 2 * s].reshape(s, 2, rows.shape[1]), rows[2 * s : 2 * s + 2], rows[2 * s + 2]
         in_D = np.einsum("ij,sjk->sik", R_DM, in_M - of_D)
         in_D[:, 0] += p_DL[:, 1, None] * turned
         in_D[:, 1] -= p_DL[:, 0, None] * turned
         in_D[walls, 0] = in_M[walls, 0] - turned
         in_D[walls, 1] = in_M[walls, 1] - normal @ of_D + lever[:, None] * turned
-        return np.vstack([rows[-SHARED:], in_D.reshape(2 * s, -1), rows[2 * s : 2 * s + 3]])
+        return np.vstack([rows[-SHARED:], in_D.reshape(2 * s, rows.shape[1]), rows[2 * s : 2 * s + 3]])
 
     joint = seen_from_D(seen_from_D(P).T)
     if estimate.tag_error.any():

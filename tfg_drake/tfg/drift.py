@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag
 
 # Landmarks this far from a place at most speak for the faces there, m.
 NEIGHBOURHOOD = 2.0
@@ -27,13 +27,19 @@ def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
     known = entry >= 0
     rows, entry = rows[known], entry[known]
     P, both = estimate.covariance, np.stack([2 * entry, 2 * entry + 1], axis=1)
-    lever = estimate.p_ML[rows] - estimate.X_MD[:2]
+    lever = estimate.places[rows] - estimate.X_MD[:2]
     # Relative error: that of the landmark, less the robot's, less what the robot's heading adds over the distance.
-    J = np.zeros((len(rows), 2, 3))
+    J, by = np.zeros((len(rows), 2, 3)), np.tile(np.eye(2), (len(rows), 1, 1))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    cross = P[both, -3:] @ J.transpose(0, 2, 1)
-    own = P[both[:, :, None], both[:, None]]
+    # A wall lies somewhere along its normal only.
+    walls = ~is_tag(estimate.ids[rows])
+    angle = estimate.p_ML[rows[walls], 0]
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, :, None]
+    J[walls] = normal @ (normal.transpose(0, 2, 1) @ J[walls])
+    by[walls] = normal * np.array([0.0, 1.0])
+    cross = by @ P[both, -3:] @ J.transpose(0, 2, 1)
+    own = by @ P[both[:, :, None], both[:, None]] @ by.transpose(0, 2, 1)
     drift[known] = own - cross - cross.transpose(0, 2, 1) + J @ P[-3:, -3:] @ J.transpose(0, 2, 1)
     return drift
 
@@ -44,5 +50,5 @@ def known_jointly(points: FloatArray, estimate: MapEstimate, reach: float = NEIG
     others = ~estimate.is_local
     if not others.any() or not len(points):
         return np.ones(len(points), dtype=np.bool_)
-    distance, _ = cKDTree(estimate.p_ML[others]).query(points)
+    distance, _ = cKDTree(estimate.places[others]).query(points)
     return np.asarray(distance > reach)

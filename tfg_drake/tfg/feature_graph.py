@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.table import concat, take
 from tfg_drake.tfg.frontier import FrontierPoints, place_points
 from tfg_drake.tfg.near import within
@@ -92,9 +93,9 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
     rows |= {axis: near(place_points(getattr(graph, name), X_MA).p) for axis, name in _NEAR.items()}
     part = take(graph, **rows)
     anchors = np.concatenate([part.tag_ids, part.surfaces.ids.ravel(), estimate.observation.ids])
-    # Of a wall both points, if one is near.
-    walls = estimate.ids[near(estimate.p_ML) & ~is_tag(estimate.ids)]
-    landmarks = near(estimate.p_ML) | np.isin(estimate.ids, np.concatenate([anchors, walls ^ 1]))
+    landmarks = near(estimate.places) | np.isin(estimate.ids, anchors)
+    _, ends, _ = known_walls(estimate)
+    landmarks[: len(ends)] |= near(ends[:, 0]) | near(ends[:, 1])
     return Part(rows, part, estimate.of_landmarks(landmarks))
 
 

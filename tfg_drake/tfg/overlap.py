@@ -84,7 +84,7 @@ def known_badly(estimate: MapEstimate) -> BoolArray:
     if known.any():
         (xx, xy), (_, yy) = drift_from_robot(estimate, np.flatnonzero(known)).transpose(1, 2, 0)
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        distance = np.hypot(*(estimate.local_p_ML - estimate.X_MD[:2]).T)
+        distance = np.hypot(*(estimate.places[estimate.local] - estimate.X_MD[:2]).T)
         badly[known] = largest - largest.min() > (MOST_DRIFT + SWING * distance) ** 2
         badly &= ~np.isin(estimate.ids, estimate.observation.ids)
     return badly
@@ -129,7 +129,7 @@ def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate:
     pair = np.unique(view * n + np.searchsorted(estimate.ids, ids))
     saw, row = pair // n, pair % n
     before = views[:-1][np.diff(views) == 1]
-    to_landmark = np.hypot(*(estimate.p_ML[row] - estimate.X_MA[saw, :2]).T)
+    to_landmark = np.hypot(*(estimate.places[row] - estimate.X_MA[saw, :2]).T)
     to_next = np.hypot(*(estimate.X_MA[before + 1, :2] - estimate.X_MA[before, :2]).T)
     length = np.append(to_landmark, to_next)
     ties = csr_matrix((length, (np.append(saw, before), np.append(k + row, before + 1))), shape=(k + n, k + n))

@@ -20,6 +20,7 @@ from tfg_drake.geometry.distance import point_distance, point_segment_distance
 from tfg_drake.geometry.se2 import inverse, transform, wrap_angle
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, replace
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.table import taken
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
@@ -152,12 +153,12 @@ def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
     (n,)."""
     (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
     badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
-    p_ML, tags = estimate.local_p_ML, is_tag(estimate.ids[estimate.local])
+    p_ML, tags, walls = estimate.local_p_ML, is_tag(estimate.ids[estimate.local]), known_walls(estimate)[1]
     near, well = np.zeros((2, len(places)), dtype=np.bool_)
     well[:] = True
     for segments, unsure, reach in (
         (np.hstack([p_ML[tags], p_ML[tags]]), badly[tags], NEIGHBOURHOOD),
-        (p_ML[~tags].reshape(-1, 4), badly[~tags].reshape(-1, 2).any(axis=1), REACH),
+        (walls[estimate.local[~tags]].reshape(-1, 4), badly[~tags], REACH),
     ):
         near |= point_distance(places, segments) <= reach
         well &= point_distance(places, segments[unsure]) > reach

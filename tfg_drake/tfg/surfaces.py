@@ -22,7 +22,7 @@ from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
-from tfg_drake.slam.walls import directions
+from tfg_drake.slam.keyframe import along_walls
 from tfg_drake.table import concat, take, taken
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
@@ -154,20 +154,20 @@ class _SeenTags(NamedTuple):
 
 
 class _Walls(NamedTuple):
-    """Walls in A: ids (w,) of their first points, these points (w, 2), m, unit vectors (w, 2) towards the second ones,
-    and the distances (w,), m, between the two."""
+    """Walls in A: their ids (w,), a point on each (w, 2), m, unit vectors (w, 2) along them, and how far they have been
+    seen from the point (w, 2), m."""
 
-    first: IntArray
+    ids: IntArray
     origin: FloatArray
     along: FloatArray
-    length: FloatArray
+    reach: FloatArray
 
     def on(self, row: int, at: FloatArray) -> FloatArray:
-        """Points (k, 2), m in A, of a wall at distances (k,), m, from its first point."""
+        """Points (k, 2), m in A, of a wall at distances (k,), m, from its origin."""
         return np.asarray(self.origin[row] + at[:, None] * self.along[row])
 
     def at(self, row: int, points: FloatArray) -> FloatArray:
-        """How far along a wall points (k, 2), m in A, are from its first one, (k,), m."""
+        """How far along a wall points (k, 2), m in A, are from its origin, (k,), m."""
         return np.asarray((points - self.origin[row]) @ self.along[row])
 
 
@@ -179,14 +179,14 @@ def place(surfaces: Surfaces, landmarks: MapEstimate) -> FloatArray:
 
 
 def _frames(surfaces: Surfaces, landmarks: MapEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """For each vertex the origin (v, 2), m in M, of its coordinates, and the direction and length (v,), (v,) of their
-    first axis: along a wall from point to point, or that of the view."""
+    """For each vertex the origin (v, 2), m in M, of its coordinates, and the direction (v,), (v,) of their first axis:
+    along a wall from its anchor on, or that of the view."""
     pose, axis = landmarks.X_MA[surfaces.view], np.empty((len(surfaces.view), 2))
     origin, axis[:, 0], axis[:, 1] = pose[:, :2].copy(), np.cos(pose[:, 2]), np.sin(pose[:, 2])
     walls = np.flatnonzero(surfaces.on_wall)
     if len(walls):
-        first, second = landmarks.p_ML[np.searchsorted(landmarks.ids, surfaces.ids[walls].T)]
-        origin[walls], axis[walls] = first, second - first
+        row = np.searchsorted(landmarks.ids, surfaces.ids[walls, 0])
+        origin[walls], axis[walls] = landmarks.places[row], along_walls(landmarks.p_ML[row])
     count = np.diff(surfaces.offsets)
     return np.repeat(origin, count, axis=0), *np.repeat(axis, count, axis=0).T
 
@@ -268,10 +268,9 @@ def _find_tags(
 
 def _walls_in(landmarks: MapEstimate, X_AM: FloatArray) -> _Walls:
     """The walls of a map in A."""
-    of_walls = ~is_tag(landmarks.ids)
-    p_AL = transform(X_AM, landmarks.p_ML[of_walls]).reshape(-1, 2, 2)
-    along, _, length = directions(p_AL)
-    return _Walls(landmarks.ids[of_walls][::2], p_AL[:, 0], along, length)
+    walls = ~is_tag(landmarks.ids)
+    along = along_walls(landmarks.p_ML[walls]) @ rotation(float(X_AM[2])).T
+    return _Walls(landmarks.ids[walls], transform(X_AM, landmarks.places[walls]), along, landmarks.reach[walls])
 
 
 def _from_components(
@@ -287,9 +286,9 @@ def _from_components(
         whole = components.vertices[components.offsets[c] : components.offsets[c + 1]]
         polyline = sub_polyline(whole, begin, end)
         if wall[i] >= 0:
-            row, first = int(wall[i]), int(walls.first[wall[i]])
+            row, first = int(wall[i]), int(walls.ids[wall[i]])
             polyline = walls.on(row, walls.at(row, polyline[[0, -1]]))
-            on_walls.append(_Surface(first, first + 1, view, _farthest(polyline), polyline))
+            on_walls.append(_Surface(first, first, view, _farthest(polyline), polyline))
             continue
         mine = np.flatnonzero((tags.component == c) & (tags.along >= begin) & (tags.along <= end))
         mine = mine[np.argsort(tags.along[mine], kind="stable")]
@@ -303,7 +302,7 @@ def _from_components(
 def _wall_of(samples: tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray], walls: _Walls) -> IntArray:
     """The row (n,) of the wall that each of the samples (n,) of components lies on, -1 for none: see `sample`."""
     points, normals, component, start, stop = samples
-    ends = np.column_stack([np.full(len(walls.length), -GOES_ON), walls.length + GOES_ON])
+    ends = walls.reach + np.array([-GOES_ON, GOES_ON])
     lines = walls.origin[:, None] + ends[:, :, None] * walls.along[:, None]
     wall, _, distance, normal = nearest(points, 2 * np.arange(len(lines) + 1), lines.reshape(-1, 2))
     wall[(distance > ON_WALL) | (np.sum(normal * normals, axis=1) < SAME_FACE)] = -1
@@ -353,7 +352,7 @@ def _joined(pieces: list[_Surface], walls: _Walls) -> list[_Surface]:
     """Pieces of walls, those of one wall that touch as one."""
     joined: list[_Surface] = []
     for first in np.unique([piece.first for piece in pieces]).tolist():
-        row = int(np.searchsorted(walls.first, first))
+        row = int(np.searchsorted(walls.ids, first))
         mine = [piece for piece in pieces if piece.first == first]
         reach = np.array([walls.at(row, piece.polyline[[0, -1]]) for piece in mine])
         order = np.argsort(reach[:, 0], kind="stable")
@@ -362,7 +361,7 @@ def _joined(pieces: list[_Surface], walls: _Walls) -> list[_Surface]:
         for rows in np.split(order, apart):
             polyline = walls.on(row, np.array([reach[rows, 0].min(), reach[rows, 1].max()]))
             view, distance = max(mine[k].view for k in rows), min(mine[k].range for k in rows)
-            joined.append(_Surface(first, first + 1, view, distance, polyline))
+            joined.append(_Surface(first, first, view, distance, polyline))
     return joined
 
 
@@ -475,4 +474,4 @@ def _packed(surfaces: Surfaces, landmarks: MapEstimate) -> Surfaces:
     """The surfaces, from the newest view's frame back in the coordinates of each: the inverse of place."""
     origin, x, y = _frames(surfaces, landmarks)
     u, v = (transform(landmarks.X_MA[-1], surfaces.vertices) - origin).T
-    return replace(surfaces, vertices=np.stack([x * u + y * v, x * v - y * u], axis=1) / (x * x + y * y)[:, None])
+    return replace(surfaces, vertices=np.stack([x * u + y * v, x * v - y * u], axis=1))
