@@ -129,10 +129,11 @@ class SafetyFilter(LeafSystem):
 
     def _Barred(self, context: Context) -> LaserScan:
         """The newest scan, as if walls stood round the areas that the base must not enter."""
-        scan, pose = self._inputs(context, "scan"), self._inputs.optional(context, "pose")
-        if pose is None or self._keep_out is None or not len(self._keep_out) or not len(scan.ranges):
+        scan: LaserScan = self._inputs(context, "scan")
+        if self._keep_out is None or not len(self._keep_out) or not len(scan.ranges):
             return scan
-        return walled(scan, pose_at(pose, scan.stamp), self._keep_out)
+        pose = self._inputs.optional(context, "pose")
+        return scan if pose is None else walled(scan, pose_at(pose, scan.stamp), self._keep_out)
 
     def _State(self, context: Context) -> FloatArray:
         state: FloatArray = context.get_discrete_state(self._state).value()

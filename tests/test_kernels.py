@@ -69,6 +69,28 @@ def test_a_kernel_is_compiled_once_and_anew_after_an_edit_of_what_it_calls(packa
     assert {path.name.split(".")[0] for path in (package.parent / "cache").rglob("*.nbi")} == {"caller", "called"}
 
 
+LINKED = """
+from tfg_drake.part.caller import g
+kept = lambda: [o.library._shared_module is not None for o in g.overloads.values()]
+g(1)
+before = kept()
+from numba import njit
+assert njit(lambda x: g(x) + 1)(1) == 3
+assert (before, kept(), sum(g.stats.cache_misses.values())) == ([False], [True], 0)
+"""
+
+
+def test_a_loaded_kernel_is_parsed_again_where_another_calls_it(package):
+    called(package)
+    called(package, first=LINKED)
+
+
+def test_another_numba_keeps_its_modules(package):
+    called(package)
+    first = "import numba.core.codegen as c; c.CPUCodeLibrary, c.JITCodeLibrary.x = None, 1"
+    assert called(package, first=first) == (2, 0)
+
+
 @pytest.mark.parametrize(
     ("changed", "stale"),
     [("other", {"other"}), ("caller", {"caller"}), ("called", {"caller", "called"}), ("number", {"caller", "called"})],

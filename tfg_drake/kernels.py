@@ -42,7 +42,10 @@ class KernelLocator:
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> KernelLocator | None:
         """The locator of a function; None, and numba asks the next, if it is not of this package."""
-        return cls(py_func, py_file) if Path(py_file).is_relative_to(PACKAGE) else None
+        if not Path(py_file).is_relative_to(PACKAGE):
+            return None
+        _let_modules_go()
+        return cls(py_func, py_file)
 
     def get_cache_path(self) -> str:
         """The folder."""
@@ -59,6 +62,34 @@ class KernelLocator:
     def get_disambiguator(self) -> str:
         """What tells two functions of a name in a file apart."""
         return str(self._line)
+
+
+@functools.cache
+def _let_modules_go() -> None:
+    """From now on numba closes the LLVM module of each kernel that it has loaded, 0.6 MB, and parses it again only
+    where one is compiled that calls it. A numba whose private names are others keeps them all."""
+    import llvmlite.binding as llvm
+    from numba.core import codegen
+
+    library: Any = getattr(codegen, "CPUCodeLibrary", None)
+    load, module_of = getattr(library, "_unserialize", None), getattr(library, "_get_module_for_linking", None)
+    if load is None or module_of is None:
+        return
+
+    def unserialize(_library: Any, target: Any, state: Any) -> Any:
+        loaded = load(target, state)
+        module = getattr(loaded, "_shared_module", None)
+        if module is not None and state[1] == "object":
+            module.close()
+            loaded._shared_module, loaded.bitcode = None, state[2][1]
+        return loaded
+
+    def get_module_for_linking(loaded: Any) -> Any:
+        if bitcode := loaded.__dict__.pop("bitcode", None):
+            loaded._shared_module = llvm.parse_bitcode(bitcode)
+        return module_of(loaded)
+
+    library._unserialize, library._get_module_for_linking = classmethod(unserialize), get_module_for_linking
 
 
 def use_locator() -> None:

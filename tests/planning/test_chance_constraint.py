@@ -19,13 +19,13 @@ from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
 
-def deviation(targets, noise=(0.02, 0.01, 0.01, 4.0), covariance=None):
+def deviation(targets, noise=(0.02, 0.01, 0.0, 0.01), covariance=None):
     """Of a robot at the origin that sees targets which face it, by their covariance, or as if they were exact."""
     targets = np.asarray(targets, dtype=float)
     n = len(targets)
     entry, errors = (np.full(n, -1), np.zeros((3, 3))) if covariance is None else (np.arange(n), covariance)
     views, facing = (np.array([0, n]), np.arange(n)), -targets / np.hypot(*targets.T)[:, None]
-    given = frozen(targets), frozen(facing), 9.0, 1.2, noise, entry, frozen(errors)
+    given = frozen(targets), frozen(facing), 9.0, 1.2, np.array(noise) / 2.0, entry, frozen(errors)
     sigma, sees, knows = localised_deviation(np.zeros((1, 2)), *views, *given)
     assert (sees.tolist(), knows.tolist()) == ([n], [0 if covariance is None else n])
     return sigma[0]
@@ -141,7 +141,8 @@ def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_t
     sensor, odometry, speed = TagSensorConfig(), OdometryConfig(distance_noise=noise), 0.4
     (sigma,) = predicted_deviation(place, estimate, tfg, sensor, odometry, speed)
     frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / (2 * np.pi)
-    standing = deviation(p_ML, (sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames))
+    of_frame = np.array([sensor.range_noise, sensor.range_noise_per_metre, 0.0, sensor.bearing_noise])
+    standing = deviation(p_ML, 2.0 * of_frame / np.sqrt(frames))
     Q = odometry_covariance(np.zeros(3), np.array([[speed, 0.0]]), np.array([speed]), np.ones(1), odometry)[0]
     assert sigma**2 - standing**2 == pytest.approx(max(TRACKING_DEVIATION**2, Q[0, 0], Q[1, 1]))
     assert (max(Q[0, 0], Q[1, 1]) > TRACKING_DEVIATION**2) == (noise > 0.02)

@@ -107,11 +107,12 @@ def test_normal_equations_are_those_of_numerical_differences():
         yaw, ahead, left, clock, sweep = parameters[8:13]
         found = []
         for i, w, seen in zip(looks.node, looks.wall, looks.seen, strict=True):
-            normal, m_x, m_y, sigma_angle, sigma, speed, rate = seen[:7]
+            normal, m_x, m_y = seen[:3]
+            sigma_angle, sigma, speed, rate = seen[7:]
             angle, distance = x[12 + SHARED + 2 * w :][:2]
             bearing = math.atan2(m_y, m_x)
             then = clock + sweep * bearing
-            swept = rate * seen[7:9] + speed * math.cos(angle - X[i, 2]) * seen[9:]
+            swept = rate * seen[3:5] + speed * math.cos(angle - X[i, 2]) * seen[5:7]
             lever = np.array([ahead - then * speed, left])
             m = se2.transform(np.array([0.0, 0.0, yaw - then * rate]), np.array([[m_x, m_y]]))[0] + lever
             p = se2.transform(X[i], m[None])[0] - looks.anchor[w]

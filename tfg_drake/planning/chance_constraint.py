@@ -26,6 +26,7 @@ from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
+from tfg_drake.slam.measurement import whitened_tag
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
 # so many.
@@ -51,7 +52,7 @@ def localised_deviation(
     facing: FloatArray,
     reach: float,
     max_incidence: float,
-    noise: tuple[float, float, float, float],
+    noise: FloatArray,
     entry: IntArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -59,12 +60,11 @@ def localised_deviation(
     could touch.
 
     Point i has the targets index[offsets[i]:offsets[i + 1]] of targets (t, 2), m, that face facing (t, 2), in view. It
-    sees those within reach (m) and max_incidence (rad), each in so many frames of range and bearing, heading unknown,
-    and takes them to be where the map has them; LOCALISATION_TAGS of them count, the nearest. noise: deviation of a
-    range, m, what a metre adds to it, m, deviation of a bearing, rad, and the number of frames. entry: (t,) the place
-    of each target in the covariance, row by row, -1 for those that it is not of. Where enough of those in view are in
-    it, only they count, with their own errors, and relative to those of them in view within SURFACE_REACH, where there
-    are none all that are so near; else the errors of the map are left out. inf with fewer than two in view.
+    sees those within reach (m) and max_incidence (rad), each by range and bearing, heading unknown, and takes them to
+    be where the map has them; LOCALISATION_TAGS of them count, the nearest. noise: as of `whitened_tag`. entry: (t,)
+    the place of each target in the covariance, row by row, -1 for those that it is not of. Where enough of those in
+    view are in it, only they count, with their own errors, and relative to those of them in view within SURFACE_REACH,
+    where there are none all that are so near; else the errors of the map are left out. inf with fewer than two in view.
 
     Returns also how many targets each point sees, and how many of these have a place in the covariance, (n,) and (n,).
     """
@@ -115,31 +115,22 @@ def _deviation_at(
     rows: IntArray,
     carry: IntArray,
     targets: FloatArray,
-    noise: tuple[float, float, float, float],
+    noise: FloatArray,
     entry: IntArray,
     covariance: FloatArray,
 ) -> float:
     """The deviation, m, at (x, y) by the targets of these rows (m,), relative to those that carry (s,) what it could
     touch; covariance: (0, 2t + 3) where their own errors are left out. Further arguments as of localised_deviation."""
     m = len(rows)
-    range_noise, range_noise_per_metre, bearing_noise, frames = noise
     H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to the information on the pose
     b_xx, b_xy, b_yy, b_xt, b_yt, b_tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(m):
-        dx, dy = targets[rows[k], 0] - x, targets[rows[k], 1] - y
-        r = max(math.sqrt(dx * dx + dy * dy), 0.05)
-        ux, uy = dx / r, dy / r
-        w_range = frames / (range_noise + range_noise_per_metre * r) ** 2
-        w_bearing = frames / bearing_noise**2
-        xx = w_range * ux * ux + w_bearing * uy * uy / (r * r)
-        xy = w_range * ux * uy - w_bearing * ux * uy / (r * r)
-        yy = w_range * uy * uy + w_bearing * ux * ux / (r * r)
-        hx, hy = -w_bearing * uy / r, w_bearing * ux / r
-        b_xx, b_xy, b_yy = b_xx + xx, b_xy + xy, b_yy + yy
-        b_xt, b_yt, b_tt = b_xt + hx, b_yt + hy, b_tt + w_bearing
-        H[k, 0, 0], H[k, 0, 1], H[k, 1, 1] = xx, xy, yy
-        H[k, 1, 0] = xy
-        H[k, 2, 0], H[k, 2, 1] = hx, hy
+        g00, g01, g10, g11 = whitened_tag(targets[rows[k], 0] - x, targets[rows[k], 1] - y, noise)
+        H[k, 0, 0], H[k, 0, 1] = g00 * g00 + g10 * g10, g00 * g01 + g10 * g11
+        H[k, 1, 0], H[k, 1, 1] = H[k, 0, 1], g01 * g01 + g11 * g11
+        H[k, 2, 0], H[k, 2, 1] = g10 / noise[3], g11 / noise[3]
+        b_xx, b_xy, b_yy = b_xx + H[k, 0, 0], b_xy + H[k, 0, 1], b_yy + H[k, 1, 1]
+        b_xt, b_yt, b_tt = b_xt + H[k, 2, 0], b_yt + H[k, 2, 1], b_tt + noise[3] ** -2.0
     # The heading eliminated.
     tx, ty = b_xt / b_tt, b_yt / b_tt
     b_xx, b_xy, b_yy = b_xx - tx * b_xt, b_xy - tx * b_yt, b_yy - ty * b_yt
@@ -231,7 +222,7 @@ def predicted_deviation(
     )
     frames = estimate.frame_worth * sensor.detection_probability * sensor.rate * LOCALISATION_TIME
     frames *= min(1.0, sensor.field_of_view / (2 * math.pi))
-    noise = sensor.range_noise, sensor.range_noise_per_metre, sensor.bearing_noise, frames
+    noise = np.array([sensor.range_noise, sensor.range_noise_per_metre, 0.0, sensor.bearing_noise]) / math.sqrt(frames)
     sigma, sees, knows = localised_deviation(
         points,
         *in_view,

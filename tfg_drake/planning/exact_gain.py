@@ -16,6 +16,7 @@ from numba import njit
 
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.measurement import whitened_tag
 
 
 class Known(NamedTuple):
@@ -59,23 +60,11 @@ class Arrival(NamedTuple):
 
 
 @njit(cache=True)
-def _whitened(dx: float, dy: float, noise: FloatArray) -> tuple[float, float, float, float]:
-    """Jacobian (2, 2), row by row, of range and bearing by the landmark at (dx, dy) from the robot, over their
-    deviations.
-
-    noise: (base range noise, range noise per metre, range floor, bearing deviation), for the whole turn.
-    """
-    r = max(math.sqrt(dx * dx + dy * dy), 0.05)
-    sigma_range = max(noise[0] + noise[1] * r, noise[2])
-    return dx / r / sigma_range, dy / r / sigma_range, -dy / (r * r) / noise[3], dx / (r * r) / noise[3]
-
-
-@njit(cache=True)
 def whitened(d: FloatArray, noise: FloatArray) -> FloatArray:
-    """As _whitened, (k, 2, 2), of landmarks at d (k, 2), m, from the robot."""
+    """As `whitened_tag`, (k, 2, 2), of landmarks at d (k, 2), m, from the robot."""
     G = np.empty((len(d), 2, 2))
     for k in range(len(d)):
-        G[k, 0, 0], G[k, 0, 1], G[k, 1, 0], G[k, 1, 1] = _whitened(d[k, 0], d[k, 1], noise)
+        G[k, 0, 0], G[k, 0, 1], G[k, 1, 0], G[k, 1, 1] = whitened_tag(d[k, 0], d[k, 1], noise)
     return G
 
 
@@ -96,7 +85,7 @@ def known_terms(
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """The k measurements of the known landmarks that candidate c sees from (x, y): the first column (k,) of each one's
     landmark in the covariance, the whitened Jacobians G (k, 2) by it and K (k, 3) by the pose, and C (k, k) = I + G
-    S_LL G^T. noise: as in _whitened."""
+    S_LL G^T. noise: as in whitened_tag."""
     rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
     covariance, most = known.covariance, 2 * len(rows)
     column, G, K, k = np.empty(most, dtype=np.int64), np.empty((most, 2)), np.zeros((most, 3)), 0
@@ -107,7 +96,7 @@ def known_terms(
             G[k, 0], G[k, 1], K[k, 2] = wx, wy, dy * wx - dx * wy
             column[k], k = 2 * row, k + 1
         else:
-            G[k, 0], G[k, 1], G[k + 1, 0], G[k + 1, 1] = _whitened(dx, dy, noise)
+            G[k, 0], G[k, 1], G[k + 1, 0], G[k + 1, 1] = whitened_tag(dx, dy, noise)
             K[k + 1, 2] = -1.0 / noise[3]
             column[k], column[k + 1], k = 2 * row, 2 * row, k + 2
     column, G, K = column[:k], G[:k], K[:k]
@@ -129,7 +118,7 @@ def known_terms(
 @njit(cache=True)
 def new_terms(x: float, y: float, c: int, new: New, noise: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Of the new landmarks that candidate c sees from (x, y): log|D|, D = I + sigma_u^2 G G^T, the information K^T K
-    (3, 3) that they give of the pose were they known, and K^T D^-1 K (3, 3). noise: as in _whitened.
+    (3, 3) that they give of the pose were they known, and K^T D^-1 K (3, 3). noise: as in whitened_tag.
 
     Each new landmark's measurement is on its own, tied to the others by the pose only.
     """
@@ -144,7 +133,7 @@ def new_terms(x: float, y: float, c: int, new: New, noise: FloatArray) -> tuple[
         count = new.number[u] * _share_seen(math.sqrt(dx * dx + dy * dy), new.reach)
         if count == 0.0:
             continue
-        g00, g01, g10, g11 = _whitened(dx, dy, noise)
+        g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
         # G G^T is diagonal: range and bearing vary along directions at right angles.
         d_range, d_bearing = 1.0 + variance * (g00 * g00 + g01 * g01), 1.0 + variance * (g10 * g10 + g11 * g11)
         log_new += count * (math.log(d_range) + math.log(d_bearing))
@@ -280,7 +269,7 @@ def most_gain(
     S_xx, S_x_given_L: (c, 3, 3) covariance of the arrival pose, also given all landmarks, F: (c, 3, 3), see
     `to_arrival`. p_ML (n, 2), m in M, that face facing (n, 2); their covariance and wall as in Known. What is farther
     away than range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
-    _whitened.
+    whitened_tag.
     """
     most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), 2 * len(p_ML)
     grid, near = segment_grid(np.hstack((p_ML, p_ML))), np.empty(len(p_ML), dtype=np.int64)
@@ -316,29 +305,28 @@ def most_gain(
             if wx != 0.0 or wy != 0.0:
                 product *= max(1.0, 1.0 + wx * wx * xx + 2.0 * wx * wy * xy + wy * wy * yy)
             else:
-                r = max(r, 0.05)
-                ux, uy, sigma = dx / r, dy / r, max(noise[0] + noise[1] * r, noise[2])
-                of_range = (ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy) / sigma**2
-                of_bearing = (uy * uy * xx - 2.0 * ux * uy * xy + ux * ux * yy) / (r * noise[3]) ** 2
-                of_both = (ux * uy * (yy - xx) + (ux * ux - uy * uy) * xy) / (sigma * r * noise[3])
+                g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
+                of_range = g00 * g00 * xx + 2.0 * g00 * g01 * xy + g01 * g01 * yy
+                of_bearing = g10 * g10 * xx + 2.0 * g10 * g11 * xy + g11 * g11 * yy
+                of_both = g00 * (g10 * xx + g11 * xy) + g01 * (g10 * xy + g11 * yy)
                 product *= max(1.0, (1.0 + of_range) * (1.0 + of_bearing) - of_both**2)
             if product > 1e100:
                 most[c, 0], product = most[c, 0] + 0.5 * math.log(product), 1.0
         most[c, 0] += 0.5 * math.log(product)
         for u in new_rows[new_offsets[c] : new_offsets[c + 1]]:
             dx, dy = p_MU[u, 0] - x, p_MU[u, 1] - y
-            r = math.sqrt(dx * dx + dy * dy)
-            count, r = number[u] * _share_seen(r, reach), max(r, 0.05)
-            sigma = max(noise[0] + noise[1] * r, noise[2])
-            most[c, 1] += 0.5 * count * math.log((1.0 + variance / sigma**2) * (1.0 + variance / (r * noise[3]) ** 2))
+            count = number[u] * _share_seen(math.sqrt(dx * dx + dy * dy), reach)
+            g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
+            d_range, d_bearing = 1.0 + variance * (g00 * g00 + g01 * g01), 1.0 + variance * (g10 * g10 + g11 * g11)
+            most[c, 1] += 0.5 * count * math.log(d_range * d_bearing)
     return most
 
 
 def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """Exploitation, exploration and price of the pose, (c, 3), nats, of a turn at each point (c, 2), m in M.
 
-    noise: as in _whitened. One factorisation serves the known and the unknown pose, as I + J S J^T = C + W M W^T with
-    M = [[0, I], [I, S_xx]] by an error of the map and one of the pose.
+    noise: as in whitened_tag. One factorisation serves the known and the unknown pose, as I + J S J^T = C + W M W^T
+    with M = [[0, I], [I, S_xx]] by an error of the map and one of the pose.
     """
     F = to_arrival(arrival.X_MD, points)
     log, T, B = terms(points, F, known, new, noise)

@@ -138,7 +138,7 @@ def step_localizer(
         (increment, dt, noise),
         (twist, offset),
         (column, entry, now.p_DL),
-        (detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing),
+        (detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range),
     )
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
     if (column >= 0).all():
@@ -175,12 +175,14 @@ def corrected_by_walls(
     seen = now.mean[:POSE], shared, twist, lines
     wall = walls_seen(*seen, now.wall_points, now.reach)
     through = seen_through(*seen, wall, now.wall_points, now.reach)
-    if (wall < 0).all():
+    found = wall >= 0
+    if not found.any():
         return now, through, through
-    lines, first = lines[wall >= 0], now.walls[wall[wall >= 0]]
-    new = np.setdiff1d(first, now.seen)
+    lines, first = lines[found], now.walls[wall[found]]
+    # By hand: np.setdiff1d takes as long as the correction.
+    new = first[~(now.seen == first[:, None]).any(axis=1)]
     if len(new):
-        now = _with_seen(now, np.append(now.seen, (new[:, None] + [0, 1]).ravel()))
+        now = _with_seen(now, np.append(now.seen, (np.unique(new)[:, None] + [0, 1]).ravel()))
     column = SHARED + 2 * np.argmax(now.seen == first[:, None], axis=1)
     state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
     fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, now.p_DL)
@@ -207,6 +209,8 @@ def localized_pose(
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
     """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
     and their p_MU (u, 2)."""
+    if not len(localizer.local_ids):
+        return localizer.local_ids, np.empty((0, 2))
     some = (localizer.local_frames >= LEAST_FRAMES) & ~rows_of(localizer.local_ids, ids)[1]
     p_DU = localizer.mean[POSE:].reshape(-1, 2)[some]
     return localizer.local_ids[some], se2.transform(localizer.map.X_MD, p_DU)

@@ -8,8 +8,18 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.slam.measurement import (
+    CAMERA,
+    COLUMNS,
+    ERROR,
+    OF_LANDMARK,
+    OF_MOUNT,
+    OF_SENSOR,
+    linearise_tag,
+    sensor_pose,
+)
 from tfg_drake.slam.odometry_model import predict_increment, wrap
-from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, LEVER_X, LEVER_Y, RANGE_SCALE, SHARED
+from tfg_drake.slam.shared import CLOCK, RANGE_SCALE, SHARED
 
 # mean (3 + 2k,), covariance P (3 + 2k, 3 + 2k) and sensitivity W (3 + 2k, 13 + 2s).
 State = tuple[FloatArray, FloatArray, FloatArray]
@@ -21,7 +31,7 @@ Motion = tuple[FloatArray, float, FloatArray]
 Instant = tuple[FloatArray, float]
 # Where the tags (m,) of a frame are, the last two of `whereabouts`, and p_DL (s, 2), where the landmarks seen are.
 Places = tuple[IntArray, IntArray, FloatArray]
-# Ranges and bearings (m,) of a frame, m and rad, and their standard deviations.
+# Bearings and ranges (m,) of a frame, rad and m, and their standard deviations.
 Frame = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 POSE = 3
 # Squared deviations beyond which a sighting is ignored (2 degrees of freedom): 1 in 270 000 good ones.
@@ -110,55 +120,22 @@ def _move(rows: FloatArray, x: float, y: float) -> None:
 
 
 @njit(cache=True)
-def _camera(mean: FloatArray, shared: FloatArray, instant: Instant) -> FloatArray:
-    """X_DC (3,), where the camera was and looked when the frame was taken."""
-    twist, earlier = instant[0], shared[CLOCK] - instant[1]
-    lever = np.array([shared[LEVER_X] - earlier * twist[0], shared[LEVER_Y], shared[CAMERA_YAW] - earlier * twist[1]])
-    return np.asarray(mean[:POSE] + _turn(mean[2]) @ lever)
-
-
-@njit(cache=True)
-def _sighting(
-    mean: FloatArray, shared: FloatArray, twist: FloatArray, X_DC: FloatArray, x: float, y: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Range and bearing (2,) of a tag at (x, y) from a camera at X_DC (3,), and their derivatives on its place (2, 2),
-    the pose (2, 3) and the parameters (2, 13)."""
-    dx, dy, c, s = x - X_DC[0], y - X_DC[1], math.cos(mean[2]), math.sin(mean[2])
-    r, scale = max(math.hypot(dx, dy), 1e-3), 1.0 + shared[RANGE_SCALE]
-    on = np.array([[scale * dx / r, scale * dy / r], [-dy / (r * r), dx / (r * r)]])
-    by_pose, by_shared = np.zeros((2, POSE)), np.zeros((2, SHARED))
-    for f in range(2):
-        u, v = on[f, 0], on[f, 1]
-        by_pose[f, 0], by_pose[f, 1] = -u, -v
-        by_pose[f, 2] = u * (X_DC[1] - mean[1]) - v * (X_DC[0] - mean[0])
-        by_shared[f, LEVER_X], by_shared[f, LEVER_Y] = -u * c - v * s, u * s - v * c
-        by_shared[f, CLOCK] = -twist[0] * by_shared[f, LEVER_X]
-    by_pose[1, 2] -= 1.0
-    by_shared[1, CLOCK] += twist[1]
-    by_shared[1, CAMERA_YAW], by_shared[0, RANGE_SCALE] = -1.0, r
-    return np.array([scale * r, math.atan2(dy, dx) - X_DC[2]]), on, by_pose, by_shared
-
-
-@njit(cache=True)
 def _correct(state: State, considered: Considered, instant: Instant, places: Places, z: FloatArray) -> BoolArray:
     """Correct the state by the known tags of a frame, all at once, in place; which of its sightings (m,) were of these
     and inside their gate. Landmarks and parameters are left as they are."""
     mean, (shared, C), (column, entry, p_DL) = state[0], considered, places
     known = np.flatnonzero((column >= 0) | (entry >= 0))
-    m, X_DC, accepted = 2 * len(known), _camera(mean, shared, instant), np.zeros(len(z), dtype=np.bool_)
+    m, rows, accepted = 2 * len(known), np.empty((2, COLUMNS)), np.zeros(len(z), dtype=np.bool_)
     H, H_c, residual, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
     for k in range(len(known)):
         i, a, b = known[k], 2 * k, 2 * k + 2
         if entry[i] >= 0:
-            into, at, x, y = H, entry[i], mean[entry[i]], mean[entry[i] + 1]
+            into, at, p = H, entry[i], mean[entry[i] : entry[i] + 2]
         else:
-            of = (column[i] - SHARED) // 2
-            into, at, x, y = H_c, column[i], p_DL[of, 0], p_DL[of, 1]
-        expected, into[a:b, at : at + 2], H[a:b, :POSE], H_c[a:b, :SHARED] = _sighting(
-            mean, shared, instant[0], X_DC, x, y
-        )
-        residual[a:b], noise[a:b] = z[i, :2] - expected, z[i, 2:] ** 2
-        residual[a + 1] = wrap(residual[a + 1])
+            into, at, p = H_c, column[i], p_DL[(column[i] - SHARED) // 2]
+        linearise_tag(rows, mean, shared[CAMERA:], instant[1], instant[0], z[i, 0], z[i, 1], p)
+        H[a:b, :POSE], H_c[a:b, CAMERA : CAMERA + OF_SENSOR] = rows[:, :POSE], rows[:, OF_MOUNT:OF_LANDMARK]
+        into[a:b, at : at + 2], residual[a:b], noise[a:b] = rows[:, OF_LANDMARK:ERROR], -rows[:, ERROR], z[i, 2:] ** 2
     accepted[known] = update(state, C, H, H_c, residual, noise)
     return accepted
 
@@ -195,15 +172,18 @@ def _with_local(state: State, considered: Considered, instant: Instant, z: Float
     """The state with a local tag more for each sighting z (m, 4)."""
     (mean, P, W), (shared, C), m, size = state, considered, 2 * len(z), len(state[0])
     G, G_c, noise, p_DU = np.zeros((m, POSE)), np.zeros((m, len(C))), np.zeros((m, m)), np.empty(m)
-    X_DC, scale = _camera(mean, shared, instant), 1.0 + shared[RANGE_SCALE]
+    rows, camera = np.empty((2, COLUMNS)), shared[CAMERA:]
+    x, y, theta = sensor_pose(mean, camera, instant[0], shared[CLOCK] - instant[1])
     for k in range(len(z)):
-        a, b, r, angle = 2 * k, 2 * k + 2, z[k, 0] / scale, X_DC[2] + z[k, 1]
-        u, v = math.cos(angle), math.sin(angle)
-        p_DU[a:b] = X_DC[0] + r * u, X_DC[1] + r * v
-        _, _, by_pose, by_shared = _sighting(mean, shared, instant[0], X_DC, p_DU[a], p_DU[a + 1])
+        a, b, r, angle = 2 * k, 2 * k + 2, z[k, 1] / (1.0 + shared[RANGE_SCALE]), theta + z[k, 0]
+        p_DU[a:b] = x + r * math.cos(angle), y + r * math.sin(angle)
+        linearise_tag(rows, mean, camera, instant[1], instant[0], z[k, 0], z[k, 1], p_DU[a:b])
         # It moves as it must so that it would be seen where it was.
-        back = np.array([[u / scale, -r * v], [v / scale, r * u]])
-        G[a:b], G_c[a:b, :SHARED], by_noise = -back @ by_pose, -back @ by_shared, back * z[k, 2:]
+        b_x, b_y, r_x, r_y = rows[0, OF_LANDMARK], rows[0, ERROR - 1], rows[1, OF_LANDMARK], rows[1, ERROR - 1]
+        back = np.array([[r_y, -b_y], [-r_x, b_x]]) / (b_x * r_y - b_y * r_x)
+        by_rows = -back @ rows
+        G[a:b], G_c[a:b, CAMERA : CAMERA + OF_SENSOR] = by_rows[:, :POSE], by_rows[:, OF_MOUNT:OF_LANDMARK]
+        by_noise = back * z[k, 2:]
         noise[a:b, a:b] = by_noise @ by_noise.T
     GW, CG = G @ W[:POSE] + G_c, C @ G_c.T
     GP = G @ P[:POSE] + (W @ CG).T

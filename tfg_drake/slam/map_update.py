@@ -190,14 +190,14 @@ def estimate_of(
         p_ML=p_ML,
         X_MD=X_MD,
         local=local,
-        covariance=joint[:-SHARED, :-SHARED].copy(),
+        covariance=joint[:-SHARED, :-SHARED],
         landmark_covariance=graph.landmark_covariance,
         X_MA=graph.X_MA,
         observation=observation,
         entropy=graph.entropy,
         tag_error=graph.tag_error,
         shared=graph.shared.mean,
-        with_shared=joint[:, -SHARED:].copy(),
+        with_shared=joint[:, -SHARED:],
     )
 
 
@@ -342,7 +342,7 @@ def _joined(
         p_ML=p_ML,
         X_MD=X_MD,
         local=local,
-        covariance=joint[:-SHARED, :-SHARED].copy(),
+        covariance=joint[:-SHARED, :-SHARED],
         shared=shared,
-        with_shared=joint[:, -SHARED:].copy(),
+        with_shared=joint[:, -SHARED:],
     )

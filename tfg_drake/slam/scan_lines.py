@@ -49,10 +49,9 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     unevenness: m, of real walls, by which neighbouring half metres are off a plane independently: single looks, each at
     other stretches of one, agree no better.
     """
-    r = scan.ranges[np.isfinite(scan.ranges)]
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
-    bent = float(np.median(np.abs(np.diff(r, 2)))) / (NORMAL * math.sqrt(6.0)) if len(r) > RAYS else 0.0
-    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, bent, LEAST_SIGMA)))
+    sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
+    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
     if unevenness:
         # The mean, and the slope, of n such stretches.
         length = lines[:, 3] - lines[:, 2]
@@ -83,6 +82,13 @@ def bearing_of(line: FloatArray) -> float:
     """The bearing (rad) of a line's middle, in (-pi, pi] as those of rays: a scanner that sweeps was there then."""
     c, s = math.cos(line[0]), math.sin(line[0])
     return math.atan2(s * line[1] + c * line[4], c * line[1] - s * line[4])
+
+
+@njit(cache=True)
+def _bend(ranges: FloatArray) -> float:
+    """Median, m, of the second differences of ranges from ray to ray, 0 where there are few."""
+    r = ranges[np.isfinite(ranges)]
+    return float(np.median(np.abs((r[2:] - r[1:-1]) - (r[1:-1] - r[:-2])))) if len(r) > RAYS else 0.0
 
 
 @njit(cache=True)

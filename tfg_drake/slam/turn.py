@@ -18,6 +18,16 @@ from numba import njit
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message, replace
 from tfg_drake.slam.keyframe import Keyframe, keyframe
+from tfg_drake.slam.measurement import (
+    CAMERA,
+    COLUMNS,
+    ERROR,
+    OF_SENSOR,
+    OF_TWIST,
+    SCANNER,
+    linearise_tag,
+    linearise_wall,
+)
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
 from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
@@ -38,10 +48,9 @@ SAME_INSTANT = 1e-6
 TWIST_SPAN = 0.12
 # Information that holds a parameter of which a piece without tags says nothing.
 HELD = 1e12
-# Where the border's parameters begin in the dense rest: after D (3) the odometry's (3), the camera's (5), the scanner's
-# (5) and the tags. They are the shared parameters, the scales of distance and of ranges over that of the chain's unit.
-CALIBRATION, CAMERA, SCANNER, TAGS = 3, 6, 11, 16
-OF_SENSOR = 5
+# Where the parameters and the tags begin in the dense rest: after D. They are the shared parameters, the scales of
+# distance and of ranges over that of the chain's unit.
+CALIBRATION, TAGS = 3, 3 + SHARED
 SCALES = np.array([DISTANCE_SCALE, RANGE_SCALE])
 # Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
 MOST_STEPS = 50
@@ -417,15 +426,13 @@ def solved_chain(
     size, (increments, covariance) = 3 + len(border), _motions(ties)
     prior, of_prior = ties.prior, ties.of_prior
     chain, rest = _normal_equations(len(X), size)
-    sightings = len(ties.node)
-    squared, step_X, step = np.empty(sightings + len(ties.looks.node)), np.zeros((len(X), 3)), np.zeros(size)
+    squared, step_X, step = np.empty(len(ties.node) + len(ties.looks.node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
         chain.fill(0.0)
         rest.fill(0.0)
         new_cost = _add_odometry(ties, X, border, increments, covariance, chain, rest)
-        new_cost += _add_sightings(ties, X, border, huber, chain, rest, squared[:sightings])
-        new_cost += _add_looks(ties.looks, X, border, huber, chain, rest, squared[sightings:])
+        new_cost += _add_measurements(ties, X, border, huber, chain, rest, squared)
         for a in range(SHARED):
             for b in range(SHARED):
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -458,8 +465,8 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
     misfit = _add_odometry(ties, X, border, increments, covariance, chain, rest)
     for one in covariance:
         misfit += 0.5 * math.log(np.linalg.det(one))
-    misfit += _add_sightings(ties, X, border, math.inf, chain, rest, np.empty(len(ties.node)))
-    misfit += _add_looks(ties.looks, X, border, math.inf, chain, rest, np.empty(len(ties.looks.node)))
+    squared = np.empty(len(ties.node) + len(ties.looks.node))
+    misfit += _add_measurements(ties, X, border, math.inf, chain, rest, squared)
     for a in range(SHARED):
         for b in range(SHARED):
             misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -569,7 +576,7 @@ def _add_odometry(
 
 
 @njit(cache=True)
-def _add_sightings(
+def _add_measurements(
     ties: _Ties,
     X: FloatArray,
     border: FloatArray,
@@ -578,115 +585,60 @@ def _add_sightings(
     rest: FloatArray,
     squared: FloatArray,
 ) -> float:
-    """Add the normal equations of the sightings and set their squared errors (m,), in sigmas; returns the cost.
+    """Add the normal equations of m sightings and q looks at walls and set their squared errors (m + q,), in sigmas;
+    returns the cost.
 
     A sighting's noise less what is left in it of the noise before is white. The pose of the sighting before is taken to
     be off as the one before this is: they are the same, unless the tag was not seen for some frames.
     """
-    cost, node, tag, z, before, left = 0.0, ties.node, ties.tag, ties.z, ties.before, ties.left
-    yaw, ahead, aside, clock, scale = border[3], border[4], border[5], border[6], 1.0 + border[7]
-    # Jacobians on pose, camera and tag, and the error, of bearing and range; and, with the pose before in front, those
-    # of what the sighting before does not tell yet.
-    every, fresh, last = np.zeros((len(node), 2, 11)), np.zeros((2, 14)), 13
-    for j in range(len(node)):
-        i, k, rows = node[j], SHARED + 2 * tag[j], every[j]
-        # Where the camera was when the frame was taken, if the clock is otherwise than it was taken to be.
-        earlier, speed, rate = clock - z[j, 6], z[j, 4], z[j, 5]
-        c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
-        at_x, at_y = ahead - earlier * speed, aside
-        lever_x, lever_y = c * at_x - s * at_y, s * at_x + c * at_y
-        dx, dy = border[k] - X[i, 0] - lever_x, border[k + 1] - X[i, 1] - lever_y
-        r2 = max(dx * dx + dy * dy, 1e-12)
-        r = math.sqrt(r2)
-        bearing = wrap(math.atan2(dy, dx) - X[i, 2] + earlier * rate - yaw - z[j, 0]) / z[j, 2]
-        distance = (scale * r - z[j, 1]) / z[j, 3]
-        squared[j] = bearing * bearing + distance * distance
-        sigmas, weight = math.sqrt(squared[j]), 1.0
-        if sigmas > huber:
-            # Farther off than the threshold it pulls with a constant force.
-            weight = math.sqrt(huber / sigmas)
-            cost += 0.5 * huber * (sigmas - huber)
-        # By the place of the tag seen from the camera, (dx, dy).
-        u_x, u_y = -weight / (z[j, 2] * r2) * dy, weight / (z[j, 2] * r2) * dx
-        v_x, v_y = weight * scale / (z[j, 3] * r) * dx, weight * scale / (z[j, 3] * r) * dy
-        one = weight / z[j, 2]
-        rows[0, 0], rows[0, 1], rows[0, 2] = -u_x, -u_y, u_x * lever_y - u_y * lever_x - one
-        rows[1, 0], rows[1, 1], rows[1, 2] = -v_x, -v_y, v_x * lever_y - v_y * lever_x
-        rows[0, 3], rows[1, 3] = -one, 0.0
-        rows[0, 4], rows[1, 4] = -(c * u_x + s * u_y), -(c * v_x + s * v_y)
-        rows[0, 5], rows[1, 5] = s * u_x - c * u_y, s * v_x - c * v_y
-        rows[0, 6], rows[1, 6] = one * rate - speed * rows[0, 4], -speed * rows[1, 4]
-        rows[1, 7] = weight * r / z[j, 3]
-        rows[0, 8], rows[0, 9], rows[1, 8], rows[1, 9] = u_x, u_y, v_x, v_y
-        rows[0, 10], rows[1, 10] = weight * bearing, weight * distance
-        fresh[:, :3], fresh[:, 3:] = 0.0, rows
-        if before[j] >= 0:
-            rows_before, whitener = every[before[j]], 1.0 / math.sqrt(1.0 - left[j] * left[j])
-            fresh[:, :3] = -left[j] * whitener * rows_before[:, :3]
+    cost, z, looks, sightings = 0.0, ties.z, ties.looks, len(ties.node)
+    first_wall = len(border) - 2 * len(looks.anchor)
+    # Rows of every measurement; and, with the pose before in front, of what the sighting before does not tell yet.
+    every, fresh, last = np.zeros((len(squared), 2, COLUMNS)), np.zeros((2, 3 + OF_TWIST)), 3 + ERROR
+    for j in range(len(squared)):
+        rows, before = every[j], -1
+        if j < sightings:
+            i, k, of_sensor, before = ties.node[j], SHARED + 2 * ties.tag[j], CAMERA, ties.before[j]
+            mount, p_AL = border[of_sensor : of_sensor + OF_SENSOR], border[k : k + 2]
+            linearise_tag(rows, X[i], mount, z[j, 6], z[j, 4:6], z[j, 0], z[j, 1], p_AL)
+            squared[j], more = _whiten(rows, z[j, 2], z[j, 3], huber)
+        else:
+            of_look, seen = j - sightings, looks.seen[j - sightings]
+            wall = looks.wall[of_look]
+            i, k, of_sensor = looks.node[of_look], first_wall + 2 * wall, SCANNER
+            mount = border[of_sensor : of_sensor + OF_SENSOR]
+            linearise_wall(rows, X[i], mount, seen[9:], seen[:7], border[k : k + 2], looks.anchor[wall])
+            squared[j], more = _whiten(rows, seen[7], seen[8], huber)
+        fresh[:, :3], fresh[:, 3:] = 0.0, rows[:, :OF_TWIST]
+        if before >= 0:
+            left, rows_before = ties.left[j], every[before]
+            whitener = 1.0 / math.sqrt(1.0 - left * left)
+            fresh[:, :3] = -left * whitener * rows_before[:, :3]
             fresh[:, 3:6] = whitener * rows[:, :3]
-            fresh[:, 6:] = whitener * (rows[:, 3:] - left[j] * rows_before[:, 3:])
-        cost += 0.5 * _dot(fresh, last, last)
-        _add_measured(fresh, 3, i, CAMERA, k, chain, rest)
-        for a in range(3 if before[j] >= 0 else 0):
+            fresh[:, 6:] = whitener * (rows[:, 3:OF_TWIST] - left * rows_before[:, 3:OF_TWIST])
+        cost += more + 0.5 * _dot(fresh, last, last)
+        _add_measured(fresh, 3, i, 3 + of_sensor, k, chain, rest)
+        for a in range(3 if before >= 0 else 0):
             for b in range(3):
                 chain[i - 1, a, b] += _dot(fresh, a, b)
                 chain[i - 1, a, 3 + b] += _dot(fresh, a, 3 + b)
-            _add_border(chain[i - 1, a], 3, fresh, a, 3, CAMERA, k)
+            _add_border(chain[i - 1, a], 3, fresh, a, 3, 3 + of_sensor, k)
     return cost
 
 
 @njit(cache=True)
-def _add_looks(
-    looks: Looks,
-    X: FloatArray,
-    border: FloatArray,
-    huber: float,
-    chain: FloatArray,
-    rest: FloatArray,
-    squared: FloatArray,
-) -> float:
-    """Add the normal equations of the looks at walls and set their squared errors (q,), in sigmas; returns the cost.
-
-    A look tells the direction of a wall, and how far a point in the middle of what was seen is from it.
-    """
-    cost, rows, last = 0.0, np.zeros((2, 11)), 10
-    begin = len(border) - 2 * len(looks.anchor)
-    yaw, ahead, aside, clock, sweep = border[8], border[9], border[10], border[11], border[12]
-    for j in range(len(looks.node)):
-        i, w = looks.node[j], looks.wall[j]
-        normal, m_x, m_y, sigma_angle, sigma_offset, speed, rate = looks.seen[j, :7]
-        k, bearing = begin + 2 * w, math.atan2(m_y, m_x)
-        earlier = clock + sweep * bearing
-        c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
-        lever_x, lever_y = c * (ahead - earlier * speed) - s * aside, s * (ahead - earlier * speed) + c * aside
-        turned = X[i, 2] + yaw - earlier * rate
-        d_x, d_y = math.cos(turned), math.sin(turned)
-        m_x, m_y = d_x * m_x - d_y * m_y, d_y * m_x + d_x * m_y
-        p_x, p_y = lever_x + m_x, lever_y + m_y
-        x, y = X[i, 0] + p_x - looks.anchor[w, 0], X[i, 1] + p_y - looks.anchor[w, 1]
-        n_x, n_y = math.cos(border[k]), math.sin(border[k])
-        n_ahead = c * n_x + s * n_y
-        swept = rate * looks.seen[j, 7:9] + speed * n_ahead * looks.seen[j, 9:]
-        by_angle = sweep * speed * (c * n_y - s * n_x) * looks.seen[j, 9:]
-        turn = wrap(border[k] - X[i, 2] - yaw + clock * rate + sweep * swept[0] - normal) / sigma_angle
-        off = (n_x * x + n_y * y - border[k + 1] - sweep * swept[1]) / sigma_offset
-        squared[j] = turn * turn + off * off
-        sigmas, weight = math.sqrt(squared[j]), 1.0
-        if sigmas > huber:
-            weight = math.sqrt(huber / sigmas)
-            cost += 0.5 * huber * (sigmas - huber)
-        one, other = weight / sigma_angle, weight / sigma_offset
-        by_turn = other * (n_y * m_x - n_x * m_y)
-        rows[0, 2], rows[0, 3], rows[0, 6], rows[0, 7] = one * (by_angle[0] - 1.0), -one, one * rate, one * swept[0]
-        rows[0, 8], rows[0, last] = one * (1.0 - by_angle[0]), weight * turn
-        rows[1, 0], rows[1, 1], rows[1, 2] = other * n_x, other * n_y, other * (n_y * p_x - n_x * p_y - by_angle[1])
-        rows[1, 3], rows[1, 4], rows[1, 5] = by_turn, other * n_ahead, other * (c * n_y - s * n_x)
-        rows[1, 6] = -speed * other * n_ahead - rate * by_turn
-        rows[1, 7] = bearing * rows[1, 6] - other * swept[1]
-        rows[1, 8], rows[1, 9], rows[1, last] = other * (n_x * y - n_y * x + by_angle[1]), -other, weight * off
-        cost += 0.5 * _dot(rows, last, last)
-        _add_measured(rows, 0, i, SCANNER, k, chain, rest)
-    return cost
+def _whiten(rows: FloatArray, sigma_first: float, sigma_second: float, huber: float) -> tuple[float, float]:
+    """Divide a measurement's rows by their deviations, in place; its squared error, and what its cost is above half of
+    the square of its rows. Farther off than `huber`, in sigmas, it pulls with a constant force."""
+    first, second = rows[0, ERROR] / sigma_first, rows[1, ERROR] / sigma_second
+    squared, more, weight = first * first + second * second, 0.0, 1.0
+    sigmas = math.sqrt(squared)
+    if sigmas > huber:
+        weight, more = math.sqrt(huber / sigmas), 0.5 * huber * (sigmas - huber)
+    for b in range(OF_TWIST):
+        rows[0, b] *= weight / sigma_first
+        rows[1, b] *= weight / sigma_second
+    return squared, more
 
 
 @njit(cache=True)

@@ -60,10 +60,9 @@ LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
 class Looks(NamedTuple):
     """q looks of a turn at w walls.
 
-    node, wall: (q,) pose and wall of each. seen: (q, 11) direction of the normal in B, rad, the middle of what was
-    seen, in B, the deviations of the direction and of the distance normal to it, the robot's twist then, and how a
-    sweep moves both, as of `scan_lines`. ends: (q, 2) along the wall, from that middle. anchor: (w, 2) in A. name: (w,)
-    of each wall.
+    node, wall: (q,) pose and wall of each. seen: (q, 11) the look (7,) of `measurement.look_of`, the deviations of its
+    direction and of its distance, and the robot's twist then. ends: (q, 2) along the wall, from the middle of what was
+    seen. anchor: (w, 2) in A. name: (w,) of each wall.
     """
 
     node: IntArray
@@ -81,7 +80,7 @@ class Looks(NamedTuple):
     def first(self, X_AB: FloatArray) -> FloatArray:
         """(w, 2) the walls by the best look at each, from poses (t, 3)."""
         X, walls = X_AB[self.node], np.empty((len(self.anchor), 2))
-        order = np.argsort(-self.seen[:, 3], kind="stable")
+        order = np.argsort(-self.seen[:, 7], kind="stable")
         angle = X[:, 2] + self.seen[:, 0]
         off = _in_frames(X, self.seen[:, 1:3]) - self.anchor[self.wall]
         distance = np.cos(angle) * off[:, 0] + np.sin(angle) * off[:, 1]
@@ -186,7 +185,7 @@ def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArr
     angle, (offset, begin, end, middle, deviation) = lines[:, 0], lines[:, [1, 2, 3, 4, 6]].T
     c, s = np.cos(angle), np.sin(angle)
     middles = c * offset - s * middle, s * offset + c * middle
-    seen = np.column_stack([angle, *middles, lines[:, 5], deviation, twist, lines[:, 7:]])
+    seen = np.column_stack([angle, *middles, lines[:, 7:], lines[:, 5], deviation, twist])
     ends = np.column_stack([begin - middle, end - middle])
     wall, newest = _grouped(X_AB[node, 2] + angle, _in_frames(X_AB[node], seen[:, 1:3]), ends, lines[:, 5], deviation)
     anchor = _in_frames(X_AB[node[newest]], seen[newest, 1:3])
@@ -421,8 +420,8 @@ def _compared(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A pair of points (2, 2) seen from the newest pose, with covariance R (4, 4), and k walls of the map, at P
     (k, 2, 2): the squared error (k,) in deviations and how far off (k,) m, infinite where they look another way or
-    hardly overlap; where along the wall (k, 2) m, and how much they overlap (k,) m. reach: as of Walls. entry: (k,) of
-    each first point among the landmarks known jointly."""
+    hardly overlap, the error also where it is surely beyond GATE; where along the wall (k, 2) m, and how much they
+    overlap (k,) m. reach: as of Walls. entry: (k,) of each first point among the landmarks known jointly."""
     Q = se2.transform(estimate.X_MD, p_AL)
     along, normal, _ = directions(P)
     apart, seen = Q - P[:, :1], Q[1] - Q[0]
@@ -431,7 +430,8 @@ def _compared(
     seen_length = float(np.hypot(*seen))
     candidates = (along @ seen > SAME_DIRECTION * seen_length) & (overlap > min(OVERLAP, 0.5 * seen_length))
     squared, off = np.full(len(P), np.inf), np.where(candidates, np.abs(e).max(axis=1), np.inf)
-    for k in np.flatnonzero(candidates):
+    # No S with that trace lets in what is farther off.
+    for k in np.flatnonzero(candidates & (np.sum(e * e, axis=1) < 2.0 * MOST_DEVIATION**2 * GATE)):
         _, S, _ = _off(p_AL[None], R, P[[k]], entry[[k]], estimate)
         if np.trace(S) < 2.0 * MOST_DEVIATION**2:
             squared[k] = e[k] @ np.linalg.solve(S, e[k])

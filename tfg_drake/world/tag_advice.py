@@ -25,6 +25,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.planning.exact_gain import whitened
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
@@ -43,8 +44,6 @@ WELL_KNOWN = 0.005
 CROWDED = 0.2
 # Side of the cells that ways are searched on, in cells of the reachability grid.
 _STEP = 2
-# A sighting from a place right beside a tag counts as from this far, m.
-_NEAREST = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -219,7 +218,7 @@ class _Turns:
         and whitened rows (m, c), of unit noise."""
         sensor = self._sensor
         d = p_WT - self._p
-        distance = np.maximum(np.hypot(*d.T), _NEAREST)
+        distance = np.hypot(*d.T)
         incidence = np.abs(wrap_angle(np.arctan2(-d[:, 1], -d[:, 0]) - facing))
         seen = (distance <= sensor.range) & (incidence <= sensor.max_incidence)
         seen[0] &= bool(abs(wrap_angle(math.atan2(d[0, 1], d[0, 0]) - self._ahead)) <= 0.5 * sensor.field_of_view)
@@ -228,16 +227,13 @@ class _Turns:
         k = len(view)
         if k < 2:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 0))
-        r, unit = distance[view], d[view] / distance[view, None]
-        base, per_metre, floor, bearing = np.where(view[:, None] == 0, self._first_noise, self._noise).T
-        by_range, by_bearing = 1.0 / np.maximum(base + per_metre * r, floor), 1.0 / bearing
-        tag = np.empty((k, 2, 2))
-        tag[:, 0] = unit * by_range[:, None]
-        tag[:, 1] = np.stack([-unit[:, 1], unit[:, 0]], axis=1) * (by_bearing / r)[:, None]
+        tag = whitened(d[view], self._noise)
+        first = view == 0
+        tag[first] = whitened(d[view[first]], self._first_noise)
         pose = np.zeros((k, 2, k, 3))
         each = np.arange(k)
         pose[each, :, each, :2] = -tag
-        pose[each, 1, each, 2] = -by_bearing
+        pose[each, 1, each, 2] = -1.0 / np.where(first, self._first_noise[3], self._noise[3])
         rest = np.linalg.qr(tag.reshape(2 * k, 2), mode="complete")[0][:, 2:]
         return (3 * view[:, None] + np.arange(3)).ravel(), rest.T @ pose.reshape(2 * k, 3 * k)
 
