@@ -19,6 +19,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, is_tag, message, replace
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED, scale_of
+from tfg_drake.table import take
 
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
 SMALL_STEP = 1e-6
@@ -112,14 +113,8 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
     W = one.information
     across = W[np.ix_(rows, ~rows)]
     information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
-    return replace(
-        one,
-        ids=one.ids[keep],
-        y_AL=one.y_AL[keep],
-        information=0.5 * (information + information.T),
-        on_error=one.on_error[keep],
-        errors=_errors_without(one, rows, keep) if len(one.errors) else one.errors,
-    )
+    errors = _errors_without(one, rows, keep) if len(one.errors) else one.errors
+    return replace(take(one, n=keep), information=0.5 * (information + information.T), errors=errors)
 
 
 def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArray:

@@ -10,6 +10,8 @@ the heading that it shares with the whole map for something that its sightings t
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import scipy.linalg
 
@@ -21,6 +23,7 @@ from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.wall_correction import correct_by_walls, seen_through, walls_seen
 from tfg_drake.slam.walls import Walls, floor_of_points, no_walls
+from tfg_drake.table import empty, take
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
@@ -42,19 +45,19 @@ class Localizer:
     """
 
     map: MapEstimate
-    mean: FloatArray
-    covariance: FloatArray
-    seen: IntArray
-    p_DL: FloatArray
-    considered: FloatArray
-    with_D: FloatArray
-    sensitivity: FloatArray
-    local_ids: IntArray
-    last_seen: FloatArray
-    local_frames: IntArray
-    walls: IntArray
-    wall_points: FloatArray
-    reach: FloatArray
+    mean: Annotated[FloatArray, "2k+3"]
+    covariance: Annotated[FloatArray, "2k+3", "2k+3"]
+    seen: Annotated[IntArray, "s"]
+    p_DL: Annotated[FloatArray, "s", 2]
+    considered: Annotated[FloatArray, "2s+13", "2s+13"]
+    with_D: Annotated[FloatArray, "2s+13", 3]
+    sensitivity: Annotated[FloatArray, "2k+3", "2s+13"]
+    local_ids: Annotated[IntArray, "k"]
+    last_seen: Annotated[FloatArray, "k"]
+    local_frames: Annotated[IntArray, "k"]
+    walls: Annotated[IntArray, "w"]
+    wall_points: Annotated[FloatArray, "w", 2, 2]
+    reach: Annotated[FloatArray, "w", 2]
     floor: float
 
     @property
@@ -70,22 +73,16 @@ class Localizer:
 
 def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Localizer:
     """The localiser at the departure pose of the newest map, and its walls."""
-    none, walls = np.empty(0, dtype=np.int64), walls or no_walls()
+    walls = walls or no_walls()
     row, known = rows_of(walls.first, estimate.ids[estimate.local])
     points = se2.transform(se2.inverse(estimate.X_MD), estimate.local_p_ML)
-    considered, with_D, p_DL = _considered(estimate, none, walls.floor)
-    return Localizer(
+    considered, with_D, p_DL = _considered(estimate, np.zeros(0, dtype=np.int64), walls.floor)
+    return empty(
+        Localizer,
         map=estimate,
-        mean=np.zeros(POSE),
-        covariance=np.zeros((POSE, POSE)),
-        seen=none,
         p_DL=p_DL,
         considered=considered,
         with_D=with_D,
-        sensitivity=np.zeros((POSE, SHARED)),
-        local_ids=none,
-        last_seen=np.empty(0),
-        local_frames=none,
         walls=row[known],
         wall_points=points[row[known, None] + [0, 1]],
         reach=walls.reach[known],
@@ -263,12 +260,9 @@ def _keep_local(localizer: Localizer, keep: BoolArray) -> Localizer:
     if keep.all():
         return localizer
     rows = np.append(np.ones(POSE, dtype=bool), np.repeat(keep, 2))
-    return replace(
-        localizer,
-        mean=localizer.mean[rows],
-        covariance=localizer.covariance[np.ix_(rows, rows)],
-        sensitivity=localizer.sensitivity[rows],
-        local_ids=localizer.local_ids[keep],
-        last_seen=localizer.last_seen[keep],
-        local_frames=localizer.local_frames[keep],
+    mean, covariance, sensitivity = (
+        localizer.mean[rows],
+        localizer.covariance[np.ix_(rows, rows)],
+        localizer.sensitivity,
     )
+    return replace(take(localizer, k=keep), mean=mean, covariance=covariance, sensitivity=sensitivity[rows])
