@@ -37,9 +37,9 @@ ANYWHERE = (1.0, 1.0, 0.5)
 class Localizer:
     """The filter's Gaussian in D.
 
-    map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
-    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (13 + 2s, 13 + 2s)
-    covariance of the parameters and of these in D, with_D: (13 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 13 + 2s), W.
+    map: what it considers, D is its X_MD. mean: (2k + 3,) pose and local tags, covariance: (2k + 3, 2k + 3). seen: (s,)
+    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (2s + 13, 2s + 13)
+    covariance of the parameters and of these in D, with_D: (2s + 13, 3) with X_MD. sensitivity: (2k + 3, 2s + 13), W.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w,) rows in map.local
     of the first points of walls, wall_points: (w, 2, 2) in D, reach: (w, 2) and floor as of `walls.Walls`.
     """
@@ -49,9 +49,9 @@ class Localizer:
     covariance: Annotated[FloatArray, "2k+3", "2k+3"]
     seen: Annotated[IntArray, "s"]
     p_DL: Annotated[FloatArray, "s", 2]
-    considered: Annotated[FloatArray, "2s+13", "2s+13"]
-    with_D: Annotated[FloatArray, "2s+13", 3]
-    sensitivity: Annotated[FloatArray, "2k+3", "2s+13"]
+    considered: Annotated[FloatArray, f"2s+{SHARED}", f"2s+{SHARED}"]
+    with_D: Annotated[FloatArray, f"2s+{SHARED}", 3]
+    sensitivity: Annotated[FloatArray, "2k+3", f"2s+{SHARED}"]
     local_ids: Annotated[IntArray, "k"]
     last_seen: Annotated[FloatArray, "k"]
     local_frames: Annotated[IntArray, "k"]
@@ -260,9 +260,9 @@ def _keep_local(localizer: Localizer, keep: BoolArray) -> Localizer:
     if keep.all():
         return localizer
     rows = np.append(np.ones(POSE, dtype=bool), np.repeat(keep, 2))
-    mean, covariance, sensitivity = (
-        localizer.mean[rows],
-        localizer.covariance[np.ix_(rows, rows)],
-        localizer.sensitivity,
+    return replace(
+        take(localizer, k=keep),
+        mean=localizer.mean[rows],
+        covariance=localizer.covariance[np.ix_(rows, rows)],
+        sensitivity=localizer.sensitivity[rows],
     )
-    return replace(take(localizer, k=keep), mean=mean, covariance=covariance, sensitivity=sensitivity[rows])
