@@ -16,6 +16,7 @@ import numpy as np
 from tfg_drake.hardware.device import Message
 from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
+from tfg_drake.table import misfit, take
 
 # A stamp may be so far ahead of the host's clock, and so old when it arrives, s.
 AHEAD, OLD = 0.25, 30.0
@@ -148,36 +149,34 @@ def _hazards(message: Hazards) -> tuple[Hazards, dict[str, str]]:
 
 def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str, str]]:
     """A single bad sighting is left out."""
-    columns = {name: getattr(message, name) for name in ("ids", "range", "bearing", "sigma_range", "sigma_bearing")}
     n = len(message.ids)
-    if any(values.shape != (n,) for values in columns.values()):
+    if misfit(message):
         return None, {"shape": "ids, ranges, bearings and deviations are not as many of each; check the detector"}
     if n > MOST_TAGS:
         return None, {"number": f"{n} sightings in one message are not plausible; check the detector"}
     plausible = {
-        "ids": (columns["ids"] >= 0) & (columns["ids"] < IDS),
-        "range": (columns["range"] > 0.0) & (columns["range"] <= TAG_RANGE),
-        "bearing": np.abs(columns["bearing"]) <= _HALF_TURN,
-        "sigma_range": _within(columns["sigma_range"], *SIGMA_RANGE),
-        "sigma_bearing": _within(columns["sigma_bearing"], *SIGMA_BEARING),
+        "ids": (message.ids >= 0) & (message.ids < IDS),
+        "range": (message.range > 0.0) & (message.range <= TAG_RANGE),
+        "bearing": np.abs(message.bearing) <= _HALF_TURN,
+        "sigma_range": _within(message.sigma_range, *SIGMA_RANGE),
+        "sigma_bearing": _within(message.sigma_bearing, *SIGMA_BEARING),
     }
     reasons = {}
     for name, good in plausible.items():
         if not good.all():
-            first, bad = _TOLD[name].format(columns[name][~good][0]), n - int(good.sum())
+            first, bad = _TOLD[name].format(getattr(message, name)[~good][0]), n - int(good.sum())
             others = "; the others are used" if bad < n else ""
             reasons[name] = f"{bad} of {n} sightings refused: {first} is not plausible; check the detector{others}"
     if not reasons:
         return message, {}
-    kept = np.logical_and.reduce(list(plausible.values()))
-    return replace(message, **{name: values[kept] for name, values in columns.items()}), reasons
+    return take(message, np.logical_and.reduce(list(plausible.values()))), reasons
 
 
 def _scan(message: LaserScan) -> tuple[LaserScan | None, dict[str, str]]:
     """A single range that is nonsense becomes nan, which says that nothing is known."""
     angles, ranges, farthest, sigma = message.angles, message.ranges, message.range_max, message.sigma
     n = len(angles)
-    if angles.shape != (n,) or ranges.shape != (n,):
+    if misfit(message):
         return None, {"shape": "not as many ranges as angles; check the scanner's driver"}
     if n > MOST_RAYS:
         return None, {"number": f"{n} rays in one message are not plausible; check the scanner's driver"}

@@ -69,9 +69,7 @@ def put(table: T, rows: Rows, other: T) -> T:
 
 def empty(kind: type[T], **given: Any) -> T:
     """The message of a kind without rows, with the fields given, the others' defaults, and else zeros."""
-    hints = typing.get_type_hints(kind, include_extras=True)
-    needed = [field.name for field in dataclasses.fields(kind) if _has_no_default(field) and field.name not in given]
-    return kind(**given, **{name: _nothing(hints[name]) for name in needed})
+    return kind(**_nothings(kind) | given)
 
 
 def misfit(table: DataclassInstance) -> str:
@@ -174,8 +172,12 @@ def _fits(found: tuple[int, ...], wanted: Shape, lengths: dict[str, int]) -> boo
     return True
 
 
-def _has_no_default(field: dataclasses.Field[Any]) -> bool:
-    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+@functools.cache
+def _nothings(kind: type[DataclassInstance]) -> dict[str, Any]:
+    """The values of the fields without a default in a message without rows."""
+    hints, default = typing.get_type_hints(kind, include_extras=True), dataclasses.MISSING
+    needed = [of.name for of in dataclasses.fields(kind) if of.default is default and of.default_factory is default]
+    return {name: _nothing(hints[name]) for name in needed}
 
 
 def _nothing(hint: Any) -> Any:
@@ -184,6 +186,8 @@ def _nothing(hint: Any) -> Any:
     if typing.get_origin(hint) is typing.Annotated:
         hint, shape = hint.__origin__, hint.__metadata__
     if (dtype := dtype_of(hint)) is not None:
-        return np.zeros([length if isinstance(length, int) else _terms(length)[2] for length in shape], dtype)
+        zeros = np.zeros([length if isinstance(length, int) else _terms(length)[2] for length in shape], dtype)
+        zeros.setflags(write=False)
+        return zeros
     hint = typing.get_origin(hint) or hint
     return empty(hint) if hasattr(hint, "__dataclass_fields__") else hint()

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake.messages import BoolArray
-from tfg_drake.table import dtype_of, misfit, shapes_of
+from tfg_drake.table import dtype_of, misfit
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -51,7 +51,7 @@ def to_arrays(message: object) -> dict[str, Array]:
     """The arrays of a message and of everything in it.
 
     Raises:
-        TypeError: something in the tree is not what its annotation says, or this gives an array no shape.
+        TypeError: something in the tree is not what its annotation says.
     """
     writer = _Writer()
     writer.fields(type(message), [message], "", single=True)
@@ -97,13 +97,6 @@ def element_of(hint: Any) -> Any | None:
     return None
 
 
-def _check_class(kind: Any, name: str) -> None:
-    if not hasattr(kind, "__dataclass_fields__") or any(
-        dtype_of(hint) is not None and field not in shapes_of(kind) for field, hint in hints_of(kind).items()
-    ):
-        raise TypeError(f"{name or 'the tree'}: {getattr(kind, '__name__', kind)} is no dataclass with shapes")
-
-
 def _may_be_symmetric(name: str) -> bool:
     field = name.rsplit(".", 1)[-1]
     return field == "covariance" or field.endswith("_covariance")
@@ -143,7 +136,6 @@ class _Writer:
         self.arrays: dict[str, Array] = {}
 
     def fields(self, kind: type, messages: Sequence[Any], path: str, single: bool) -> None:
-        _check_class(kind, path)
         for message in messages:
             if type(message) is not kind:
                 raise TypeError(f"{path or 'the tree'} must be a {kind.__name__}, not {type(message).__name__}")
@@ -205,7 +197,6 @@ class _Reader:
         self._arrays_by_name = arrays
 
     def fields(self, kind: type, count: int, path: str, single: bool) -> list[Any]:
-        _check_class(kind, path)
         columns: dict[str, list[Any]] = {}
         for name, hint in hints_of(kind).items():
             columns[name] = self._values(hint, count, f"{path}.{name}" if path else name, single)

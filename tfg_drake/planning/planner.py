@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Annotated
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import inverse, pose_at, transform
 from tfg_drake.messages import (
-    BoolArray,
     FloatArray,
     GoalChoice,
     IntArray,
@@ -36,7 +36,7 @@ from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen
 from tfg_drake.planning.roadmap import EFFORTS, RoadmapParameters, RoadmapState, empty_roadmap, extend, place_in_map
 from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.tfg.graph import empty_map
+from tfg_drake.table import empty, take
 
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
@@ -76,13 +76,13 @@ class PlannerState:
     path: Path
     status: PathStatus
     replans: int
-    obstacles: FloatArray
-    obstacle_view: IntArray
+    obstacles: Annotated[FloatArray, "b", 4]
+    obstacle_view: Annotated[IntArray, "b"]
     scan_stamp: float
     look_stamp: float
     waiting_since: float
     asked: float
-    driven: FloatArray
+    driven: Annotated[FloatArray, "d", 2]
     driven_before: float
     open_length: float
 
@@ -90,25 +90,17 @@ class PlannerState:
 def initial_state() -> PlannerState:
     """Before the first view."""
     nodes = empty_roadmap()
-    none, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
-    return PlannerState(
+    return empty(
+        PlannerState,
         nodes=nodes,
         part=nodes,
         radius=np.inf,
         estimate=keyframe_graph.empty_map(),
-        tfg=empty_map(),
-        roadmap=Roadmap(0, nodes.points, nodes.edges.nodes, nowhere, nowhere, nodes.anchor, none, none),
-        path=Path(id=0, stage=0, points=nodes.points),
         status=PathStatus(path_id=0, free=True),
-        replans=0,
-        obstacles=np.zeros((0, 4)),
-        obstacle_view=np.zeros(0, dtype=np.int64),
         scan_stamp=-np.inf,
         look_stamp=-np.inf,
         waiting_since=np.inf,
         asked=-np.inf,
-        driven=np.zeros((0, 2)),
-        driven_before=0.0,
         open_length=np.inf,
     )
 
@@ -136,7 +128,7 @@ def looked(state: PlannerState, now: Now) -> PlannerState:
         return state
     met = obstacles_in_map(state, state.estimate)
     gone, _ = seen_past(met, now.scan, pose_at(now.pose, now.scan.stamp))
-    return replace(_keep_obstacles(state, ~gone) if gone.any() else state, look_stamp=now.scan.stamp)
+    return replace(take(state, b=~gone) if gone.any() else state, look_stamp=now.scan.stamp)
 
 
 def extended(state: PlannerState, now: Now) -> PlannerState:
@@ -145,7 +137,7 @@ def extended(state: PlannerState, now: Now) -> PlannerState:
         return state
     failures = now.mission.failures
     if failures >= BOLD_AFTER:
-        state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
+        state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
     # Before the mission ends: somebody who stood in a way driven has had time to go.
     return grow(state, now.estimate, now.tfg, now.parameters, in_vain=failures + 1 >= MAX_FAILURES)
 
@@ -198,7 +190,7 @@ def grow(
 
     in_vain: as of `extend`.
     """
-    state = _keep_obstacles(state, len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
+    state = take(state, b=len(estimate.X_MA) - 1 - state.obstacle_view <= OBSTACLE_MEMORY)
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
     radius = planning_radius(estimate, parameters.explorer)
     estimate, tfg = local(estimate, tfg, radius, parameters.sensor.range)
@@ -229,7 +221,7 @@ def grow(
     ending = not in_reach and (beyond or cut_off)
     if len(state.obstacles) and (ending or _shut_in(roadmap, tfg, estimate)):
         # Before the mission ends, what lies behind them is tried once more.
-        state = _keep_obstacles(state, np.zeros(len(state.obstacles), dtype=np.bool_))
+        state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
     return replace(
         state,
@@ -286,10 +278,6 @@ def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
     return ends.reshape(-1, 4)
 
 
-def _keep_obstacles(state: PlannerState, keep: BoolArray) -> PlannerState:
-    return replace(state, obstacles=state.obstacles[keep], obstacle_view=state.obstacle_view[keep])
-
-
 def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
     """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
     pose, scan = now.pose, now.scan
@@ -299,7 +287,7 @@ def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
     _, in_view = seen_past(obstacles_in_map(state, state.estimate), scan, pose_at(pose, scan.stamp))
     if not in_view.all():
         # What the robot does not see may have gone; if not, it will see it on its way.
-        state = _keep_obstacles(state, in_view)
+        state = take(state, b=in_view)
         after = _plan(state, now)
     since = min(state.waiting_since, pose.stamp)
     if len(after.path.points) or not len(state.obstacles) or pose.stamp >= since + PATIENCE:

@@ -150,11 +150,8 @@ def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
     W = one.information
     across = W[np.ix_(rows, ~rows)]
     information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
-    return replace(
-        take(one, keep),
-        information=0.5 * (information + information.T),
-        errors=_errors_without(one, rows, keep) if len(one.errors) else one.errors,
-    )
+    errors = _errors_without(one, rows, keep) if len(one.errors) else one.errors
+    return replace(take(one, n=keep), information=0.5 * (information + information.T), errors=errors)
 
 
 def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArray:

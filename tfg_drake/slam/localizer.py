@@ -10,6 +10,8 @@ the heading that it shares with the whole map for something that its sightings t
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import scipy.linalg
 
@@ -21,6 +23,7 @@ from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.wall_correction import correct_by_walls, seen_through, walls_seen
 from tfg_drake.slam.walls import FLOOR, Walls, no_walls
+from tfg_drake.table import empty, take
 
 # Local tags kept at most; the longest unseen go first.
 MOST_LOCAL = 30
@@ -34,27 +37,27 @@ ANYWHERE = (1.0, 1.0, 0.5)
 class Localizer:
     """The filter's Gaussian in D.
 
-    map: what it considers, D is its X_MD. mean: (3 + 2k,) pose and local tags, covariance: (3 + 2k, 3 + 2k). seen: (s,)
-    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (13 + 2s, 13 + 2s)
-    covariance of the parameters and of these in D, with_D: (13 + 2s, 3) with X_MD. sensitivity: (3 + 2k, 13 + 2s), W.
+    map: what it considers, D is its X_MD. mean: (2k + 3,) pose and local tags, covariance: (2k + 3, 2k + 3). seen: (s,)
+    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (2s + 13, 2s + 13)
+    covariance of the parameters and of these in D, with_D: (2s + 13, 3) with X_MD. sensitivity: (2k + 3, 2s + 13), W.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w, 2) of map.local,
     the first in it, and p_DC: (w, 2) their anchors, both in D; reach: (w, 2). floor: as of `walls.Walls`.
     """
 
     map: MapEstimate
-    mean: FloatArray
-    covariance: FloatArray
-    seen: IntArray
-    p_DL: FloatArray
-    considered: FloatArray
-    with_D: FloatArray
-    sensitivity: FloatArray
-    local_ids: IntArray
-    last_seen: FloatArray
-    local_frames: IntArray
-    walls: FloatArray
-    p_DC: FloatArray
-    reach: FloatArray
+    mean: Annotated[FloatArray, "2k+3"]
+    covariance: Annotated[FloatArray, "2k+3", "2k+3"]
+    seen: Annotated[IntArray, "s"]
+    p_DL: Annotated[FloatArray, "s", 2]
+    considered: Annotated[FloatArray, f"2s+{SHARED}", f"2s+{SHARED}"]
+    with_D: Annotated[FloatArray, f"2s+{SHARED}", 3]
+    sensitivity: Annotated[FloatArray, "2k+3", f"2s+{SHARED}"]
+    local_ids: Annotated[IntArray, "k"]
+    last_seen: Annotated[FloatArray, "k"]
+    local_frames: Annotated[IntArray, "k"]
+    walls: Annotated[FloatArray, "w", 2]
+    p_DC: Annotated[FloatArray, "w", 2]
+    reach: Annotated[FloatArray, "w", 2]
     floor: float
 
     @property
@@ -70,22 +73,16 @@ class Localizer:
 
 def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Localizer:
     """The localiser at the departure pose of the newest map, and its walls."""
-    none, walls = np.empty(0, dtype=np.int64), walls or no_walls()
+    walls = walls or no_walls()
     of_walls = estimate.local[~is_tag(estimate.ids[estimate.local])]
     in_D, p_DC = _in_departure(estimate, of_walls)
-    considered, with_D, p_DL = _considered(estimate, none, walls.floor)
-    return Localizer(
+    considered, with_D, p_DL = _considered(estimate, np.zeros(0, dtype=np.int64), walls.floor)
+    return empty(
+        Localizer,
         map=estimate,
-        mean=np.zeros(POSE),
-        covariance=np.zeros((POSE, POSE)),
-        seen=none,
         p_DL=p_DL,
         considered=considered,
         with_D=with_D,
-        sensitivity=np.zeros((POSE, SHARED)),
-        local_ids=none,
-        last_seen=np.empty(0),
-        local_frames=none,
         walls=in_D,
         p_DC=p_DC,
         reach=estimate.reach[of_walls],
@@ -274,11 +271,8 @@ def _keep_local(localizer: Localizer, keep: BoolArray) -> Localizer:
         return localizer
     rows = np.append(np.ones(POSE, dtype=bool), np.repeat(keep, 2))
     return replace(
-        localizer,
+        take(localizer, k=keep),
         mean=localizer.mean[rows],
         covariance=localizer.covariance[np.ix_(rows, rows)],
         sensitivity=localizer.sensitivity[rows],
-        local_ids=localizer.local_ids[keep],
-        last_seen=localizer.last_seen[keep],
-        local_frames=localizer.local_frames[keep],
     )

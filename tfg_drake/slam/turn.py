@@ -32,6 +32,7 @@ from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
 from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
+from tfg_drake.table import empty
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -146,15 +147,7 @@ class TurnFrame:
 
 def no_detections(stamp: float) -> TagDetections:
     """A frame in which nothing was seen."""
-    nothing = np.empty(0)
-    return TagDetections(
-        stamp=stamp,
-        ids=np.empty(0, dtype=np.int64),
-        range=nothing,
-        bearing=nothing,
-        sigma_range=nothing,
-        sigma_bearing=nothing,
-    )
+    return empty(TagDetections, stamp=stamp)
 
 
 @message

@@ -169,12 +169,12 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         graph.surfaces, estimate, components, panorama, graph.tag_ids, _facing(graph, X_MA)
     )
     placed = place(surfaces, estimate)
-    tag_ids, tag_view, tag_facing, tag_range = _update_facing(graph, estimate, seen_ids, seen_normal)
+    with_tags = _with_facing(graph, estimate, seen_ids, seen_normal)
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
     nothing = np.zeros(len(estimate.ids), dtype=np.bool_)
     badly = nothing if math.isinf(scene.radius) else known_badly(estimate)
-    weak = weakly_tied(surfaces, tag_ids, tag_view, estimate, badly)
+    weak = weakly_tied(surfaces, with_tags.tag_ids, with_tags.tag_view, estimate, badly)
     segments, surface = segments_of(surfaces.offsets, placed)
     free = _up_to_surfaces(panorama, segments[~weak.surfaces[surface]], X_MA[view])
     star = star_polygon(free)
@@ -194,13 +194,9 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
     sighted, viewpoints = _update_sighted(graph.sighted, graph.viewpoints, scene.sightings, estimate)
     updated = replace(
-        graph,
+        with_tags,
         stage=estimate.stage,
         surfaces=surfaces,
-        tag_ids=tag_ids,
-        tag_view=tag_view,
-        tag_facing=tag_facing,
-        tag_range=tag_range,
         star_offsets=star_offsets,
         star_vertices=star_vertices,
         free_space_frontiers=newest.free_space_frontiers(
@@ -540,10 +536,8 @@ def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
     return turned(graph.tag_facing, X_MA[graph.tag_view, 2])
 
 
-def _update_facing(
-    graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, seen_normal: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """tag_ids, tag_view, tag_facing and tag_range with the newest view's observation.
+def _with_facing(graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, seen_normal: FloatArray) -> TfgGraph:
+    """The graph with the sides that its tags face by the newest view's observation, too.
 
     A tag faces along the normal of its surface as seen from nearest by; without a surface, towards that view.
     """
@@ -568,7 +562,7 @@ def _update_facing(
     tag_view[better | bare] = view
     distance[better] = new_distance[better]
     has = tag_view >= 0
-    return ids[has], tag_view[has], facing[has], distance[has]
+    return replace(graph, tag_ids=ids[has], tag_view=tag_view[has], tag_facing=facing[has], tag_range=distance[has])
 
 
 def _merge(
