@@ -2,6 +2,7 @@
 
 import dataclasses
 import fcntl
+import math
 import os
 import signal
 import subprocess
@@ -85,16 +86,19 @@ def call(capsys, monkeypatch):
 
 @pytest.fixture(scope="session")
 def walled_map(small_map):
-    """The small map with a wall as a landmark besides, from (1, 1) to (4, 5) in M, its points known across it to 0.02 m
-    and 0.3 m, along it hardly."""
-    normal, along = np.array([0.8, -0.6]), np.array([0.6, 0.8])
-    blocks = [sigma**2 * np.outer(normal, normal) + 100.0 * np.outer(along, along) for sigma in (0.02, 0.3)]
-    graph = small_map.graph
+    """The small map with a wall as a landmark besides, seen from (1, 1), its anchor, to (4, 5) in M, its ends known
+    across it to 0.02 m and 0.3 m, independent of each other."""
+    near, far = 0.02**2, 0.3**2
+    graph, none = small_map.graph, np.zeros((len(small_map.graph.ids), 2))
     graph = dataclasses.replace(
         graph,
-        ids=np.append(WALLS_BELOW + np.array([-2, -1]), graph.ids),
-        p_ML=np.vstack([[[1.0, 1.0], [4.0, 5.0]], graph.p_ML]),
-        landmark_covariance=np.concatenate([blocks, graph.landmark_covariance]),
+        ids=np.append(WALLS_BELOW - 1, graph.ids),
+        p_ML=np.vstack([[math.atan2(-0.6, 0.8), 0.0], graph.p_ML]),
+        anchor=np.vstack([[1.0, 1.0], none]),
+        reach=np.vstack([[0.0, 5.0], none]),
+        landmark_covariance=np.concatenate(
+            [[[[(near + far) / 25.0, near / 5.0], [near / 5.0, near]]], graph.landmark_covariance]
+        ),
     )
     return dataclasses.replace(small_map, graph=graph)
 
@@ -125,7 +129,8 @@ def small_map():
         root = np.random.default_rng(seed).normal(size=(2 * n + 3, 2 * n + 3))
         covariance = 1e-3 * (np.eye(2 * n + 3) + 0.1 * root @ root.T)
         p_AL = (tags[rows] - X_MA[:2]) @ R
-        return of_places(np.array(rows) + 10, p_AL, np.array(X_AD), 0.5 * (covariance + covariance.T))
+        none = np.zeros((n, 2))
+        return of_places(np.array(rows) + 10, p_AL, none, none, np.array(X_AD), 0.5 * (covariance + covariance.T))
 
     prior = by_data_sheet(OdometryConfig(), TagSensorConfig())
     driven = way(np.array([1.0, -0.03, 0.08]), 1e-3 * np.eye(3))

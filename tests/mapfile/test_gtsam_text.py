@@ -32,7 +32,7 @@ def test_its_optimum_is_the_map(small_map):
         np.testing.assert_allclose(best.atVector(key), values.atVector(key), atol=1e-6)
 
 
-def test_points_of_walls_have_names_of_their_own(small_map):
+def test_walls_have_names_of_their_own(small_map):
     ids = np.append(WALLS_BELOW + np.array([-2, -1]), small_map.ids[2:])
     keyframes = []
     for one in small_map.graph.keyframes:

@@ -211,7 +211,7 @@ def test_a_wall_is_near_with_both_of_its_points_where_one_is():
     places = np.array([[5.0, 0.0], [50.0, 0.0], [50.0, 3.0], [50.0, 9.0], [1.0, 1.0], [60.0, 0.0]])
     estimate = replace(
         estimate, ids=np.append(WALLS_BELOW - np.array([6, 5, 4, 3]), [0, 1]), p_ML=places, local=np.arange(6),
-        covariance=np.eye(15), landmark_covariance=np.zeros((6, 2, 2)), X_MA=np.zeros((1, 3)),
+        anchor=np.zeros((6, 2)), reach=np.zeros((6, 2)), covariance=np.eye(15), landmark_covariance=np.zeros((6, 2, 2)), X_MA=np.zeros((1, 3)),
     )  # fmt: skip
     part, part_tfg = local(estimate, replace(tfg, facing=np.array([[0.0, 1], [1, 0]])), 10.0, 5.0)
     assert part.ids.tolist() == [WALLS_BELOW - 6, WALLS_BELOW - 5, 0]

@@ -582,12 +582,12 @@ def test_denser_landmarks_are_expected_to_bring_more():
 def with_walls():
     """The half-known room with its three walls as landmarks, too, all known as badly as the tags."""
     estimate, tfg = half_known_room()
-    first = WALLS_BELOW - np.array([6, 4, 2])
-    ends = np.array([[4.0, 4, -4, 4], [4, -4, 4, 4], [-4, -4, 4, -4]]).reshape(-1, 2)
+    walls, anchor, reach = walls_between([[4.0, 4, -4, 4], [4, -4, 4, 4], [-4, -4, 4, -4]])
+    none, own = np.zeros((3, 2)), known_at_their_ends(reach, 0.1)
     return dataclasses.replace(
-        estimate, ids=np.append(np.stack([first, first + 1], axis=1).ravel(), estimate.ids),
-        p_ML=np.vstack([ends, estimate.p_ML]), local=np.arange(9), covariance=1e-2 * np.eye(21),
-        landmark_covariance=np.zeros((9, 2, 2)),
+        estimate, ids=np.append(WALLS_BELOW - np.array([3, 2, 1]), estimate.ids),
+        p_ML=np.vstack([walls, estimate.p_ML]), anchor=np.vstack([anchor, none]), reach=np.vstack([reach, none]),
+        local=np.arange(6), covariance=block_diag(*own, 1e-2 * np.eye(9)), landmark_covariance=np.zeros((6, 2, 2)),
     ), dataclasses.replace(tfg, inspected=24.0)  # fmt: skip
 
 

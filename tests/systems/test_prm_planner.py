@@ -36,7 +36,8 @@ def maps(stage):
         return estimate, tfg
     walls = np.array([[-4.0, -4, 4, -4], [4, -4, 4, 4], [4, 4, -4, 4]])
     tags, facing = np.array([[0.0, -4], [4, 0], [0, 4]]), np.array([[0.0, 1], [-1, 0], [0, -1]])
-    estimate = MapEstimate(stage, 1.0, np.arange(3), tags, np.zeros(3), np.arange(3), 1e-2 * np.eye(9),
+    none = np.zeros((3, 2))
+    estimate = MapEstimate(stage, 1.0, np.arange(3), tags, none, none, np.zeros(3), np.arange(3), 1e-2 * np.eye(9),
                            np.tile(1e-2 * np.eye(2), (3, 1, 1)), np.zeros((stage, 3)), observation, 0.0)  # fmt: skip
     frontiers = np.stack([np.full(15, -4.35), np.linspace(-3.5, 3.5, 15)], axis=1)
     normals = np.tile([1.0, 0.0], (15, 1))

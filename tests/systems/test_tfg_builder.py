@@ -27,7 +27,8 @@ def estimate(stage: int, stop: float = TURN_TIME) -> MapEstimate:
     observation = Observation(ids, stamps, X_AB)
     own = np.tile(np.eye(2), (len(ids), 1, 1))
     joint = np.eye(2 * len(ids) + 3)
-    return MapEstimate(stage, stop, ids, p, np.zeros(3), ids, joint, own, np.zeros((stage, 3)), observation, 0.0)
+    none, X_MA = np.zeros((len(ids), 2)), np.zeros((stage, 3))
+    return MapEstimate(stage, stop, ids, p, none, none, np.zeros(3), ids, joint, own, X_MA, observation, 0.0)
 
 
 def pose(ids: list[int] | None = None) -> PoseEstimate:

@@ -11,6 +11,7 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from benchmarks.timelines import read_timeline
 from tests.systems.test_visualizer import GrowingMap, make_map, make_messages
+from tests.walls import known_at_their_ends, walls_between
 from tfg_drake.messages import WALLS_BELOW, GridMap, replace
 from tfg_drake.simulation.disturbance import Pushes, with_push
 from tfg_drake.simulation.people import People
@@ -157,13 +158,15 @@ def test_walls_that_are_landmarks_are_written_with_the_map(writer, tmp_path):
         """At two stages, tags alone and with walls at some x, seen from (89, 0) at the second."""
         estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [90.0, 0.0]]))
         estimate = replace(estimate, local=np.zeros(1, dtype=np.int64), covariance=estimate.covariance[2:, 2:])
-        ids = WALLS_BELOW - 2 * len(x) + np.arange(2 * len(x))
-        walls = np.array([[at, y] for at in x for y in (-1.0, 1.0)])
-        blocks = np.tile(np.diag([0.09, 25.0]), (len(ids), 1, 1))
+        ids, none = WALLS_BELOW - len(x) + np.arange(len(x)), np.zeros((len(estimate.ids), 2))
+        walls, anchor, reach = walls_between([[[at, -1.0], [at, 1.0]] for at in x])
+        blocks = known_at_their_ends(reach, 0.3)
         with_walls = replace(
             estimate,
             ids=np.append(ids, estimate.ids),
             p_ML=np.vstack([walls, estimate.p_ML]),
+            anchor=np.vstack([anchor, none]),
+            reach=np.vstack([reach, none]),
             landmark_covariance=np.concatenate([blocks, estimate.landmark_covariance]),
             local=estimate.local + len(ids),
         )
@@ -180,8 +183,9 @@ def test_walls_that_are_landmarks_are_written_with_the_map(writer, tmp_path):
     Simulator(builder.Build()).AdvanceTo(0.6)
     walls = [record for record in recorded(writer, tmp_path) if record.layer == "wall_landmarks"]
     assert [record.time for record in walls] == [0.0, 0.5]
-    assert walls[0].arrays["segments"].tolist() == [[0.0, -1.0, 0.0, 1.0]]
-    assert walls[1].arrays["segments"].tolist() == [[0.0, -1.0, 0.0, 1.0], [91.0, -1.0, 91.0, 1.0]]
+    np.testing.assert_allclose(walls[0].arrays["segments"], [[0.0, -1.0, 0.0, 1.0]], atol=1e-9)
+    segments = walls[1].arrays["segments"]
+    np.testing.assert_allclose(segments, [[0.0, -1.0, 0.0, 1.0], [91.0, -1.0, 91.0, 1.0]], atol=1e-9)
     np.testing.assert_allclose(walls[1].arrays["deviation"], 0.3)
 
 

@@ -67,6 +67,8 @@ def make_map(n=2, stage=1):
         stamp=1.0,
         ids=np.arange(n),
         p_ML=np.arange(2.0 * n).reshape(n, 2),
+        anchor=np.zeros((n, 2)),
+        reach=np.zeros((n, 2)),
         X_MD=np.zeros(3),
         local=np.arange(n),
         covariance=0.01 * np.eye(2 * n + 3),
@@ -225,7 +227,8 @@ def test_the_trail_grows_by_pieces_that_hang_together(meshcat):
 
 
 def test_draws_walls_that_are_landmarks(meshcat):
-    with_walls = replace(make_map(4), ids=np.append(WALLS_BELOW + np.array([-2, -1]), [0, 1]))
+    ids, reach = np.append(WALLS_BELOW - 1, [0, 1]), np.array([[-1.0, 2.0], [0, 0], [0, 0]])
+    with_walls = replace(make_map(3), ids=ids, reach=reach)
     Simulator(make_diagram(meshcat, make_messages() | {"landmarks": with_walls}, make_world())).AdvanceTo(0.5)
     assert b"usemtl wall_landmarks_3sigma" in drawn(meshcat, "map/wall_landmarks/0_0/1")
 

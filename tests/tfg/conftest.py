@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from tests.walls import walls_between
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import between, inverse, transform
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import WALLS_BELOW, LaserScan, MapEstimate, Observation, TfgMap, replace
+from tfg_drake.slam.keyframe import placed
 from tfg_drake.table import empty
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import UnmappedSightings, resolve, update
@@ -76,13 +78,17 @@ class Simulation:
         error = np.zeros_like(self.p_WT) if self.error is None else self.error
         sigma = np.full(len(self.p_WT), 1e-3) if self.sigma is None else self.sigma
         observation = Observation(seen, stamps, X_AB)
-        of_walls = np.full(2 * len(self.landmarks), 1e-3)
-        each = np.concatenate([of_walls, sigma[ids]])
+        w = len(self.landmarks)
+        each = np.concatenate([np.full(w, 1e-3), sigma[ids]])
+        wall, anchor, reach = walls_between(self.landmarks)
+        no_wall = np.zeros((len(ids), 2))
         self.estimate = MapEstimate(
             len(self.X_MA),
             self.stamp,
-            np.concatenate([WALLS_BELOW - len(of_walls) + np.arange(len(of_walls)), ids]),
-            np.vstack([self.landmarks.reshape(-1, 2), self.p_WT[ids] + error[ids]]),
+            np.concatenate([WALLS_BELOW - w + np.arange(w), ids]),
+            np.vstack([wall, self.p_WT[ids] + error[ids]]),
+            np.vstack([anchor, no_wall]),
+            np.vstack([reach, no_wall]),
             X_WA,
             np.arange(len(each)),
             np.diag(np.append(np.repeat(each, 2), np.full(3, 1e-3))) ** 2,
@@ -109,7 +115,8 @@ class Simulation:
         e = self.estimate
         assert e is not None
         X_MA = np.array([between(inverse(X_NM), X) for X in e.X_MA])
-        return replace(e, p_ML=transform(X_NM, e.p_ML), X_MA=X_MA)
+        p_ML, anchor = placed(X_NM, e.ids, e.p_ML, e.anchor)
+        return replace(e, p_ML=p_ML, anchor=anchor, X_MA=X_MA)
 
 
 def _rectangle(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:

@@ -12,7 +12,8 @@ def _estimate(p_ML: np.ndarray, X_MD: np.ndarray, covariance: np.ndarray) -> Map
     empty = empty_map()
     ids = np.arange(len(p_ML))
     own = np.zeros((len(ids), 2, 2))
-    return MapEstimate(1, 0.0, ids, p_ML, X_MD, ids, covariance, own, np.zeros((1, 3)), empty.observation, 0.0)
+    none, X_MA = np.zeros((len(ids), 2)), np.zeros((1, 3))
+    return MapEstimate(1, 0.0, ids, p_ML, none, none, X_MD, ids, covariance, own, X_MA, empty.observation, 0.0)
 
 
 def test_drift_from_the_robot_is_that_of_what_it_would_see() -> None:

@@ -158,13 +158,16 @@ def test_what_is_seen_on_a_wall_is_a_piece_of_it_and_follows_it(two_rooms) -> No
     tfg = two_rooms.observe(TOUR[0])
     (on_wall,) = np.flatnonzero(tfg.segment_ids[:, 0] < -1)
     first = two_rooms.estimate.ids[0]
-    assert (tfg.segment_ids[on_wall].tolist(), tfg.segment_kind[on_wall]) == ([first, first + 1], EDGE)
+    assert (tfg.segment_ids[on_wall].tolist(), tfg.segment_kind[on_wall]) == ([first, first], EDGE)
     # As much as is seen of it, from its left, straight whatever the noise.
     np.testing.assert_allclose(tfg.segments[on_wall], [0.0, 0.0, 6.0, 0.0], atol=0.1)
     assert tfg.segments[on_wall, [1, 3]].tolist() == pytest.approx([0.0, 0.0], abs=1e-12)
     e = two_rooms.estimate
-    p_ML = e.p_ML.copy()
-    p_ML[1] += [0.0, 0.02]
+    # It turns about (2, 0).
+    p_ML, turn = e.p_ML.copy(), math.atan(0.01)
+    off = np.array([2.0, 0.0]) - e.anchor[0]
+    angle = p_ML[0, 0] + turn
+    p_ML[0] = angle, off @ [math.cos(angle), math.sin(angle)]
     moved = resolve(two_rooms.graph, dataclasses.replace(e, p_ML=p_ML), two_rooms.robot, two_rooms.explorer)
     by = 0.01 * (tfg.segments[on_wall, ::2] - 2.0)
     np.testing.assert_allclose(moved.segments[on_wall, 1::2], by, atol=1e-9)

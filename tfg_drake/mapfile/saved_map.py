@@ -17,6 +17,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
+from tfg_drake.mapfile import schema_13
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag, message, replace
 from tfg_drake.slam.estimator_state import EstimatorState, initial_state
@@ -33,6 +34,8 @@ from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
 SCHEMA = 14
+# One before is read, too.
+OLDER = 13
 # Kinds of a TfgMap's segments.
 KINDS_OF_SEGMENTS = 3
 # Fields of the TfgMap that are places.
@@ -200,11 +203,11 @@ def load_map(path: Path) -> SavedMap:
     schema = arrays.pop("schema", None)
     if schema is None or schema.shape != () or schema.dtype.kind != "i":
         raise MapFileError(f"{path} is not a map of tfg-drake")
-    if schema != SCHEMA:
+    if schema not in (SCHEMA, OLDER):
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
-        raise MapFileError(f"{path} has map schema {schema}; this version reads schema {SCHEMA}: {mend}")
+        raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER} and {SCHEMA}: {mend}")
     try:
-        return whole_map(arrays)
+        return whole_map(arrays) if schema == SCHEMA else _older_map(arrays)
     except ArraysError as error:
         raise MapFileError(f"{path} is not a whole map: {error}") from None
 
@@ -214,6 +217,18 @@ def whole_map(arrays: Mapping[str, Array]) -> SavedMap:
     saved = from_arrays(SavedMap, arrays)
     contradiction = _contradiction(saved)
     if contradiction:
+        raise ArraysError(contradiction)
+    return saved
+
+
+def _older_map(arrays: dict[str, Array]) -> SavedMap:
+    """The map that arrays of schema OLDER hold. Raises ArraysError."""
+    try:
+        arrays, first, reach = schema_13.padded(arrays)
+        saved = schema_13.with_walls(from_arrays(SavedMap, arrays), first, reach)
+    except (KeyError, IndexError, ValueError) as error:
+        raise ArraysError(str(error)) from None
+    if contradiction := _contradiction(saved):
         raise ArraysError(contradiction)
     return saved
 

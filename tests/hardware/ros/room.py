@@ -22,6 +22,8 @@ def estimate():
         stamp=10.0,
         ids=np.array([7, 12]),
         p_ML=np.array([[-1.0, -1.52], [-2.02, 0.5]]),
+        anchor=np.zeros((2, 2)),
+        reach=np.zeros((2, 2)),
         X_MD=np.zeros(3),
         local=np.arange(2),
         covariance=1e-4 * np.eye(7),
