@@ -113,7 +113,7 @@ def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, c
 
 def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimate:
     """The map with the running observation as one view more."""
-    n, X_MA = len(seen.ids), seen.way[0, 1:]
+    n, X_MA, no_wall = len(seen.ids), seen.way[0, 1:], np.zeros((len(seen.ids), 2))
     # The pose's error is in all places alike.
     each = 1.0 / seen.information[:, None, None] * np.eye(2) + covariance[:2, :2]
     joint = np.zeros((2 * n + 3, 2 * n + 3))
@@ -126,6 +126,8 @@ def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimat
         stamp=float(seen.way[-1, 0]),
         ids=seen.ids,
         p_ML=seen.weighted / seen.information[:, None],
+        anchor=no_wall,
+        reach=no_wall,
         X_MD=X_MD,
         local=np.arange(n),
         covariance=joint,

@@ -291,7 +291,7 @@ class TfgMap:
     stage: number of views in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, but for those that
     have drifted (see `tfg_drake.tfg.overlap`). segment_kind: (m,) 0 edge, of a wall or between two tags, 1
     surface with a tag at one end, 2 surface without a landmark. segment_ids: (m, 2) ids of the landmarks that it joins:
-    the points of the wall that it lies on or the tags where it begins and ends, -1 where there is none. A tag without a
+    the wall that it lies on, twice, or the tags where it begins and ends, -1 where there is none. A tag without a
     surface is a piece of no length. facing: (n, 2) unit vectors in M, row for row
     with MapEstimate.ids: the side from which each landmark was seen, zero where its surfaces have drifted. frontiers:
     (f, 2) points in M, a little inside the unknown, frontier_length: (f,) m of frontier each stands for,

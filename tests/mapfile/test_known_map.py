@@ -93,6 +93,8 @@ def test_moved_lost_and_new_tags_are_told(small_map):
             graph,
             ids=ids[keep],
             p_ML=p_ML[keep],
+            anchor=graph.anchor[keep],
+            reach=graph.reach[keep],
             landmark_covariance=np.full_like(graph.landmark_covariance, 0.0)[keep] + 1e-4 * np.eye(2),
         ),
     )

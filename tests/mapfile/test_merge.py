@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 import tfg_drake
-from tests.slam.rings import NOTHING, gaussian, reckoned, ring
+from tests.slam.rings import NOTHING, reckoned, ring
 from tests.slam.test_wall_search import ROOM
+from tests.walls import known_at_their_ends, walls_between
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.metrics import landmark_nees, landmark_rmse_aligned
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
@@ -21,9 +22,9 @@ from tfg_drake.mapfile.saved_map import SavedMap, load_map, restored_estimate, s
 from tfg_drake.messages import WALLS_BELOW, is_tag
 from tfg_drake.slam.estimator_state import unknown_way
 from tfg_drake.slam.evidence import Evidence
+from tfg_drake.slam.keyframe import of_places
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.shared import METRES
-from tfg_drake.slam.walls import FREE, HELD, directions, known_walls, no_walls
+from tfg_drake.slam.walls import directions, known_walls, no_walls
 from tfg_drake.table import empty
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import empty_map
@@ -56,10 +57,8 @@ def saved(keyframes, surfaces=None, star=None):
         resolved = dataclasses.replace(
             resolved, segments=pieces, segment_kind=np.zeros(len(ids), dtype=np.int64), segment_ids=ids
         )
-    first, pairs, _ = known_walls(graph)
-    walls = dataclasses.replace(no_walls(), first=first, reach=directions(pairs)[2][:, None] * [0.0, 1.0])
     doubtful = np.zeros(0, dtype=np.int64)
-    return SavedMap(X_WM, k, estimate.stamp, graph, 0, doubtful, walls, empty(Evidence), tfg, resolved)
+    return SavedMap(X_WM, k, estimate.stamp, graph, 0, doubtful, no_walls(), empty(Evidence), tfg, resolved)
 
 
 def halves(seed, noise):
@@ -168,47 +167,47 @@ X_AD, TURN, ACROSS = np.array([0.2, 0.1, 0.3]), np.diag([0.02, 0.02, 0.01]) ** 2
 IN_VIEW = ([0, 1, 2], [0, 2, 3, 4, 5], [0, 2, 4])
 
 
-def looks(room, names, X_MA, known=()):
-    """Keyframes of three turns, the first at X_MA (3,), that see walls (w, 4) of a room by these names (w,); those that
-    are not known hold the walls along them where they see them first."""
-    keyframes, X_MB, room, held = [], np.zeros(3), np.array(room, dtype=float), set(known)
+def looks(room, names, X_MA, at):
+    """Keyframes of three turns, the first at X_MA (3,), that see walls (w, 4) of a room by these names (w,), anchored
+    by this share of their length."""
+    keyframes, X_MB, room = [], np.zeros(3), np.array(room, dtype=float)
     for view in IN_VIEW:
         seen = np.array(sorted((w for w in view if w < len(room)), key=lambda w: -names[w]))
-        ids = (WALLS_BELOW - 2 * np.array(names)[seen][:, None] - [2, 1]).ravel()
         p = se2.transform(se2.inverse(se2.compose(X_MA, X_MB)), room[seen].reshape(-1, 2))
-        along, normal, _ = directions(p.reshape(-1, 2, 2))
-        blocks = []
-        for w, a, n in zip(seen.tolist(), along, normal, strict=True):
-            block = ACROSS**2 * np.outer(n, n) + (FREE if w in held else HELD) ** 2 * np.outer(a, a)
-            blocks += [block, block]
-        held |= set(seen.tolist())
-        keyframes.append(dataclasses.replace(gaussian(ids, p, X_AD, block_diag(*blocks, TURN)), unit=METRES))
+        walls, anchor, reach = walls_between(p, at)
+        covariance = block_diag(*known_at_their_ends(reach, ACROSS), TURN)
+        keyframes.append(of_places(WALLS_BELOW - 1 - np.array(names)[seen], walls, anchor, reach, X_AD, covariance))
         X_MB = se2.compose(X_MB, X_AD)
     return keyframes
 
 
-def in_room(room, names, X_MA):
+def in_room(room, names, X_MA, at=0.25):
     """The map of these looks; every view has seen the whole room to be free."""
-    keyframes, w = looks(room, names, X_MA), len(room)
+    keyframes, w, room = looks(room, names, X_MA, at), len(room), np.array(room, dtype=float)
+    order = np.argsort(-np.array(names))
+    length = directions(room[order].reshape(-1, 2, 2))[2]
+    along = length[:, None] * [-at, 1.0 - at]
     surfaces = Surfaces(
-        ids=(WALLS_BELOW - 2 * np.sort(names)[::-1][:, None] - [2, 1]),
+        ids=np.tile(WALLS_BELOW - 1 - np.array(names)[order][:, None], 2),
         view=np.full(w, 2),
         range=np.full(w, 5.0),
         offsets=2 * np.arange(w + 1),
-        vertices=np.tile([[0.0, 0.0], [1.0, 0.0]], (w, 1)),
+        vertices=np.column_stack([along.ravel(), np.zeros(2 * w)]),
     )
-    return saved(keyframes, surfaces, se2.transform(se2.inverse(X_MA), np.array(room, dtype=float)[:, :2]))
+    return saved(keyframes, surfaces, se2.transform(se2.inverse(X_MA), room[:, :2]))
 
 
 HERE, THERE = np.array([3.5, 1.5, 0.4]), np.array([1.0, 1.0, -2.0])
 
 
 def test_without_tags_the_walls_tell_how_they_lie_and_become_one(tmp_path):
-    first, second = in_room(ROOM, range(6), HERE), in_room(ROOM, [7, 2, 9, 0, 4, 5], THERE)
+    first, second = in_room(ROOM, range(6), HERE), in_room(ROOM, [7, 2, 9, 0, 4, 5], THERE, at=0.6)
     both = merge(first, second)
     np.testing.assert_array_equal(both.graph.ids, first.graph.ids)
     np.testing.assert_allclose(both.graph.p_ML, first.graph.p_ML, atol=1e-3)
     np.testing.assert_allclose(both.X_MA[3], se2.between(HERE, THERE), atol=1e-3)
+    np.testing.assert_array_equal(both.graph.anchor, first.graph.anchor)
+    np.testing.assert_allclose(both.graph.reach, first.graph.reach, atol=5e-3)
     # What both have seen is there once.
     length = np.hypot(*(both.tfg.segments[:, 2:] - both.tfg.segments[:, :2]).T)
     assert length.sum() == pytest.approx(directions(np.array(ROOM).reshape(-1, 2, 2))[2].sum(), abs=0.05)
@@ -217,11 +216,10 @@ def test_without_tags_the_walls_tell_how_they_lie_and_become_one(tmp_path):
 
 
 def test_what_is_known_of_walls_is_known_as_well_as_if_one_graph_had_seen_all():
-    """Along a wall only poses hold its points, which are uncertain themselves."""
-    both = merge(in_room(ROOM, range(6), HERE), in_room(ROOM, [7, 2, 9, 0, 4, 5], THERE))
-    keyframes = looks(ROOM, range(6), HERE)
+    both = merge(in_room(ROOM, range(6), HERE), in_room(ROOM, [7, 2, 9, 0, 4, 5], THERE, at=0.6))
+    keyframes = looks(ROOM, range(6), HERE, 0.25)
     end = se2.compose(HERE, se2.compose(X_AD, se2.compose(X_AD, X_AD)))
-    keyframes += [unknown_way(se2.between(end, THERE))[0].keyframe, *looks(ROOM, range(6), THERE, known=range(6))]
+    keyframes += [unknown_way(se2.between(end, THERE))[0].keyframe, *looks(ROOM, range(6), THERE, 0.6)]
     whole, _ = solve(reckoned(keyframes), 0.0, NOTHING)
     np.testing.assert_allclose(known_walls(both.graph)[2], known_walls(whole)[2], rtol=0.03)
 
@@ -230,7 +228,7 @@ def test_a_wall_of_the_second_map_alone_gets_an_id_of_its_own():
     first, second = in_room(ROOM[:-1], range(5), HERE), in_room(ROOM, range(6), THERE)
     both = merge(first, second)
     ids, pairs, _ = known_walls(both.graph)
-    np.testing.assert_array_equal(ids, WALLS_BELOW - 2 * np.arange(6)[::-1] - 2)
+    np.testing.assert_array_equal(ids, WALLS_BELOW - np.arange(6)[::-1] - 1)
     expected = se2.transform(se2.inverse(HERE), np.array(ROOM[-1], dtype=float).reshape(-1, 2))
     np.testing.assert_allclose(np.sort(pairs[0], axis=0), np.sort(expected, axis=0), atol=0.02)
 

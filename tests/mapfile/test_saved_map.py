@@ -27,7 +27,6 @@ from tfg_drake.mapfile.saved_map import (
     state_of_map,
 )
 from tfg_drake.mapfile.summary import map_rows
-from tfg_drake.messages import WALLS_BELOW
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
@@ -259,8 +258,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(14)}, "FILE has map schema 14; this version reads schema 13: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads schema 13: make the map anew"),
+        ({"schema": np.int64(15)}, "FILE has map schema 15; this version reads 13 and 14: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads 13 and 14: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
@@ -278,9 +277,14 @@ def rewrite(path, **changes):
         ),
         ({"graph.ids": np.array([10, 11, 11, 13])}, "FILE is not a whole map: graph.ids is not ascending"),
         (
-            {"graph.ids": np.array([WALLS_BELOW - 1, 10, 11, 12])},
-            "FILE is not a whole map: graph.ids has walls without two points",
+            {"graph.anchor": np.full((4, 2), 1e6)},
+            "FILE is not a whole map: graph.anchor is more than 1000 m from the origin",
         ),
+        (
+            {"graph.reach": np.full((4, 2), np.inf)},
+            "FILE is not a whole map: graph.reach is more than 1000 m from the origin",
+        ),
+        ({"graph.reach": np.zeros((3, 2))}, "FILE is not a whole map: graph.reach has the wrong shape"),
         (
             {"graph.ids": np.array([10, 11, 12, 14])},
             "FILE is not a whole map: graph.keyframes.ids does not fit graph.ids",

@@ -19,9 +19,8 @@ def test_landmarks_are_counted_by_what_they_are(tags, walls, told):
 
 def test_a_map_without_tags_speaks_of_walls_alone(walled_map):
     graph = walled_map.graph
-    walls = dataclasses.replace(
-        graph, ids=graph.ids[:2], p_ML=graph.p_ML[:2], landmark_covariance=graph.landmark_covariance[:2]
-    )
+    columns = ("ids", "p_ML", "anchor", "reach", "landmark_covariance")
+    walls = dataclasses.replace(graph, **{name: getattr(graph, name)[:1] for name in columns})
     told = dict(map_rows(dataclasses.replace(walled_map, graph=walls, evidence=empty(Evidence)), 1000))
     assert told["landmarks"] == "1 wall"
     assert told["walls"] == "1\u03c3 across 0.1600 m median, 0.3000 m worst"

@@ -3,6 +3,7 @@ import pytest
 from scipy.stats import norm
 
 from tests.arrays import frozen
+from tests.walls import no_walls
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
@@ -87,6 +88,7 @@ def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other,
         empty_map(),
         ids=np.arange(5),
         p_ML=p_ML,
+        **no_walls(5),
         local=np.arange(1, 5),
         covariance=np.diag([1e-8] * 6 + [0.25] * 2 + [0.0] * 3),
     )
@@ -102,7 +104,12 @@ def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other,
 def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jointly():
     p_ML = np.array([[3.0, 0.0], [3.1, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
     all_of_it = replace(
-        empty_map(), ids=np.arange(5), p_ML=p_ML, local=np.arange(5), covariance=np.diag([1e-8] * 10 + [0.0] * 3)
+        empty_map(),
+        ids=np.arange(5),
+        p_ML=p_ML,
+        **no_walls(5),
+        local=np.arange(5),
+        covariance=np.diag([1e-8] * 10 + [0.0] * 3),
     )
     two = replace(all_of_it, local=np.arange(2), covariance=np.diag([1e-8] * 4 + [0.0] * 3))
     tfg = replace(empty_tfg(), facing=-p_ML / np.hypot(*p_ML.T)[:, None])
@@ -136,7 +143,7 @@ def test_required_clearance_keeps_the_collision_probability_between_two_surfaces
 @pytest.mark.parametrize("noise", [0.02, 0.06, 0.2])
 def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_the_tracking(noise):
     p_ML = np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
-    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, covariance=np.zeros((3, 3)))
+    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, **no_walls(4), covariance=np.zeros((3, 3)))
     tfg, place = replace(empty_tfg(), facing=-p_ML / 3.0), np.zeros((1, 2))
     sensor, odometry, speed = TagSensorConfig(), OdometryConfig(distance_noise=noise), 0.4
     (sigma,) = predicted_deviation(place, estimate, tfg, sensor, odometry, speed)
@@ -153,7 +160,7 @@ def test_a_robot_goes_on_by_what_it_knew_where_it_has_too_little_in_view_ahead(t
     """Landmarks ahead of the start and beyond the end of a straight path, whichever way it runs; between them none."""
     p_ML = np.array([[3.0, 0.5], [3.0, -0.5], [5.0, 1.0], [13.0, 1.0], [13.0, -1.0]])
     R = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
-    estimate = replace(empty_map(), ids=np.arange(5), p_ML=p_ML @ R.T, covariance=np.zeros((3, 3)))
+    estimate = replace(empty_map(), ids=np.arange(5), p_ML=p_ML @ R.T, **no_walls(5), covariance=np.zeros((3, 3)))
     tfg = replace(empty_tfg(), facing=np.tile(R @ [-1.0, 0.0], (5, 1)))
     path = np.stack([np.linspace(0.0, 11.0, 111), np.zeros(111)], axis=1) @ R.T
     sensor, odometry = TagSensorConfig(range=6.0), OdometryConfig()
@@ -180,7 +187,7 @@ def test_a_robot_goes_on_by_what_it_knew_where_it_has_too_little_in_view_ahead(t
 
 def test_a_robot_is_not_sure_of_its_place_by_what_is_behind_it():
     p_ML = np.array([[-1.0, 1.0], [-1.0, -1.0], [-2.0, 0.0]])
-    estimate = replace(empty_map(), ids=np.arange(3), p_ML=p_ML, covariance=np.zeros((3, 3)))
+    estimate = replace(empty_map(), ids=np.arange(3), p_ML=p_ML, **no_walls(3), covariance=np.zeros((3, 3)))
     tfg = replace(empty_tfg(), facing=np.tile([1.0, 0.0], (3, 1)))
     path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
     rest = estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5
@@ -194,7 +201,7 @@ def test_a_robot_is_not_sure_of_its_place_by_what_is_behind_it():
 def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the_nearest_place_that_sees_some():
     p_ML = np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [0.0, -3.0]])
     far = np.array([0.0, 200.0, 0.0])
-    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, X_MD=far, covariance=np.zeros((3, 3)))
+    estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, **no_walls(4), X_MD=far, covariance=np.zeros((3, 3)))
     tfg = replace(empty_tfg(), facing=-p_ML / 3.0)
     points, odometry = np.array([[0.0, 0.0], [30.0, 0.0]]), OdometryConfig()
     sigma = predicted_deviation(points, estimate, tfg, TagSensorConfig(), odometry, 0.5)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
@@ -55,7 +56,7 @@ def test_where_no_tag_is_doubtful_or_in_sight_the_mission_ends(tags):
 def test_what_was_seen_where_another_tag_hangs_was_misread():
     estimate, tfg, roadmap = explored(0.0, TAGS[:1], PLACES[:1])
     estimate = replace(estimate, ids=np.array([3]), p_ML=PLACES[:1] + 0.1, local=np.zeros(1, dtype=np.int64))
-    estimate = replace(estimate, covariance=1e-4 * np.eye(5), landmark_covariance=1e-4 * np.eye(2)[None])
+    estimate = replace(estimate, **no_walls(1), covariance=1e-4 * np.eye(5), landmark_covariance=1e-4 * np.eye(2)[None])
     tfg = replace(tfg, facing=np.array([[0.0, -1.0]]))
     assert choose(Situation(estimate, tfg, roadmap, PARAMETERS), empty_choice()).verdict == "complete"
 

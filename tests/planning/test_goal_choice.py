@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
@@ -87,6 +88,7 @@ def alcoves(lengths, at=0.0, known_badly=(), is_large=False, unreachable=(), sta
         stamp=stamp,
         ids=np.arange(n),
         p_ML=np.column_stack([tags, np.full(n, 6.0)]),
+        **no_walls(n),
         local=np.arange(n),
         covariance=np.diag([100.0] * 2 * n + [1e-8] * 3),
         landmark_covariance=np.tile(100.0 * np.eye(2), (n, 1, 1)),

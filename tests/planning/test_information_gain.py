@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.arrays import frozen
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import WALLS_BELOW, replace
@@ -143,7 +144,8 @@ def test_a_departure_given_the_landmarks_is_as_certain_as_what_it_does_not_share
     shared = np.zeros((9, 2))
     shared[[0, 2, 4, 6], 0] = shared[[1, 3, 5, 7], 1] = 1.0
     S = shared @ shared.T + 1e-4 * np.eye(9)
-    estimate = replace(empty_map(), ids=np.arange(3), p_ML=np.zeros((3, 2)), local=np.arange(3), covariance=S)
+    known, rows = no_walls(3), np.arange(3)
+    estimate = replace(empty_map(), ids=rows, p_ML=np.zeros((3, 2)), **known, local=rows, covariance=S)
     np.testing.assert_allclose(departure_given_landmarks(estimate), np.linalg.inv(np.linalg.inv(S)[6:, 6:]), atol=1e-9)
 
 
@@ -175,7 +177,14 @@ def room(seed, walls=True, tags=True):
     together[-1, 2] = 1
     covariance = root @ root.T + 0.09 * together @ np.diag([1, 1, 0.01]) @ together.T + 1e-6 * np.eye(len(root))
     landmarks = replace(
-        empty_map(), stage=1, ids=ids, p_ML=p_ML, local=np.arange(len(ids)), covariance=covariance, X_MD=X_MD
+        empty_map(),
+        stage=1,
+        ids=ids,
+        p_ML=p_ML,
+        **no_walls(len(ids)),
+        local=np.arange(len(ids)),
+        covariance=covariance,
+        X_MD=X_MD,
     )
     segments = np.hstack([corners, np.roll(corners, -1, axis=0)])[:3]
     facing = inwards if tags else np.zeros((0, 2))

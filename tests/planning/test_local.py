@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from tests.planning.test_planner import PARAMETERS
 from tests.planning.test_roadmap import build, known, two_rooms
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
@@ -31,7 +32,7 @@ def scattered(seed, spread=40.0):
     X_MA = np.column_stack([places(stars), np.zeros(stars)])
     estimate = replace(
         keyframe_graph.empty_map(), stage=stars, ids=np.arange(n), p_ML=places(n), local=joint,
-        covariance=root @ root.T, landmark_covariance=rng.normal(size=(n, 2, 2)), X_MA=X_MA,
+        **no_walls(n), covariance=root @ root.T, landmark_covariance=rng.normal(size=(n, 2, 2)), X_MA=X_MA,
     )  # fmt: skip
     offsets = np.append(0, np.cumsum(rng.integers(3, 7, stars)))
     starts = places(40)
@@ -154,6 +155,7 @@ def beside(estimate, tfg):
         estimate,
         ids=np.arange(2 * n),
         p_ML=np.vstack([estimate.p_ML, estimate.p_ML + FAR]),
+        **no_walls(2 * n),
         landmark_covariance=np.concatenate([estimate.landmark_covariance] * 2),
     )
     twice = {
@@ -211,7 +213,7 @@ def test_a_wall_is_near_with_both_of_its_points_where_one_is():
     places = np.array([[5.0, 0.0], [50.0, 0.0], [50.0, 3.0], [50.0, 9.0], [1.0, 1.0], [60.0, 0.0]])
     estimate = replace(
         estimate, ids=np.append(WALLS_BELOW - np.array([6, 5, 4, 3]), [0, 1]), p_ML=places, local=np.arange(6),
-        anchor=np.zeros((6, 2)), reach=np.zeros((6, 2)), covariance=np.eye(15), landmark_covariance=np.zeros((6, 2, 2)), X_MA=np.zeros((1, 3)),
+        **no_walls(6), covariance=np.eye(15), landmark_covariance=np.zeros((6, 2, 2)), X_MA=np.zeros((1, 3)),
     )  # fmt: skip
     part, part_tfg = local(estimate, replace(tfg, facing=np.array([[0.0, 1], [1, 0]])), 10.0, 5.0)
     assert part.ids.tolist() == [WALLS_BELOW - 6, WALLS_BELOW - 5, 0]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.arrays import frozen
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.messages import Roadmap
@@ -35,7 +36,12 @@ def seen_from(p, tfg, places=PLACES):
     """Middles and sizes of the frontiers at p, m in M."""
     ids = np.arange(1, len(places) + 1)
     estimate = replace(
-        empty_map(), ids=ids, p_ML=frozen(places), local=np.arange(len(places)), X_MD=np.array([9.0, 9.0, 0.0])
+        empty_map(),
+        ids=ids,
+        p_ML=frozen(places),
+        **no_walls(len(places)),
+        local=np.arange(len(places)),
+        X_MD=np.array([9.0, 9.0, 0.0]),
     )
     one, number = np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64)
     roadmap = Roadmap(1, frozen([p]), np.zeros((0, 2), dtype=np.int64), one, one, number, np.zeros(1), np.zeros(1))

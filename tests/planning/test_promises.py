@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.walls import no_walls
 from tfg_drake.messages import replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.mission_end import FrontierLeft, why_end
@@ -22,8 +23,8 @@ def goal(gain, node=3, at=(1.0, 2.0)):
 
 def seen_from(place, entropy, landmarks=0):
     ids = np.arange(landmarks)
-    pose = np.array([[*place, 0.0]])
-    return replace(empty_map(), ids=ids, p_ML=np.zeros((landmarks, 2)), X_MA=pose, entropy=entropy)
+    pose, known = np.array([[*place, 0.0]]), no_walls(landmarks)
+    return replace(empty_map(), ids=ids, p_ML=np.zeros((landmarks, 2)), **known, X_MA=pose, entropy=entropy)
 
 
 def went(promise, gained, new=0, place=(1.1, 2.0)):

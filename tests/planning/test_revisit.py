@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.planning.test_information_gain import problem, whitened
+from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
@@ -87,7 +88,7 @@ def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
     p_ML = np.vstack([np.stack(wall, axis=1) for wall in ((along, -on), (on, along), (along, on), (-on, along))])
     bent = rng.normal(0.0, 0.01, (len(p_ML) * 2 + 3, 30))
     estimate = dataclasses.replace(
-        empty_map(), stage=1, stamp=100.0, ids=np.arange(80), p_ML=p_ML, local=np.arange(80),
+        empty_map(), stage=1, stamp=100.0, ids=np.arange(80), p_ML=p_ML, **no_walls(80), local=np.arange(80),
         covariance=bent @ bent.T + 1e-5 * np.eye(len(bent)), X_MA=np.zeros((1, 3)),
         shared=np.zeros(0), with_shared=np.zeros((0, 0)),
     )  # fmt: skip

@@ -80,8 +80,8 @@ def known(segments, views, X_shift=(0.0, 0.0, 0.0)):
     X_MA = compose(shift, views)
     no_wall = np.zeros((n, 2))
     estimate = MapEstimate(
-        k, 0.0, np.arange(n), transform(shift, middle), no_wall, no_wall, X_MA[-1], np.arange(n), 1e-4 * np.eye(2 * n + 3),
-        np.tile(1e-4 * np.eye(2), (n, 1, 1)), X_MA, observation(), 0.0,
+        k, 0.0, np.arange(n), transform(shift, middle), no_wall, no_wall, X_MA[-1], np.arange(n),
+        1e-4 * np.eye(2 * n + 3), np.tile(1e-4 * np.eye(2), (n, 1, 1)), X_MA, observation(), 0.0,
     )  # fmt: skip
     ends = np.hstack([transform(shift, segments[:, :2]), transform(shift, segments[:, 2:])])
     none = np.zeros((0, 2))

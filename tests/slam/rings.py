@@ -7,7 +7,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.slam.keyframe import Keyframe
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, no_observation
 from tfg_drake.slam.map_update import finished, updated
-from tfg_drake.slam.shared import DISTANCE_SCALE, RANGE_SCALE, SHARED, exactly_known
+from tfg_drake.slam.shared import DISTANCE_SCALE, METRES, RANGE_SCALE, SHARED, exactly_known
 
 # The way from one view to the next, of which odometry alone tells.
 ODOMETRY = np.diag([0.05, 0.05, 0.02]) ** 2
@@ -23,7 +23,8 @@ def gaussian(ids, y_AL, y_AD, covariance, by_shared=None, on_error=None):
     W = J.T @ np.linalg.solve(covariance, J)
     on_error = np.zeros((len(ids), 2, 2)) if on_error is None else on_error
     unit = RANGE_SCALE if len(ids) else DISTANCE_SCALE
-    return Keyframe(ids, y_AL, y_AD, unit, 0.5 * (W + W.T), np.zeros(SHARED), on_error)
+    none = np.zeros((len(ids), 2))
+    return Keyframe(ids, y_AL, none, none, y_AD, unit, 0.5 * (W + W.T), np.zeros(SHARED), on_error)
 
 
 def observed(rng, p_ML, X_MA, X_AD, seen, noise=1.0, tag_errors=None, shared=None):
@@ -145,10 +146,19 @@ def dense_solution(graph):
         A, D = (values[m : m + 3], values[m + 3 :]) if j else (np.zeros(3), values[m:])
         points = np.vstack([values[:m].reshape(-1, 2), D[:2]]) - A[:2]
         c, s = np.cos(A[2]), np.sin(A[2])
-        in_A = (1.0 + shared[one.unit]) * (points @ np.array([[c, -s], [s, c]]))
+        scale = 1.0 if one.unit == METRES else 1.0 + shared[one.unit]
+        in_A = scale * (points @ np.array([[c, -s], [s, c]]))
         turn = D[2] - A[2] - one.y_AD[2]
         turn = turn - 2.0 * np.pi * np.round(turn.real / (2.0 * np.pi))
-        return roots[j] @ np.concatenate([(in_A - np.vstack([one.y_AL, one.y_AD[:2]])).ravel(), [turn], shared, e])
+        off, w = in_A - np.vstack([one.y_AL, one.y_AD[:2]]), one.walls
+        if w:
+            anchor = graph.anchor[np.searchsorted(graph.ids, one.ids[:w])]
+            angle, distance = values[: 2 * w].reshape(-1, 2).T
+            apart = A[:2] + one.anchor[:w] @ np.array([[c, s], [-s, c]]) - anchor
+            off[:w, 0] = angle - A[2] - one.y_AL[:w, 0]
+            off[:w, 0] -= 2.0 * np.pi * np.round(off[:w, 0].real / (2.0 * np.pi))
+            off[:w, 1] = distance - np.cos(angle) * apart[:, 0] - np.sin(angle) * apart[:, 1] - one.y_AL[:w, 1]
+        return roots[j] @ np.concatenate([off.ravel(), [turn], shared, e])
 
     for _ in range(30):
         H, g = np.zeros((len(x), len(x))), np.zeros(len(x))

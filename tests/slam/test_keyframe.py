@@ -10,7 +10,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.slam.keyframe import fusion, keyframe, linearised, of_places, residual, rows_of, way, without_tags
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared
+from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, RANGE_SCALE, SHARED, Shared
 from tfg_drake.slam.turn import reduced
 
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
@@ -44,11 +44,11 @@ def test_the_linearisation_is_that_of_its_cost():
 
     def at(x):
         p_ML, A, D, shared = parts(x)
-        return linearised(p_ML, one.y_AL, one.y_AD, one.unit, one.information, one.vector, A, D, shared)
+        return linearised(p_ML, np.zeros((4, 2)), *one.told, A, D, shared)
 
     def errors(x):
         p_ML, A, D, shared = parts(x)
-        return residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)[0]
+        return residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[0]
 
     H, g, twice = at(x)
     assert twice == pytest.approx(cost(one, *parts(x)), rel=1e-12)
@@ -57,7 +57,7 @@ def test_the_linearisation_is_that_of_its_cost():
     np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-2)
     J = np.column_stack([(errors(x + h) - errors(x - h)) / 2e-6 for h in steps])
     p_ML, A, D, shared = parts(x)
-    on = residual(p_ML, one.y_AL, one.y_AD, one.unit, A, D, shared)[1]
+    on = residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[1]
     np.testing.assert_allclose(on, J[:, 11:], atol=1e-8)
     np.testing.assert_allclose(H, J.T @ one.information @ J, rtol=1e-6, atol=1e-7 * np.abs(H).max())
 
@@ -81,7 +81,8 @@ def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(24, 24))
     W, g, y, shared = root @ root.T, rng.normal(size=24), rng.normal(size=11), TRUTH
-    one = keyframe(np.arange(4), y, shared, RANGE_SCALE, W, g, np.zeros((4, 2, 2)))
+    none = np.zeros((4, 2))
+    one = keyframe(np.arange(4), y, none, none, shared, RANGE_SCALE, W, g, np.zeros((4, 2, 2)))
 
     def by_keyframe(x):
         error = x - np.concatenate([one.y_AL.ravel(), one.y_AD, np.zeros(SHARED)])
@@ -231,45 +232,59 @@ def test_rows_of_known_ids():
 
 
 def test_lines_that_are_not_quite_parallel_do_not_cross():
-    """Two looks at a wall, 5 mrad and 3 mm apart: fused, its points are where they were along it, and how far the robot
-    drove along the wall is no better known."""
-    ids, along = np.array([WALLS_BELOW - 2, WALLS_BELOW - 1]), np.diag(np.tile([30.0, 1e-3], 2)) ** 2
-    covariance = scipy.linalg.block_diag(along, np.diag([0.05, 0.05, 0.002]) ** 2)
-    first = of_places(ids, np.array([[0.0, 2.0], [1.5, 2.0]]), np.array([1.0, 0.0, 0.0]), covariance)
-    turned = np.array([[-1.0, 2.003], [0.5, 2.003 + 0.005 * 1.5]])
-    second = of_places(ids, turned, np.array([1.0, 0.0, 0.0]), covariance)
+    """Two looks at a wall, 5 mrad and 3 mm apart: fused, how far the robot drove along the wall is no better known."""
+    ids, axis, none = np.array([WALLS_BELOW - 1]), np.array([1.0, 0.0, 0.0]), np.zeros((1, 2))
+    covariance = np.diag([0.001, 0.001, 0.05, 0.05, 0.002]) ** 2
+    reach = np.array([[-1.5, 0.0]])
+    first = of_places(ids, np.array([[0.5 * np.pi, 2.0]]), none, reach, axis, covariance)
+    second = of_places(ids, np.array([[0.5 * np.pi + 0.005, 2.003]]), none, reach, axis, covariance)
     both, X_AB, _ = fusion(first, second, np.zeros(SHARED))
-    p_AL, X_AD, after = both.given(np.zeros(SHARED))
-    np.testing.assert_allclose(p_AL[:, 0], [0.0, 1.5], atol=0.01)
+    _, X_AD, after = both.given(np.zeros(SHARED))
     np.testing.assert_allclose([X_AB[0], X_AD[0]], [1.0, 2.0], atol=0.01)
+    np.testing.assert_allclose(both.reach, [[-2.5, 0.0]], atol=0.02)
     assert np.sqrt(after[-3, -3]) == pytest.approx(np.hypot(0.05, 0.05), rel=0.01)
 
 
-def test_walls_are_where_the_parameters_have_them_however_far_these_move_points_along_them():
-    """Two walls at a right angle, each seen twice, 5 mrad apart. What is free along a wall, parameters move by metres:
-    fused, all is as if they did not."""
-    ids = WALLS_BELOW - 4 + np.arange(4)
-    normal = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 0.0])
-    covariance = np.diag(np.append(np.where(normal, 3e-3, 30.0), [0.05, 0.05, 0.002])) ** 2
-    y_AL = np.array([[0.0, 2.0], [1.5, 2.0], [3.0, 1.0], [3.0, -1.0]])
-    shared, axis = np.zeros(SHARED), np.array([1.0, 0.0, 0.0])
-    shared[0] = 0.01
+def looks_at_walls():
+    """Three keyframes that follow each other, of two walls each anchored elsewhere, and two tags."""
+    rng, keyframes, X_MA, X_AD = np.random.default_rng(8), [], np.zeros(3), np.array([1.0, 0.2, 0.3])
+    angle, distance = np.array([1.2, -0.4]), np.array([2.0, 3.0])
+    ids, tags = np.array([WALLS_BELOW - 2, WALLS_BELOW - 1, 100, 101]), np.array([[2.0, 1.0], [3.0, -1.0]])
+    normal = np.column_stack([np.cos(angle), np.sin(angle)])
+    for _ in range(3):
+        p_AC = rng.uniform(-2.0, 2.0, (2, 2))
+        off = distance - np.sum(normal * se2.transform(X_MA, p_AC), axis=1)
+        y = np.vstack([np.column_stack([angle - X_MA[2], off]), se2.transform(se2.inverse(X_MA), tags)])
+        root = 0.002 * rng.normal(size=(11, 11)) + 0.01 * np.eye(11)
+        error, anchor = root @ rng.normal(size=11), np.vstack([p_AC, np.zeros((2, 2))])
+        y_AD = X_AD + error[8:]
+        y = y + error[:8].reshape(-1, 2)
+        keyframes.append(of_places(ids, y, anchor, np.zeros((4, 2)), y_AD, root @ root.T))
+        X_MA = se2.compose(X_MA, X_AD)
+    return keyframes
 
-    def seen(y_AL, by_parameter):
-        by = np.zeros((11, SHARED))
-        by[:8, 0] = by_parameter * (1.0 - normal)
-        W = np.linalg.inv(covariance)
-        information = np.block([[W, -W @ by], [-by.T @ W, by.T @ W @ by + np.eye(SHARED)]])
-        y = np.append(y_AL.ravel(), axis)
-        return keyframe(ids, y, shared, METRES, information, np.zeros(11 + SHARED), np.zeros((4, 2, 2)))
 
-    turned = se2.transform([-1.0, 0.0, 0.005], y_AL)
-    for by_parameter in (0.0, 500.0):
-        first, second = seen(y_AL, by_parameter), seen(turned, -by_parameter)
-        np.testing.assert_allclose(first.given(shared)[0], y_AL, atol=1e-6)
-        both, X_AB, _ = fusion(first, second, shared)
-        _, X_AD, after = both.given(shared)
-        if not by_parameter:
-            expected = X_AB, X_AD, after[-3:, -3:]
-    for value, of_none in zip((X_AB, X_AD, after[-3:, -3:]), expected, strict=True):
-        np.testing.assert_allclose(value, of_none, atol=1e-5)
+def test_the_jacobians_of_walls_are_their_differences():
+    """On the wall, on the pose that sees it and on the pose where the keyframe ends."""
+    one, rng = looks_at_walls()[1], np.random.default_rng(9)
+    p_MC = np.vstack([rng.normal(size=(2, 2)), np.zeros((2, 2))])
+    x = np.concatenate([rng.normal(size=8), X_MA, se2.compose(X_MA, X_AD), TRUTH])
+
+    def of(x):
+        return residual(x[:8].reshape(-1, 2), p_MC, *one.measured, x[8:11], x[11:14], x[14:])
+
+    J = np.column_stack([(of(x + h)[0] - of(x - h)[0]) / 2e-6 for h in 1e-6 * np.eye(len(x))])
+    _, on, by_landmark = of(x)
+    np.testing.assert_allclose(on, np.hstack([J[:, 8:11], J[:, 14:]]), atol=1e-8)
+    np.testing.assert_allclose(scipy.linalg.block_diag(*by_landmark[:4]), J[:8, :8], atol=1e-8)
+    np.testing.assert_allclose(by_landmark[4], J[8:10, 11:13], atol=1e-8)
+
+
+def test_a_map_of_walls_is_a_dense_solution():
+    graph = reckoned(looks_at_walls(), PRIOR)
+    X_MN, p_ML, _, covariance = dense_solution(graph)
+    solved, estimate = solve(graph, 0.0, NOTHING)
+    np.testing.assert_allclose(solved.p_ML, p_ML, atol=1e-6)
+    np.testing.assert_allclose(solved.X_MN, X_MN, atol=1e-6)
+    found, expected = estimate.joint_covariance[:8, :8], covariance[:8, :8]
+    assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)

@@ -3,6 +3,7 @@ import pytest
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
 from tests.slam.rings import NOTHING, built, dense_solution, gaussian, reckoned, ring, with_ways
+from tests.walls import walls_between
 from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.slam import map_solver
@@ -223,21 +224,23 @@ def test_how_many_are_known_jointly_is_bounded(monkeypatch):
     assert known_jointly(graph) == map_solver.JOINT
 
 
-def test_of_a_wall_both_points_are_known_jointly_if_it_passes_near():
+def test_walls_are_known_jointly_if_they_pass_near():
     """Four walls seen from one pose, the second long and beside it."""
-    ids = WALLS_BELOW - 8 + np.arange(8)
-    p_AL = np.array([[5.0, 0], [5, 1], [-20, 0.5], [20, 0.5], [0, 7], [2, 7], [9, 9], [9, 8]])
-    seen = of_places(ids, p_AL, np.zeros(3), 1e-4 * np.eye(19))
+    ids = WALLS_BELOW - 4 + np.arange(4)
+    ends = [[[5.0, 0], [5, 1]], [[-20, 0.5], [20, 0.5]], [[0, 7], [2, 7]], [[9, 9], [9, 8]]]
+    seen = of_places(ids, *walls_between(ends), np.zeros(3), 1e-4 * np.eye(11))
     graph = reckoned([seen])
-    for joint, walls in ((1, [1]), (2, [1]), (3, [1, 0]), (5, [1, 0, 2])):
+    for joint, walls in ((1, [1]), (2, [1, 0]), (3, [1, 0, 2])):
         _, estimate = solve(graph, 0.0, NOTHING, joint=joint)
-        assert estimate.ids[estimate.local].tolist() == sorted(ids.reshape(4, 2)[walls].ravel().tolist())
+        assert estimate.ids[estimate.local].tolist() == sorted(ids[walls].tolist())
 
 
-def test_a_wall_is_as_far_as_what_is_between_its_points():
-    ids = np.append(WALLS_BELOW - 4 + np.arange(4), 7)
-    p_ML = np.array([[-10.0, 1.0], [10.0, 1.0], [3.0, 4.0], [9.0, 4.0], [0.0, -2.0]])
-    np.testing.assert_allclose(distance_to(ids, p_ML, np.zeros(3)), [1.0, 1.0, 5.0, 5.0, 2.0])
+def test_a_wall_is_as_far_as_what_is_seen_of_it():
+    wall, anchor, reach = walls_between([[[-10.0, 1.0], [10.0, 1.0]], [[3.0, 4.0], [9.0, 4.0]]])
+    tag = np.zeros((1, 2))
+    ids, p_ML = np.array([WALLS_BELOW - 2, WALLS_BELOW - 1, 7]), np.vstack([wall, [[0.0, -2.0]]])
+    seen = of_places(ids, p_ML, np.vstack([anchor, tag]), np.vstack([reach, tag]), np.zeros(3), 1e-4 * np.eye(9))
+    np.testing.assert_allclose(distance_to(reckoned([seen]), np.zeros(3)), [1.0, 5.0, 2.0])
 
 
 def test_updates_come_to_what_a_solve_comes_to():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
+from scipy.linalg import block_diag
 
+from tests.walls import known_at_their_ends, no_walls, walls_between
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import WALLS_BELOW, MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
@@ -29,7 +31,7 @@ def half_known_room():
     """Three tagged walls round the origin; the west is unknown."""
     estimate = dataclasses.replace(
         empty_map(), stage=1, ids=np.arange(3), p_ML=np.array([[0.0, -4], [4, 0], [0, 4]]),
-        local=np.arange(3), covariance=1e-2 * np.eye(9), X_MA=np.zeros((1, 3)),
+        **no_walls(3), local=np.arange(3), covariance=1e-2 * np.eye(9), X_MA=np.zeros((1, 3)),
     )  # fmt: skip
     tfg = dataclasses.replace(
         empty_tfg(),

@@ -9,7 +9,7 @@ import pytest
 
 from tests.walls import walls_between
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.geometry.se2 import between, inverse, transform
+from tfg_drake.geometry.se2 import between, inverse
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import WALLS_BELOW, LaserScan, MapEstimate, Observation, TfgMap, replace
 from tfg_drake.slam.keyframe import placed

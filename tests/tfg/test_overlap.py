@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.arrays import frozen
+from tests.walls import no_walls
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.drift import MOST_DRIFT
@@ -13,7 +14,7 @@ from tfg_drake.tfg.surfaces import Surfaces
 
 # Views on the corners of a square of 4 m and a fifth beyond the first; landmarks in the middle and beside the fifth.
 X_MA = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0], [0.0, -1.0, 0.0]])
-MAP = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[2.0, 2.0], [0.0, -2.0]]))
+MAP = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[2.0, 2.0], [0.0, -2.0]]), **no_walls(2))
 HALF = 2.0 * np.sqrt(2.0)
 
 
@@ -43,7 +44,7 @@ def test_of_two_surfaces_in_each_others_way_that_stands_whose_view_is_tied_more_
     """The views 0 and 2 face each other through a surface of either, and share landmark 7; the newest, 4, has seen 3 as
     the view 0 has, or 7. It stands beside the view 2, which is newer than 0. The other views are inactive."""
     X_MA = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 0.0, 0.0], [50.0, 0.0, 0.0], [2.0, 1.5, 0.0]])
-    estimate = replace(empty_map(), X_MA=X_MA, ids=np.array([3, 7]), p_ML=np.array([[0.0, 1.5], [10.0, 0.0]]))
+    estimate = replace(MAP, p_ML=np.array([[0.0, 1.5], [10.0, 0.0]]))
     far = np.array([[20.0, 0.0], [21.0, 0.0]])
     polylines = [np.array([[1.0, -0.5], [1.0, 0.5]]), np.array([[0.8, 0.5], [0.8, -0.5]]), far, far]
     ids = np.array([[-1, -1], [-1, -1], [3, 7], [seen_by_newest, -1]])
@@ -77,6 +78,7 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share,
         empty_map(),
         ids=np.array([1, 2, 3, 4]),
         p_ML=p_ML,
+        **no_walls(4),
         local=np.arange(3),
         X_MD=np.append(p_MD, 0.3),
         covariance=np.diag(own**2),

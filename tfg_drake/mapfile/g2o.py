@@ -8,20 +8,22 @@ import numpy as np
 
 from tfg_drake.geometry.se2 import compose, rotation, transform
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import WALLS_BELOW, FloatArray
+from tfg_drake.slam.keyframe import along_walls, placed
 
 
 def g2o_text(saved: SavedMap) -> str:
     """The file's contents: the poses between keyframes as vertices 0 to k, in the world frame W.
 
-    A tag's edge has the inverse of the tag's own marginal covariance: g2o has no edge for a keyframe's joint Gaussian.
+    A landmark's edge has the inverse of its own marginal covariance: g2o has no edge for a keyframe's joint Gaussian.
     """
     return "\n".join(_lines(saved)) + "\n"
 
 
 def landmark_base(saved: SavedMap) -> int:
-    """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses."""
-    least = len(saved.graph.X_MN) - min(int(np.min(saved.graph.ids, initial=0)), 0)
+    """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses and walls."""
+    walls = WALLS_BELOW - int(np.min(saved.graph.ids, initial=WALLS_BELOW))
+    least = len(saved.graph.X_MN) + walls - min(int(np.min(saved.ids, initial=0)), 0)
     base = 10
     while base < least:
         base *= 10
@@ -29,21 +31,47 @@ def landmark_base(saved: SavedMap) -> int:
 
 
 def _lines(saved: SavedMap) -> Iterator[str]:
-    graph, base = saved.graph, landmark_base(saved)
+    graph, base, tags, poses = saved.graph, landmark_base(saved), saved.is_tag, len(saved.graph.X_MN)
     for j, X_WN in enumerate(compose(saved.X_WM, graph.X_MN)):
         yield f"VERTEX_SE2 {j} {_numbers(X_WN)}"
-    for tag, p_WL in zip(graph.ids.tolist(), transform(saved.X_WM, graph.p_ML), strict=True):
+    for tag, p_WL in zip(saved.ids.tolist(), transform(saved.X_WM, saved.p_ML), strict=True):
         yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
+    of_walls = []
     for j, one in enumerate(graph.keyframes):
-        p_AL, X_AD, covariance = one.given(graph.shared.mean)
+        y_AL, X_AD, covariance = one.given(graph.shared.mean)
         yield _motion(j, j + 1, X_AD, covariance[-3:, -3:])
-        for i, tag in enumerate(one.ids.tolist()):
+        lines, by_wall = _from_origin(y_AL[: one.walls], one.anchor[: one.walls])
+        for i, number in enumerate(one.ids.tolist()):
             block = covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-            yield f"EDGE_SE2_XY {j} {base + tag} {_numbers(p_AL[i])} {_information(block)}"
+            if i < one.walls:
+                block, wall = by_wall[i] @ block @ by_wall[i].T, _wall(number, poses)
+                of_walls.append(f"EDGE_SE2_LINE2D {j} {wall} {_numbers(lines[i])} {_information(block)}")
+                continue
+            yield f"EDGE_SE2_XY {j} {base + number} {_numbers(y_AL[i])} {_information(block)}"
     # At the end: GTSAM's readG2o finds no edge after a line that it does not know.
     yield "FIX 0"
+    walls, anchor = placed(saved.X_WM, graph.ids[~tags], graph.p_ML[~tags], graph.anchor[~tags])
+    for number, line in zip(graph.ids[~tags].tolist(), _from_origin(walls, anchor)[0], strict=True):
+        yield f"VERTEX_LINE2D {_wall(number, poses)} {_numbers(line)} -1 -1"
+    yield from of_walls
     yield f"# keyframe j leads from vertex j to vertex j + 1; tag i is vertex {base} + i"
+    if of_walls:
+        yield f"# wall w is vertex {poses} + w: the angle of its normal, and its distance from the origin along that"
     yield "# metres and radians, in the world frame; see docs/map_format.md of tfg-drake"
+
+
+def _wall(number: int, poses: int) -> int:
+    """The vertex of a wall: g2o's numbers have 32 bits."""
+    return poses + WALLS_BELOW - 1 - number
+
+
+def _from_origin(walls: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Walls (w, 2) by their distances from the frame's origin instead of their anchors (w, 2); its derivative (w, 2,
+    2)."""
+    along, lines, by_wall = along_walls(walls), walls.copy(), np.tile(np.eye(2), (len(walls), 1, 1))
+    lines[:, 1] += along[:, 1] * anchor[:, 0] - along[:, 0] * anchor[:, 1]
+    by_wall[:, 1, 0] = np.sum(along * anchor, axis=1)
+    return lines, by_wall
 
 
 def _motion(start: int, end: int, X: FloatArray, covariance: FloatArray) -> str:

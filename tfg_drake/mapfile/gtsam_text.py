@@ -15,8 +15,8 @@ def gtsam_texts(saved: SavedMap) -> tuple[str, str]:
     `tfg_drake.slam.gtsam_solver.map_graph`, linear at the map's values, as GTSAM has no factor for a keyframe that it
     can write.
 
-    Its variables are those of `map_graph`, in the map frame M, but for the landmarks' names: tag i is L(i), the points
-    of walls are W(0), W(1) and so on.
+    Its variables are those of `map_graph`, in the map frame M, but for the landmarks' names: tag i is L(i), wall w is
+    W(w).
     """
     names = [L(one) if one >= WALLS_BELOW else W(WALLS_BELOW - 1 - one) for one in saved.graph.ids.tolist()]
     factors, values = named_graph(saved.graph, names)

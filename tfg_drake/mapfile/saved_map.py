@@ -269,7 +269,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "tfg.facing does not fit graph.ids"
     if not _within(saved.evidence.ids, known):
         return "evidence does not fit graph.ids"
-    places = {"graph.p_ML": graph.p_ML, "graph.anchor": graph.anchor, "graph.X_MN": graph.X_MN[:, :2]}
+    places = {"graph.p_ML": graph.p_ML, "graph.anchor": graph.anchor, "graph.reach": graph.reach}
+    places |= {"graph.X_MN": graph.X_MN[:, :2]}
     places |= {f"tfg.{name}": getattr(tfg, name) for name in PLACES}
     for name, p_M in places.items():
         if not (np.abs(p_M) <= LONGEST).all():

@@ -51,8 +51,9 @@ def read_survey(path: Path) -> MapEstimate:
     if len(ids) < len(table) or not np.isfinite(table).all() or np.any(ids % 1.0):
         raise FileError(f"{path}: each tag must be in it once, by an integer id, at finite x_m and y_m")
     table = table[rows_of_ids]
-    covariance = np.tile(SURVEY**2 * np.eye(2), (len(ids), 1, 1))
-    return replace(empty_map(), ids=ids.astype(np.int64), p_ML=table[:, 1:], landmark_covariance=covariance)
+    covariance, none = np.tile(SURVEY**2 * np.eye(2), (len(ids), 1, 1)), np.zeros((len(ids), 2))
+    known = replace(empty_map(), ids=ids.astype(np.int64), p_ML=table[:, 1:], landmark_covariance=covariance)
+    return replace(known, anchor=none, reach=none)
 
 
 def in_survey(saved: SavedMap, survey: MapEstimate) -> Surveyed:

@@ -1,7 +1,7 @@
 """Obstacle surfaces anchored to walls and views, so that they move with the map.
 
-A surface that lies on a wall of the map is a piece of its line; vertices in similarity coordinates of the wall's two
-points, (0, 0) the first and (1, 0) the second. Any other one is a polyline in the frame A of the view that saw it, m.
+A surface that lies on a wall of the map is a piece of its line; vertices in m along the wall from the point on it that
+is nearest to its anchor, and to the left of that. Any other is a polyline in the frame A of the view that saw it, m.
 What it joins makes it one of three kinds (Sec. III-A of the paper knows only the first):
 EDGE: a piece of a wall, or of another surface between two tags.
 END: a surface with a tag at one end only.
@@ -47,7 +47,7 @@ KNOWN_TAG_DISTANCE = 0.1
 # What is seen this close to a wall's line, m, is on the wall, if so much of it hangs together, m.
 ON_WALL = 0.06
 LEAST_ON_WALL = 0.15
-# How far beyond its points a wall may go on, m.
+# How far beyond what has been seen of it a wall may go on, m.
 GOES_ON = 20.0
 # Other surfaces are cut where a wall runs this close, m, new ones also where any older surface does: less than two
 # faces of a hollow wall are apart, which is open at its end.
@@ -71,7 +71,7 @@ REFUTED_INCIDENCE = np.deg2rad(75.0)
 class Surfaces:
     """All surfaces.
 
-    ids: (s, 2) the landmarks that each joins: the points of the wall that it lies on, or the tags where it begins and
+    ids: (s, 2) the landmarks that each joins: the wall that it lies on, twice, or the tags where it begins and
     ends, -1 for none. view: (s,) index of the view that saw it. range: (s,) m, its farthest vertex from there. offsets:
     (s + 1,) and vertices: (v, 2), see the module.
     """

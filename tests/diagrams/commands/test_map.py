@@ -196,6 +196,8 @@ def without_tags(saved):
         saved.graph,
         ids=none,
         p_ML=np.empty((0, 2)),
+        anchor=np.empty((0, 2)),
+        reach=np.empty((0, 2)),
         landmark_covariance=np.empty((0, 2, 2)),
         keyframes=tuple(without_landmarks(one, one.ids) for one in saved.graph.keyframes),
     )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.diagrams.rooms import room
+from tests.walls import no_walls
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions.errors import landmark_figures, online_pose_anees
 from tfg_drake.diagrams.missions.mission import Mission
@@ -26,6 +27,7 @@ def figures(doubtful):
         empty_map(),
         ids=np.array([4, 7, 8, 9]),
         p_ML=np.array([[1.0, 0.01], [8.0, 0.0], [0.0, 0.0], [3.0, 2.0]]),
+        **no_walls(4),
         local=np.arange(4),
         covariance=0.01**2 * np.eye(11),
         landmark_covariance=np.tile(0.01**2 * np.eye(2), (4, 1, 1)),
