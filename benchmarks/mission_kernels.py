@@ -52,8 +52,8 @@ def as_kernel(value: Any) -> Any:
     """The dispatcher behind a function, None if there is none."""
     if not callable(value):
         return None
-    value = inspect.unwrap(value, stop=lambda function: hasattr(function, "overloads"))
-    return value if hasattr(value, "overloads") else None
+    value = inspect.unwrap(value, stop=lambda function: hasattr(function, "compile"))
+    return value if hasattr(value, "compile") else None
 
 
 def called_by(kernel: Any) -> list[Any]:

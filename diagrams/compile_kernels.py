@@ -25,7 +25,7 @@ def resolved(one: Listed) -> tuple[Any, tuple[Any, ...]]:
     """Its numba dispatcher and the types of its arguments. Raises AttributeError, NameError where it is of another
     version."""
     module = importlib.import_module(f"tfg_drake.{one.module}")
-    kernel = inspect.unwrap(getattr(module, one.name), stop=lambda function: hasattr(function, "overloads"))
+    kernel = inspect.unwrap(getattr(module, one.name), stop=lambda function: hasattr(function, "compile"))
     return kernel, eval(one.types, {**vars(module), **vars(importlib.import_module("numba.types"))})
 
 
