@@ -15,6 +15,7 @@ import contextlib
 import errno
 import functools
 import hashlib
+import importlib
 import os
 import platform
 import re
@@ -98,8 +99,8 @@ def _let_modules_go() -> None:
 @functools.cache
 def _set_level() -> None:
     """From now on LLVM optimises the kernels of this package at LEVEL, and others as it did."""
-    from numba.core import config, event
-
+    config: Any = importlib.import_module("numba.core.config")
+    event: Any = importlib.import_module("numba.core.event")
     outside: list[Any] = []
 
     class Level(event.Listener):  # type: ignore[misc]
