@@ -15,6 +15,7 @@ import contextlib
 import errno
 import functools
 import hashlib
+import importlib
 import os
 import platform
 import re
@@ -29,6 +30,8 @@ from tfg_drake.io.files import write_atomic
 PACKAGE = Path(__file__).parent
 _LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+# Of LLVM: at 3 they take a fifth longer to compile, and missions as long.
+LEVEL = 1
 _IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 
 
@@ -45,6 +48,7 @@ class KernelLocator:
         if not Path(py_file).is_relative_to(PACKAGE):
             return None
         _let_modules_go()
+        _set_level()
         return cls(py_func, py_file)
 
     def get_cache_path(self) -> str:
@@ -90,6 +94,25 @@ def _let_modules_go() -> None:
         return module_of(loaded)
 
     library._unserialize, library._get_module_for_linking = classmethod(unserialize), get_module_for_linking
+
+
+@functools.cache
+def _set_level() -> None:
+    """From now on LLVM optimises the kernels of this package at LEVEL, and others as it did."""
+    config: Any = importlib.import_module("numba.core.config")
+    event: Any = importlib.import_module("numba.core.event")
+    outside: list[Any] = []
+
+    class Level(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            outside.append(config.OPT)
+            if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+                config.OPT = type(config.OPT)(LEVEL)
+
+        def on_end(self, event: Any) -> None:
+            config.OPT = outside.pop()
+
+    event.register("numba:compile", Level())
 
 
 def use_locator() -> None:
@@ -148,7 +171,8 @@ def sources(path: Path) -> set[Path]:
 def stamp(paths: list[Path]) -> str:
     """Of some files and what they import: the same as long as these and numpy stay as they are."""
     files = sorted(set().union(*map(sources, paths)))
-    return _digest("\n".join([_numpy(), *(f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)]))
+    contents = (f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)
+    return _digest("\n".join([_numpy(), str(LEVEL), *contents]))
 
 
 @functools.cache
