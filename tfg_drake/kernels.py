@@ -1,4 +1,4 @@
-"""Where numba keeps the compiled kernels, and what each is compiled of.
+"""Cache of numba's compiled kernels, and the sources of each.
 
 numba's own locators look at the time of the file that a kernel is in, and not at the files of the kernels and constants
 that it takes from elsewhere. `KernelLocator` stands in front of them (NUMBA_CACHE_LOCATOR_CLASSES): a kernel's stamp is
@@ -60,11 +60,11 @@ class KernelLocator:
         self._path.mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        """What must be the same for a compiled kernel to be used."""
+        """Digest that a compiled kernel must match to be used."""
         return stamp([Path(self._py_file)])
 
     def get_disambiguator(self) -> str:
-        """What tells two functions of a name in a file apart."""
+        """Tells functions of one name in a file apart."""
         return str(self._line)
 
 
@@ -125,7 +125,7 @@ def use_locator() -> None:
 
 
 def folder() -> Path:
-    """Where compiled kernels are kept: in NUMBA_CACHE_DIR, else in the package, where that cannot be written in the
+    """Folder of compiled kernels: NUMBA_CACHE_DIR, else in the package, where that cannot be written in the
     user's cache or a temporary folder.
 
     Raises:
@@ -169,7 +169,7 @@ def sources(path: Path) -> set[Path]:
 
 
 def stamp(paths: list[Path]) -> str:
-    """Of some files and what they import: the same as long as these and numpy stay as they are."""
+    """Digest of some files, what they import, and numpy's version."""
     files = sorted(set().union(*map(sources, paths)))
     contents = (f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)
     return _digest("\n".join([_numpy(), str(LEVEL), *contents]))
@@ -198,7 +198,7 @@ def _digest(text: str) -> str:
 
 
 def are_compiled() -> bool:
-    """Whether the kernels of a mission have been compiled here, of these sources and for this machine."""
+    """True if a mission's kernels have been compiled here, of these sources and for this machine."""
     with contextlib.suppress(OSError):
         return (folder() / "compiled").read_text() == _whole()
     return False
