@@ -10,7 +10,7 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test test-slow lint format types check pins docs results figures clean
+.PHONY: help demo test quick test-slow lint format types check pins docs kernels results figures clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
@@ -30,6 +30,12 @@ test:  ## run the test suite (PYTHON=python3.12: with that Python, if it is ther
 .PHONY: suite
 suite: $(VENV)/.test
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+# The core's, which need neither Drake nor robots, a page or whole missions.
+QUICK := geometry grid io mapfile mission planning safety simulation slam storage tfg test_layers.py test_messages.py
+
+quick: $(VENV)/.test  ## run the core's tests, two minutes
+	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/%)
 
 test-slow: $(VENV)/.test  ## run the tests that take minutes
 	$(BIN)/pytest -n 2 -m slow
@@ -57,6 +63,9 @@ pins:  ## write constraints-3.11.txt to constraints-3.14.txt for what pyproject.
 
 docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagrams, into build/reference
 	$(BIN)/python docs/reference/build.py
+
+kernels: $(VENV)/.test  ## list anew which kernels missions call, and with what types
+	$(BIN)/python benchmarks/mission_kernels.py
 
 results: $(VENV)/.test  ## make the tables of docs/results.md anew, an hour
 	$(BIN)/python benchmarks/results.py

@@ -415,7 +415,7 @@ def compare(
 
 
 def _command_line(words: list[str], options: list[tuple[str, Any]]) -> str:
-    """What a shell takes to run a command once more, with those of its options that have a value."""
+    """The shell command that repeats a command, with those of its options that have a value."""
     given = [str(word) for option, value in options if value is not None for word in (option, value)]
     return shlex.join(["tfg-drake", *words, *given])
 

@@ -254,7 +254,7 @@ class Exploration:
 
     @property
     def simulator(self) -> Simulator:
-        """What advances the context; `advance` also notes what happens meanwhile."""
+        """Simulator of the context; `advance` also notes what happens meanwhile."""
         return self._mission.simulator
 
     @property
@@ -269,7 +269,7 @@ class Exploration:
 
     @property
     def explorer(self) -> Diagram:
-        """What explores."""
+        """The explorer."""
         return self._mission.explorer
 
     @property
@@ -289,7 +289,7 @@ class Exploration:
 
     @property
     def status(self) -> MissionStatus:
-        """Where the mission stands."""
+        """The mission's status."""
         return self._mission.status
 
     @property
@@ -337,7 +337,7 @@ class Exploration:
         return self
 
     def look(self, port: str) -> Any:
-        """What a port of the explorer or, of names such as "truth.pose", of the station carries now: a message, or a
+        """Value now of a port of the explorer or, for names such as "truth.pose", of the station: a message, or a
         vector (n,). Raises KeyError where neither has such a port."""
         for system in (self.explorer, self.station):
             if system.HasOutputPort(port):

@@ -35,7 +35,7 @@ HEARD_AS = {name: port for port, name in SENSED.items()}
 
 
 def of_station(port: str) -> bool:
-    """Whether a port has a name as the station's have: device.signal."""
+    """True if a port is named like the station's: device.signal."""
     return "." in port
 
 

@@ -1,4 +1,4 @@
-"""What an explorer may drive: the simulated robot and, by the same ports, others."""
+"""Robots for an explorer: the simulated one and, by the same ports, others."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class Scenario:
 
     @property
     def field_of_view(self) -> float:
-        """What tag sensor and scanner both see of the surroundings, rad."""
+        """Field of view that tag sensor and scanner share, rad."""
         return min(self.tags.field_of_view, self.scan.field_of_view)
 
 
@@ -453,7 +453,7 @@ _MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
 
 
 def _IsScenario(path: Path) -> bool:
-    """Whether a world file is a scenario (or a shipped scenario's name), and not a map to import."""
+    """True if a world file is a scenario (or a shipped scenario's name), not a map to import."""
     if not path.is_file():
         return path.suffix in ("", ".yaml", ".yml")
     if path.suffix not in (".yaml", ".yml"):

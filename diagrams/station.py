@@ -133,7 +133,7 @@ def MakeTurtlebotStation(
 
 
 def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple[System, System]:
-    """What sees tags, and what sees walls: one system where both look through the same rendered camera."""
+    """Adds tag sensor and scanner: one system where both look through the same rendered camera."""
     if scenario.station.eyes == "camera":
         # Few missions need what this imports.
         from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes

@@ -3,58 +3,75 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
+import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from tfg_drake import kernels
 
-# The kernels of these folders compile about equally long; no kernel calls one of the other share's, but for a few of
-# geometry/.
-SHARES = (("slam", "safety", "simulation"), ("geometry", "tfg", "planning"))
 MODULE = "tfg_drake.diagrams.compile_kernels"
+# More processes than this compile much of numba's own once more each, and take 0.3 GB each.
+MOST_PROCESSES = 4
+
+
+class Listed(NamedTuple):
+    """A kernel that missions call: its module in the package and name, how long it alone took to compile on some
+    machine, s, and the numba types of its arguments as Python spells them."""
+
+    module: str
+    name: str
+    cost: float
+    types: str
+
+
+@functools.cache
+def listed() -> tuple[list[Listed], int]:
+    """All that missions call, each after what it calls, and how many of them, the first, their first look does."""
+    first, rest = (
+        [
+            Listed(module, name, float(cost), types)
+            for line in part.splitlines()
+            for module, name, cost, types in [line.split(maxsplit=3)]
+        ]
+        for part in (kernels.PACKAGE / "mission_kernels.txt").read_text(encoding="utf-8").split("\n\n")
+    )
+    return first + rest, len(first)
 
 
 class WarmUp:
-    """Two processes that compile what is missing while this one does something else; to be closed."""
+    """Processes that compile what is missing while this one does something else; to be closed."""
 
     def __init__(self) -> None:
         """Starts them. Raises ChildProcessError where one cannot be started, OSError where nothing can be kept."""
         kernels.folder().mkdir(parents=True, exist_ok=True)
         self._folder = tempfile.TemporaryDirectory(prefix="tfg_drake-")
-        self._times = [Path(self._folder.name) / f"time{share}" for share in range(len(SHARES))]
-        files = [path for path in kernels.kernel_files() if path.parent.name in sum(SHARES, ())]
-        self._newest = {
-            (path.parent.name, path.stem): max(one.stat().st_mtime for one in kernels.sources(path)) for path in files
-        }
-        self._functions = sum(path.read_text(encoding="utf-8").count("\n@njit") for path in files)
-        self._since, self._before = time.monotonic(), self._done()
+        self._since = time.monotonic()
         self._told = math.inf  # The least time left that was told, s.
-        self._processes = [_start(share, path) for share, path in enumerate(self._times)]
+        count = min(max(len(os.sched_getaffinity(0)), 2), MOST_PROCESSES)
+        self._processes = [_start(Path(self._folder.name)) for _ in range(count)]
 
-    def _done(self) -> int:
-        """How many kernels are kept and newer than what they are compiled of."""
-        kept = 0
-        for entry in kernels.folder().glob("*/*.nbi"):
-            newest = self._newest.get((entry.parent.name, entry.name.split(".")[0]), math.inf)
-            with contextlib.suppress(FileNotFoundError):  # It is just being replaced.
-                kept += entry.stat().st_mtime > newest
-        return kept
+    def _done(self, how: str) -> set[int]:
+        """The numbers of those in the list that are there; how: "made" or "kept" from before, "*" for both."""
+        return {int(path.stem) for path in Path(self._folder.name).glob(f"*.{how}")}
 
     @property
     def left(self) -> float:
-        """How long it will take at the speed so far, s: by the number of kernels, of which some take ten times as long
-        as others. inf before a tenth of them tells the speed."""
-        done, left = self._done() - self._before, self._functions - self._before
-        return (time.monotonic() - self._since) * max(left - done, 0) / done if done > max(left / 10, 0) else math.inf
+        """How long it will take at the speed so far, s; inf before a twentieth tells the speed."""
+        cost = [one.cost for one in listed()[0]]
+        made = sum(cost[number] for number in self._done("made"))
+        left = sum(cost) - sum(cost[number] for number in self._done("*"))
+        return (time.monotonic() - self._since) * left / made if made > (made + left) / 20 else math.inf
 
     @property
     def word(self) -> str:
         """Progress in words, in minutes that never become more; "" where nothing is compiled any more. Of the last
-        minute it says only that: what comes after the last kernel is not counted."""
+        minute it says only that."""
         if self.ended:
             return ""
         self._told = min(self._told, self.left)
@@ -65,7 +82,7 @@ class WarmUp:
     @property
     def ready(self) -> bool:
         """Whether all are there that the first look of a mission needs, or nobody compiles them any more."""
-        return self.ended or all(path.exists() for path in self._times)
+        return self.ended or self._done("*").issuperset(range(listed()[1]))
 
     @property
     def ended(self) -> bool:
@@ -83,12 +100,12 @@ class WarmUp:
         self._folder.cleanup()
 
 
-def _start(share: int, looked: Path) -> subprocess.Popen[bytes]:
-    """A process that compiles a share, and makes a file when it has what the first look needs. Ctrl-C passes it by.
+def _start(folder: Path) -> subprocess.Popen[bytes]:
+    """A process that compiles what no other does, and leaves a file in a folder for each. Ctrl-C passes it by.
 
     Raises ChildProcessError where it cannot be started.
     """
-    nothing, command = subprocess.DEVNULL, [sys.executable, "-m", MODULE, str(share), str(looked)]
+    nothing, command = subprocess.DEVNULL, [sys.executable, "-m", MODULE, str(folder)]
     try:
         return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
     except OSError as error:

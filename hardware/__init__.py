@@ -1,1 +1,1 @@
-"""What touches a robot."""
+"""Drivers of a robot."""

@@ -1,4 +1,4 @@
-"""What the explorer tells others, on its way to the robot's process: a pipe of its own, with a thread at either end.
+"""Carries announcements of the explorer to the robot's process: a pipe of its own, with a thread at either end.
 
 So a map of a large building holds up neither the planner nor the watchdog.
 """

@@ -183,7 +183,7 @@ class HardwareBase(LeafSystem):
         return replace(before, heard=(), turned=True)
 
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
-        """Which message is too old; raises DeviceError where it is so for too long."""
+        """Notes the stale message; raises DeviceError if it is so for too long."""
         now = context.get_time()
         if before.begun > now:
             before = replace(before, begun=now, since=now)

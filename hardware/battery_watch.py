@@ -1,4 +1,4 @@
-"""What a robot's battery asks for in its operator's stead."""
+"""Recalls the robot, or ends its mission, on low battery."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class BatteryWatch:
         self._told: dict[str, str] = {}
 
     def requests(self) -> list[Command]:
-        """What is asked for since the last call."""
+        """The requests since the last call."""
         state = self._base.newest(BaseState)
         if state is None:
             return []

@@ -159,7 +159,7 @@ def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration
 
 
 def known_view(name: str, camera: RobotCameraConfig) -> CameraView:
-    """What the camera sees; raises DeviceError."""
+    """The camera's view; raises DeviceError."""
     calibration = known_calibration(name, camera)
     from tfg_drake.vision.camera_view import camera_view
 

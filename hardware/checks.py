@@ -142,7 +142,7 @@ def _rays(scans: Sequence[LaserScan]) -> Check:
 
 
 def _ids(frames: Sequence[TagDetections]) -> Check:
-    """Whether tags are seen again, as a robot that stands should see them."""
+    """Checks that a robot at rest sees the same tags again and again."""
     ids = [one.ids for one in frames if len(one.ids)]
     return Check(
         "tag ids", f"{len({*np.concatenate(ids)}) if ids else 0}", made_up(ids) if len(ids) > FEW_FRAMES else ""

@@ -75,13 +75,13 @@ class DeviceError(BadInput, RuntimeError):
 
 
 class Driver(Protocol):
-    """What the process drives a robot with; used by one thread."""
+    """Interface of a robot's drivers; used by one thread."""
 
     limits: Limits
 
     @property
     def sources(self) -> Mapping[type, str]:
-        """What the messages of a kind are called in a remark, such as "scan of /scan"."""
+        """Name of each kind of message in a remark, such as "scan of /scan"."""
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
@@ -199,7 +199,7 @@ class Device:
 
     @property
     def process_id(self) -> int:
-        """Of the robot's process."""
+        """PID of the process."""
         return self._process.pid
 
     @property
@@ -213,7 +213,7 @@ class Device:
         return self._ended
 
     def take_remarks(self) -> list[str]:
-        """What the process has to say to the operator since the last call, each line once."""
+        """The process's lines for the operator since the last call, each line once."""
         with self._changed:
             remarks, self._remarks = self._remarks, []
         return remarks
@@ -266,7 +266,7 @@ class Device:
         self.close()
 
     def _put(self, order: Any) -> bool:
-        """Whether the order went out: where the process is held up its pipe is full."""
+        """Returns True if the order went out: a held-up process has a full pipe."""
         if self._ended is not None:
             raise DeviceError(self._ended)
         try:

@@ -56,7 +56,7 @@ class Keyboard(Generic[T]):
         self._thread.start()
 
     def requests(self) -> list[T]:
-        """What was asked for since the last call."""
+        """The requests since the last call."""
         return [self._requests.get_nowait() for _ in range(self._requests.qsize())]
 
     def close(self) -> None:

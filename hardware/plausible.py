@@ -1,4 +1,4 @@
-"""What of a robot's messages can be believed: every message of every source is judged here before anybody uses it.
+"""Plausibility of a robot's messages: every message of every source is judged here before anybody uses it.
 
 Comparisons with bounds that no ground robot, scanner or camera leaves; no other numerics. What is refused is counted,
 and told once for each source and kind of reason.
@@ -51,7 +51,7 @@ _KINDS, _LONGEST = 5, 300
 
 
 class Refusals:
-    """What was refused. counts: by source and kind of reason."""
+    """Counts refusals. counts: by source and kind of reason."""
 
     def __init__(self) -> None:
         self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
@@ -84,7 +84,7 @@ class Judge:
         self._ids: collections.deque[IntArray] = collections.deque(maxlen=FRAMES)
 
     def judged(self, message: Message, now: float) -> Message | None:
-        """What can be believed of a message at `now`, s of the host's clock; None of one that is refused."""
+        """The plausible part of a message at `now`, s of the host's clock; None if it is refused."""
         kind = type(message)
         believed, reasons = judged(message, now)
         for reason, why in reasons.items():
@@ -114,7 +114,7 @@ def made_up(ids: Sequence[IntArray]) -> str:
 
 
 def judged(message: Message, now: float) -> tuple[Message | None, dict[str, str]]:
-    """What can be believed of a message at `now` (s of the host's clock), None for nothing; and why the rest cannot, in
+    """The plausible part of a message at `now` (s of the host's clock), None for nothing; and why the rest is not, in
     words by kind of reason."""
     if not message.stamp <= now + AHEAD:
         return None, {

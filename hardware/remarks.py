@@ -1,4 +1,4 @@
-"""What the operator is told of a base: each thing once, when it begins, with what the robot does about it."""
+"""Remarks on a base for the operator: each once, when it begins, with what the robot does about it."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spel
 
 @message
 class Watch:
-    """What is remembered from one look at a base to the next. counted: the state up to which frames were counted, None
-    before there is any. bad, lost: shares of frames that were corrupt and that never came, in the last two counts."""
+    """Memory between two looks at a base. counted: the state up to which frames were counted, None before
+    there is any. bad, lost: shares of frames that were corrupt and that never came, in the last two counts."""
 
     spells: Spells = dataclasses.field(default_factory=dict)
     counted: BaseState | None = None
@@ -87,7 +87,7 @@ def where(bits: int) -> str:
 
 
 def battery(state: BaseState) -> dict[str, Remark]:
-    """What is to be told of a battery: "battery low", "battery dangerous" or nothing."""
+    """The remark on a battery: "battery low", "battery dangerous" or none."""
     left = f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
     if state.battery_level == "low":
         line = f"the battery is low, {left}: the mission ends, at home if explorer.return_home is set"

@@ -12,14 +12,14 @@ BUTTONS: dict[int, Command] = {1: "stop", 2: "pause", 4: "enable"}
 
 
 class RobotButtons:
-    """What is asked for by pressing a button; a robot that says nothing of its buttons has none."""
+    """Requests by the robot's buttons; a robot that reports no buttons has none."""
 
     def __init__(self, base: Device) -> None:
         self._base = base
         self._pressed = 0
 
     def requests(self) -> list[Command]:
-        """What was asked for since the last call."""
+        """The requests since the last call."""
         requests = []
         for state in self._base.take(BaseState, math.inf):
             pressed, self._pressed = state.buttons & ~self._pressed, state.buttons

@@ -156,7 +156,7 @@ def _cameras(config: HardwareConfig) -> _Cameras:
 
 
 def _view(cameras: _Cameras) -> CameraView:
-    """What the cameras see together; raises DeviceError."""
+    """Joint view of the cameras; raises DeviceError."""
     from tfg_drake.hardware.camera_sensor import known_view
 
     views = [(camera.yaw, known_view(text, camera)) for text, camera in cameras]

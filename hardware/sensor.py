@@ -18,7 +18,7 @@ T = TypeVar("T", LaserScan, Sweep, TagDetections)
 
 
 class Source(Protocol):
-    """Where messages come from, such as a SensorSource."""
+    """Source of messages, such as a SensorSource."""
 
     def take(self, kind: type[T], until: float) -> list[T]:
         """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
@@ -31,7 +31,7 @@ class Source(Protocol):
 
 
 class HardwareSensor(LeafSystem):
-    """What a sensor measured up to now.
+    """Newest message of a sensor.
 
     .. pydrake_system::
 

@@ -1,4 +1,4 @@
-"""What the drivers of sensors have in common: they drive nothing, and what they lose they look for again."""
+"""Shared part of the drivers of sensors: they drive nothing, and reconnect after a loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where tags and scans come from: ROS, a socket, or a camera and a scanner of this machine's own.
+"""Sources of tags and scans: ROS, a socket, or a camera and a scanner of this machine's own.
 
 Each connection has a process of its own: GTSAM holds the interpreter for seconds, and meanwhile nothing may be lost and
 no sender kept waiting; and what parses large messages must not share a process with the watchdog of the base.
@@ -40,7 +40,7 @@ _OWN_FORMS = {
 
 @dataclasses.dataclass(frozen=True)
 class SourceSpec:
-    """Where a sensor is. transport: "ros2", "rosbridge", "socket" or one of OWN. topic: on ROS. device: of OWN."""
+    """Sensor address. transport: "ros2", "rosbridge", "socket" or one of OWN. topic: on ROS. device: of OWN."""
 
     transport: str
     host: str = ""
@@ -57,8 +57,8 @@ class SourceSpec:
 
 
 def parse_source(text: str) -> SourceSpec:
-    """What `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC`, `socket:HOST:PORT` or, of a sensor of our own, its kind and
-    where it is say; raises DeviceError.
+    """Parses `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC`, `socket:HOST:PORT` or, of a sensor of our own, its kind and
+    where it is; raises DeviceError.
 
     Of rosbridge the port (9090) and the host (localhost) may be left out: `rosbridge:HOST/TOPIC`, `rosbridge:/TOPIC`.
     """
@@ -109,7 +109,7 @@ class SensorSource:
 
     @property
     def process_id(self) -> int:
-        """Of the process at the moment."""
+        """PID of the current process."""
         return self._device.process_id
 
     def newest(self, kind: type[T]) -> T | None:

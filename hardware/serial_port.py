@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class SerialDevice:
-    """What is to hang on a port. name: as a sentence names it. usb: vendor and product of its converter."""
+    """Device on a serial port. name: as a sentence names it. usb: vendor and product of its converter."""
 
     name: str
     usb: str

@@ -1,4 +1,4 @@
-"""What stands between a command and the wheels: limits, and zero velocity when anything is not as it should be.
+"""Guards the wheels: limits every command, and sends zero velocity when anything is not as it should be.
 
 It runs where the commands leave the machine, in a process of its own, by the host's monotonic clock (s).
 """
@@ -24,7 +24,7 @@ _NO_ODOMETRY = f"no odometry for more than {ODOMETRY_TIMEOUT} s"
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Of the velocity that is sent: m/s, rad/s, m/s^2, rad/s^2."""
+    """Limits on a command: m/s, rad/s, m/s^2, rad/s^2."""
 
     speed: float = 0.3
     turn_rate: float = 1.5
@@ -81,7 +81,7 @@ class Watchdog:
         self._command, self._sent = (speed, turn_rate) if finite else (0.0, 0.0), sent if finite else -math.inf
 
     def velocity(self, now: float) -> tuple[float, float]:
-        """What to send, m/s and rad/s: within the limits of speed and of speeding up, or zero at once.
+        """Velocity to send, m/s and rad/s: within limits of speed and of speeding up, or zero at once.
 
         How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
         """

@@ -1,4 +1,4 @@
-"""Where the CPU time of a run goes: an account of what the components of a diagram spend.
+"""CPU time of a run: an account of what the components of a diagram spend.
 
     @metered("estimator")
     def _Update(self, context, state): ...

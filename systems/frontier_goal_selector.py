@@ -72,7 +72,7 @@ class FrontierGoalSelector(LeafSystem):
 
     @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
-        """Whether it is no use to drive on: no path leads there, or a newer map has no frontier there any more."""
+        """True if the goal is pointless: no path leads there, or a newer map has no frontier there any more."""
         if mission.phase == "plan":
             path, status = self._inputs.each(context, "path", "path_status")
             return status.unreachable and path.stage == mission.stage

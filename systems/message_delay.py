@@ -1,4 +1,4 @@
-"""What takes time to be thought of: messages that come out later than they went in."""
+"""Delays a port's messages by a constant time, as a slow computation does."""
 
 from __future__ import annotations
 

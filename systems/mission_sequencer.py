@@ -96,5 +96,5 @@ class MissionSequencer(LeafSystem):
 
 
 def flag(port, context: Context, default: bool) -> bool:
-    """Whether a (1,) input is true, above 0.5; where it is not connected, by default."""
+    """True if a (1,) input is above 0.5; the default if it is not connected."""
     return bool(port.Eval(context)[0] > 0.5) if port.HasValue(context) else default

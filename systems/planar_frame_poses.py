@@ -1,4 +1,4 @@
-"""Where the robot, and people, are in a SceneGraph."""
+"""Poses of robot and people for a SceneGraph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What plays a recording of a station's ports."""
+"""Plays a recording of a station's ports."""
 
 from __future__ import annotations
 

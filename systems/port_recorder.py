@@ -1,4 +1,4 @@
-"""What records the station's ports."""
+"""Records the station's ports."""
 
 from __future__ import annotations
 

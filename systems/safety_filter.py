@@ -165,7 +165,7 @@ class SafetyFilter(LeafSystem):
         return self._watch.set(state, after)
 
     def _Meets(self, scan: LaserScan, speed: float) -> bool:
-        """Whether the scan shows what keeps a base that stands from driving straight on."""
+        """True if the scan shows an obstacle that keeps a standing base from driving on."""
         ahead = scan.angles if speed > 0.0 else scan.angles - math.pi
         x, y = scan.ranges * np.cos(ahead), scan.ranges * np.sin(ahead)
         reach = self._robot.radius + self._safety.stop_distance + _NEAR

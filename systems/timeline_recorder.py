@@ -1,4 +1,4 @@
-"""What records a mission's picture over time."""
+"""Records a mission's picture over time."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class LayerWriter(Protocol):
     """A writer of layers: a TimelineWriter, or a picture that draws them."""
 
     def is_due(self, layer: str, time: float) -> bool:
-        """Whether a layer may be written at a time, s."""
+        """True if a layer may be written at a time, s."""
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
         """Takes a record."""
@@ -239,7 +239,7 @@ class TimelineRecorder(LeafSystem):
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
 
     def _WriteNear(self, estimate: MapEstimate, tfg: TfgMap, context: Context, now: float) -> None:
-        """What is near the newest view."""
+        """Writes the last view's area."""
         here, radius = estimate.X_MA[-1, :2], radius_of(estimate)
         near = Near(here, radius)
         views = np.flatnonzero(within(tfg.star_centers, here, radius))

@@ -132,7 +132,7 @@ class MeshcatScene:
         self._legend_y = self._words_y[0] - lines * pixel, self._words_y[0]
 
     def is_due(self, layer: str, time: float) -> bool:
-        """Whether a recording has not taken too much of the layer lately."""
+        """True unless a recording took too much of the layer lately."""
         return time >= self._due.get(layer, -math.inf)
 
     def flush(self, *, all_of_it: bool = True) -> None:
@@ -315,7 +315,7 @@ class MeshcatScene:
         return path
 
     def _IsRecorded(self) -> bool:
-        """Whether Meshcat records. It does not tell, but it takes no number into a recording's track of booleans."""
+        """True if Meshcat records. It does not tell, but it takes no number into a recording's track of booleans."""
         self._meshcat.get_mutable_recording().SetProperty(0, PROBE, "visible", True)
         try:
             self._meshcat.SetProperty(PROBE, "visible", 1.0, 0.0)

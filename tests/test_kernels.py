@@ -91,6 +91,29 @@ def test_another_numba_keeps_its_modules(package):
     assert called(package, first=first) == (2, 0)
 
 
+LEVELS = """
+from numba import njit
+from numba.core import config, event
+from tfg_drake.part import caller
+levels = {}
+note = lambda _, e: levels.setdefault(e.data["dispatcher"].py_func.__name__, int(config.OPT))
+event.register("numba:compile", type("", (event.Listener,), {"on_start": note, "on_end": lambda *_: None})())
+def theirs(x): return caller.g(x)
+njit(theirs)(1)
+assert levels == {"theirs": 3, "g": 1, "f": 1}, levels
+assert config.OPT == 3
+"""
+
+
+def test_our_kernels_are_optimised_less_than_others(package, monkeypatch):
+    monkeypatch.delenv("NUMBA_OPT", raising=False)
+    called(package, first=LEVELS)
+    path = package / "part" / "called.py"
+    before = kernels.stamp([path])
+    monkeypatch.setattr(kernels, "LEVEL", 3)
+    assert kernels.stamp([path]) != before
+
+
 @pytest.mark.parametrize(
     ("changed", "stale"),
     [("other", {"other"}), ("caller", {"caller"}), ("called", {"caller", "called"}), ("number", {"caller", "called"})],

@@ -53,6 +53,11 @@ def offenders(paths, *banned):
     ]
 
 
+def test_make_quick_names_tests_that_there_are():
+    (names,) = re.findall(r"^QUICK := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert [name for name in names.split() if not (ROOT / "tests" / name).exists()] == []
+
+
 def test_there_are_files_to_check():
     for folder in ("tfg_drake", "systems", "diagrams", "tests"):
         assert sources(folder)

@@ -1,4 +1,4 @@
-"""Where numba keeps the compiled kernels, and what each is compiled of.
+"""Cache of numba's compiled kernels, and the sources of each.
 
 numba's own locators look at the time of the file that a kernel is in, and not at the files of the kernels and constants
 that it takes from elsewhere. `KernelLocator` stands in front of them (NUMBA_CACHE_LOCATOR_CLASSES): a kernel's stamp is
@@ -15,6 +15,7 @@ import contextlib
 import errno
 import functools
 import hashlib
+import importlib
 import os
 import platform
 import re
@@ -29,6 +30,8 @@ from tfg_drake.io.files import write_atomic
 PACKAGE = Path(__file__).parent
 _LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+# Of LLVM: at 3 they take a fifth longer to compile, and missions as long.
+LEVEL = 1
 _IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 
 
@@ -45,6 +48,7 @@ class KernelLocator:
         if not Path(py_file).is_relative_to(PACKAGE):
             return None
         _let_modules_go()
+        _set_level()
         return cls(py_func, py_file)
 
     def get_cache_path(self) -> str:
@@ -56,11 +60,11 @@ class KernelLocator:
         self._path.mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        """What must be the same for a compiled kernel to be used."""
+        """Digest that a compiled kernel must match to be used."""
         return stamp([Path(self._py_file)])
 
     def get_disambiguator(self) -> str:
-        """What tells two functions of a name in a file apart."""
+        """Tells functions of one name in a file apart."""
         return str(self._line)
 
 
@@ -92,6 +96,25 @@ def _let_modules_go() -> None:
     library._unserialize, library._get_module_for_linking = classmethod(unserialize), get_module_for_linking
 
 
+@functools.cache
+def _set_level() -> None:
+    """From now on LLVM optimises the kernels of this package at LEVEL, and others as it did."""
+    config: Any = importlib.import_module("numba.core.config")
+    event: Any = importlib.import_module("numba.core.event")
+    outside: list[Any] = []
+
+    class Level(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            outside.append(config.OPT)
+            if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+                config.OPT = type(config.OPT)(LEVEL)
+
+        def on_end(self, event: Any) -> None:
+            config.OPT = outside.pop()
+
+    event.register("numba:compile", Level())
+
+
 def use_locator() -> None:
     """From now on numba asks `KernelLocator` first, in this process and those that it starts."""
     given = os.environ.get(_LOCATORS) or _NUMBAS
@@ -102,7 +125,7 @@ def use_locator() -> None:
 
 
 def folder() -> Path:
-    """Where compiled kernels are kept: in NUMBA_CACHE_DIR, else in the package, where that cannot be written in the
+    """Folder of compiled kernels: NUMBA_CACHE_DIR, else in the package, where that cannot be written in the
     user's cache or a temporary folder.
 
     Raises:
@@ -146,9 +169,10 @@ def sources(path: Path) -> set[Path]:
 
 
 def stamp(paths: list[Path]) -> str:
-    """Of some files and what they import: the same as long as these and numpy stay as they are."""
+    """Digest of some files, what they import, and numpy's version."""
     files = sorted(set().union(*map(sources, paths)))
-    return _digest("\n".join([_numpy(), *(f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)]))
+    contents = (f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)
+    return _digest("\n".join([_numpy(), str(LEVEL), *contents]))
 
 
 @functools.cache
@@ -174,7 +198,7 @@ def _digest(text: str) -> str:
 
 
 def are_compiled() -> bool:
-    """Whether the kernels of a mission have been compiled here, of these sources and for this machine."""
+    """True if a mission's kernels have been compiled here, of these sources and for this machine."""
     with contextlib.suppress(OSError):
         return (folder() / "compiled").read_text() == _whole()
     return False

@@ -151,7 +151,7 @@ def json_line(detections: TagDetections) -> str:
 def video_loader(
     calibration: Path, tag_size: float, mount: str, odometry: Path | None, show: Callable[[str], object]
 ) -> Callable[[Path], Recording]:
-    """What reads a video or a folder of images as a recording, for `tfg-drake slam`; the options are as given there."""
+    """Returns a loader of a video or a folder of images, for `tfg-drake slam`; the options are as given there."""
     _need_packages()
     from tfg_drake.datasets.video import load_video
 

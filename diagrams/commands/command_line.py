@@ -1,4 +1,4 @@
-"""What the commands share: how bad input ends one, how one waits for the user, and for the kernels."""
+"""Shared by the commands: how bad input ends one, how one waits for the user, and for the kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the command explore consists of: the robot that it drives, its progress on the screen, its closing table."""
+"""Parts of the command explore: the robot that it drives, its progress on the screen, its closing table."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REMARKING = (
 
 
 def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
-    """What a run is called by: its robot, its world or its scenario."""
+    """Name of a run: its robot, its world or its scenario."""
     if robot != "sim":
         return robot.partition(":")[0]
     return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
@@ -218,7 +218,7 @@ def open_meshcat() -> Meshcat:
 
 
 def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[str], None]:
-    """What is shown on the screen before the mission begins is on the page, too."""
+    """Wraps show: its lines go to the page, too, until the mission begins."""
 
     def both(word: str) -> None:
         show(word)
@@ -242,7 +242,7 @@ def progress_line(progress: Progress) -> str:
 
 
 def is_kept(unwritten: dict[str, str]) -> bool:
-    """Whether the map and the summary of a run are on the disk."""
+    """True if a run's map and summary are on the disk."""
     return not unwritten.keys() & {"map.npz", "grid.npz", "summary.json"}
 
 

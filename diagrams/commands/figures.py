@@ -67,7 +67,7 @@ PAGE = (
 
 
 def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tuple[list[Stage], FloatArray, FloatArray]:
-    """What the explorer had before it at every stage of a mission, and its way: stamps (n,), s, and places p_MB (n, 2).
+    """The explorer's inputs at every stage of a mission, and its way: stamps (n,), s, and places p_MB (n, 2).
 
     Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
     """

@@ -52,7 +52,7 @@ def check(
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
-    """What the base said last; raises DeviceError where it has said nothing within ANSWER_TIMEOUT."""
+    """The base's newest messages; raises DeviceError if one is missing after ANSWER_TIMEOUT."""
     from tfg_drake.hardware.device import ANSWER_TIMEOUT, BaseState, DeviceError
     from tfg_drake.messages import Hazards, Odometry
 
@@ -66,7 +66,7 @@ def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
 
 
 def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
-    """What a connected base says, as names and values."""
+    """State of a connected base: names and values."""
     from tfg_drake.hardware.remarks import where
 
     low = "; charge it" if state.battery_level != "good" else ""

@@ -17,7 +17,7 @@ from tfg_drake.storage.timeline import FILE_NAME
 
 
 def can_fork(run: Path) -> bool:
-    """Whether a folder holds a simulated run whose goals were chosen from candidates."""
+    """True if a folder holds a simulated run whose goals came from candidates."""
     try:
         summary = read_object(run / "summary.json")
         method = METHODS.get(summary["method"])
@@ -43,7 +43,7 @@ class PageForks:
 
     @property
     def is_running(self) -> bool:
-        """Whether the newest fork is under way."""
+        """True while the newest fork runs."""
         return self._process is not None
 
     def start(self, stage: int, goal: tuple[float, float]) -> bool:
@@ -75,7 +75,7 @@ class PageForks:
         return True
 
     def state(self) -> dict[str, Any]:
-        """Of the newest fork: its number, stage and folder, whether it is running, what it says, and in the end the
+        """The newest fork's number, stage and folder, whether it is running, what it says, and in the end the
         rows of the comparison or why there are none; number 0 before the first."""
         with self._lock:
             return {

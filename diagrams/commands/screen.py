@@ -1,4 +1,4 @@
-"""What a command says of itself while it works."""
+"""Progress of a command on the screen."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Screen:
             self._write()
 
     def line(self) -> str:
-        """What is shown now."""
+        """The line shown."""
         spent = time.monotonic() - self._since
         return f"{self._text} ({spent:.0f} s so far)" if spent >= LONG else self._text
 

@@ -57,7 +57,7 @@ class Interrupted(Exception):
 
 
 class Progress:
-    """What is shown of the work: call it with the part and the share done.
+    """Shows progress: call it with the part and the share done.
 
     Raises:
         Interrupted: by the call, once the event is set.

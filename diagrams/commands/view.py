@@ -1,4 +1,4 @@
-"""What the commands view and export do with a run's folder."""
+"""Shows and exports a run's folder."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _timeline(run: Path) -> Path:
 
 
 def is_under_way(run: Path) -> bool:
-    """Whether a mission is writing the run."""
+    """True while a mission writes the run."""
     try:
         with claimed(run if run.is_dir() else run.parent):
             return False

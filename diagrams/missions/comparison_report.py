@@ -138,7 +138,7 @@ def _cells(scenario: Scenario) -> FloatArray:
 
 
 def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario]) -> list[FinalMap]:
-    """Of each method the map of one run: of the first seed that all have, or else of its own first."""
+    """One run's map of each method: of the first seed that all have, or else of its own first."""
     seeds = [{run.seed for run in runs if run.method == method} for method in methods]
     common = min(set.intersection(*seeds), default=None)
     chosen = [next((run for run in runs if run.method == m and common in (run.seed, None)), None) for m in methods]

@@ -1,4 +1,4 @@
-"""What if: a simulated mission brought back to one of its stages, to go on from there, perhaps to another goal.
+"""Forks a simulated mission: back to one of its stages, to go on from there, perhaps to another goal.
 
 A run is driven anew from its seed, which gives the same bits; the goal of one stage is then another, and stays so until
 the robot has looked round there.
@@ -50,7 +50,7 @@ class Candidate:
 
 
 class Fork:
-    """What becomes of a mission's goals from a stage on. Changes the choice in its Context.
+    """Changes a mission's goals from a stage on, by the choice in its Context.
 
     candidates: those of the stage, the most gain first, once it has been reached. failure: what ended the mission
     there, None where nothing did.
@@ -67,11 +67,11 @@ class Fork:
 
     @property
     def reached(self) -> bool:
-        """Whether the mission has come to the stage, and what is asked for has become its goal."""
+        """True once the mission is at the stage, and what is asked for has become its goal."""
         return self._seen >= self.stage
 
     def monitor(self, mission: Mission, *, stops: bool = False) -> Callable[[Context], EventStatus]:
-        """What a mission's Simulator calls after every step, so that a goal is another before anybody has read the one
+        """Monitor for a mission's Simulator, called after every step: replaces a goal before anybody has read the one
         that was chosen. stops: it ends the advance when the stage has been reached."""
 
         def after_step(root: Context) -> EventStatus:

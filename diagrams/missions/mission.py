@@ -308,7 +308,7 @@ class Mission:
 
     @property
     def built(self) -> bool:
-        """Whether there is a diagram."""
+        """True if a diagram exists."""
         return self._context is not None
 
     def stage_now(self) -> int:
@@ -352,7 +352,7 @@ class Mission:
         return -math.inf if state is None else state.placed
 
     def estimator_state(self) -> EstimatorState | None:
-        """What the estimator knows, in the end with the final map; None of a method without one."""
+        """The estimator's state, in the end with the final map; None for a method without one."""
         if self._final is not None or self._context is None or not self.explorer.HasOutputPort("map"):
             return self._final
         return StateOfExplorer(self.explorer, self.explorer.GetMyContextFromRoot(self._context))
@@ -430,7 +430,7 @@ class Mission:
 
     @property
     def _maps(self) -> bool:
-        """Whether there is a map of landmarks and surfaces; there may be one without surfaces."""
+        """True if there are landmarks and surfaces; there may be a map without surfaces."""
         return self.explorer.HasOutputPort("map") and self.explorer.HasOutputPort("tfg")
 
     def newest_map(self) -> SavedMap | None:
@@ -472,7 +472,7 @@ class Mission:
         self._kinds = kinds_of(diagram, self._context, self._under)
 
     def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
-        """What stays as it is: the true world, the robot, and what its sensors reach."""
+        """Writes what is fixed: the true world, the robot, and its sensors' reach."""
         scenario, robot = self.scenario, self.scenario.robot
         told = {
             "title": title,

@@ -1,4 +1,4 @@
-"""What is kept of a run: its folder's map, trajectories and figure, and the summary of them."""
+"""Writes a run's folder: map, trajectories and figure, and the summary of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a command leaves its results and its log: one command at a time, and what cannot be written ends no mission."""
+"""Folder of a command's results and log: one command at a time, and what cannot be written ends no mission."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def logging(self) -> Iterator[None]:
-        """What the program remarks meanwhile goes to log.txt. Raises OSError where that cannot be begun."""
+        """Logs the program's remarks to log.txt meanwhile. Raises OSError if it cannot be opened."""
         handler = _LogFile(self)
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
         logger = logging.getLogger("tfg_drake")

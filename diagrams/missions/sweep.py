@@ -62,11 +62,11 @@ class Task:
         return self.scenario.seed
 
     def folder(self, out: Path) -> Path:
-        """Where the run goes in the sweep's folder."""
+        """The run's folder in the sweep's."""
         return out / "runs" / self.method / f"seed-{self.seed}"
 
     def receipt(self) -> dict[str, Any]:
-        """What tells the task from any other."""
+        """Tells the task from any other."""
         digest = hashlib.sha256(yaml_dump_typed(self.scenario).encode()).hexdigest()
         code = hashlib.sha256(Path(self.source).read_bytes()).hexdigest() if self.source else None
         task = {"version": __version__, "scenario": self.name, "world": self.world_name, "scenario_sha256": digest}
@@ -174,7 +174,7 @@ def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
 
 
 def _work(task: Task, folder: Path, sending: Connection) -> None:
-    """What a process does: one task, and nothing once whoever wanted it is gone."""
+    """Runs one task in a process, which ends with its parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     sending.send(attempt(task, folder))
 

@@ -1,4 +1,4 @@
-"""What only a simulation knows of a mission."""
+"""Ground truth of a simulated mission."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tfg_drake.world.world import World
 
 
 class Truth:
-    """What the truth ports of a simulated station say.
+    """Reads the truth ports of a simulated station.
 
     contacts: so far with walls, and with people whom the robot moved towards. contacts_received: those that people
     made, or walls while it was pushed. clearance: least distance of the outline to any wall so far, m. All as of the
@@ -44,7 +44,7 @@ class Truth:
         return now.world
 
     def position(self, root: Context) -> FloatArray:
-        """Where the robot is: p_WB (2,), m."""
+        """The robot's p_WB (2,), m."""
         return self._eval("truth.pose", root)[:2]
 
     def poses(self, root: Context, end_time: float) -> tuple[FloatArray, FloatArray]:

@@ -96,7 +96,7 @@ class EmulatedBase:
         self.distance += math.hypot(*(self.pose - before)[:2])
 
     def feedback(self) -> list[p.SubPayload]:
-        """What it says now: what it streams by itself, then the answers to what it was asked."""
+        """The sub-payloads of one frame: the streamed ones, then the answers to requests."""
         left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
         angle = (round(self.turned / GYRO_UNIT) + 18000) % 36000 - 18000
         answers, self._answers = self._answers, []

@@ -167,7 +167,7 @@ def _scan(header: Fields, scan: LaserScan) -> Fields:
 
 
 def _cloud(header: Fields, detections: TagDetections) -> Fields:
-    """What conversions.plain_detections reads."""
+    """PointCloud2 that plain_detections reads."""
     small = (detections.ids < 2**32).all()
     layout = np.dtype([("id", "<u4" if small else "<f8")] + [(name, "<f8") for name in conversions.COLUMNS[1:]])
     points = np.zeros(len(detections.ids), dtype=layout)

@@ -1,4 +1,4 @@
-"""What can happen to an emulated Kobuki while it runs, as lines of text; see docs/kobuki_emulator.md."""
+"""Orders to a running emulator of a Kobuki, as lines of text; see docs/kobuki_emulator.md."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class PseudoTerminal:
         path.symlink_to(os.ttyname(self._slave))
 
     def read(self) -> bytes:
-        """What has come since the last call."""
+        """The bytes since the last call."""
         try:
             return os.read(self._master, 65536)
         except BlockingIOError:

@@ -1,4 +1,4 @@
-"""What can be wrong with the scans and tags of an emulated robot: functions that change a message before it is sent."""
+"""Faults of an emulated robot's scans and tags: functions that change a message before it is sent."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _missing(share: float) -> Fault:
 
 
 def _blind(least: float) -> Fault:
-    """What is nearer than this, m, is not seen."""
+    """Loses ranges below `least`, m."""
     return lambda scan: _without(scan, scan.ranges < least)
 
 

@@ -1,4 +1,4 @@
-"""What the Kobuki's core sensors say of battery, charger and wheels' current, and why it must stand for that."""
+"""Alarms of battery, charger and wheels' current from the Kobuki's core sensors, and why it must stand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LASTING = 0.2
 
 
 def charger(core: CoreSensors) -> str:
-    """What the base hangs on: "dock", "adapter", or "" for nothing."""
+    """External power: "dock", "adapter", or "" for none."""
     if not core.charger:
         return ""
     return "adapter" if core.charger & 16 else "dock"

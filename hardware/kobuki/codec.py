@@ -92,7 +92,7 @@ def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
 
 
 def _tiled(payload: bytes) -> bool:
-    """Whether the payload is a row of whole sub-payloads, known or not."""
+    """Returns True if whole sub-payloads, known or not, fill it."""
     at = 0
     while at + 2 <= len(payload):
         at += 2 + payload[at + 1]

@@ -26,7 +26,7 @@ _MAJOR = "1"
 
 
 class Connection:
-    """What the base has said since the port was opened.
+    """Reads the base's frames from an open port.
 
     core: the newest frame's, None before the first. alarm: why it says that it must not drive, None where it may.
     reckoning: dead reckoning, going on from an earlier connection's. driven: the base was last told to move.
@@ -56,7 +56,7 @@ class Connection:
 
     @property
     def ready(self) -> bool:
-        """Whether this is a base that can be driven."""
+        """True if this base can be driven."""
         return self.core is not None and self.firmware.split(".")[0] == _MAJOR
 
     def trouble(self, now: float) -> str | None:
@@ -168,6 +168,6 @@ class Connection:
 
 
 def _lasting(state: BaseState) -> tuple[object, ...]:
-    """What of a state is told as soon as it changes."""
+    """Fields whose changes are sent at once."""
     power = state.charger, state.charging, state.overcurrent
     return state.buttons, power, state.firmware, state.hardware, state.unique_id

@@ -148,7 +148,7 @@ def _signed(difference: int) -> int:
 
 
 def odometry_message(state: Reckoning) -> Odometry:
-    """What dead reckoning says to the robot. At rest: no tick of any wheel for 0.1 s."""
+    """Odometry message of dead reckoning. At rest: no tick of any wheel for 0.1 s."""
     at_rest = state.stamp - state.moved >= _REST
     return Odometry(state.stamp, np.array(state.X_OB), np.array(state.V_B), at_rest)
 

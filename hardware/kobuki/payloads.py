@@ -1,4 +1,4 @@
-"""What the Kobuki and its host say to each other: the sub-payloads, whole numbers in the wire's units.
+"""Sub-payloads between the Kobuki and its host: whole numbers in the wire's units.
 
 Source: the vendor's driver kobuki_core 1.4.0 (packets/*.hpp, command.cpp) and the protocol appendix of its developer
 guide; where they disagree, the driver's code. tfg_drake.hardware.kobuki.codec makes bytes of them,
@@ -70,7 +70,7 @@ class GeneralOutput(SubPayload):
 
 @dataclasses.dataclass(frozen=True)
 class CoreSensors(SubPayload):
-    """What matters most, in every frame.
+    """Core sensor data, in every frame.
 
     stamp: ms, wraps at 65536. bumper: bits 1 right, 2 centre, 4 left. wheel_drop: bits 1 right, 2 left. cliff: bits as
     the bumper's. left_encoder, right_encoder: ticks, wrap at 65536. left_pwm, right_pwm: as the motors get it. buttons:

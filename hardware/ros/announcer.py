@@ -1,4 +1,4 @@
-"""What the explorer knows, on the topics of a preset: what both transports do before they send it."""
+"""Publishes the explorer's messages on the topics of a preset, over either transport."""
 
 from __future__ import annotations
 

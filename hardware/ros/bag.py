@@ -204,7 +204,7 @@ def _stamp(message: Any) -> float:
 
 
 def _is_clock(stamps: FloatArray) -> bool:
-    """Whether stamps (n,) tell the messages apart: those never set, or cut to whole seconds, do not."""
+    """True if stamps (n,) tell messages apart: those never set, or cut to whole seconds, do not."""
     return len(np.unique(stamps)) * _SHARED > len(stamps)
 
 

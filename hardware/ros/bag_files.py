@@ -50,7 +50,7 @@ class Logged(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file is named like one of a bag, or a folder has such files or metadata.yaml in it."""
+    """True if a file is named like a bag's, or a folder has such files or metadata.yaml in it."""
     if path.is_dir():
         return (path / METADATA).is_file() or bool(_in_folder(path))
     return _is_named(path)

@@ -88,7 +88,7 @@ def count(message: Any, path: str, most: int, least: int = 0) -> int:
 
 
 def _sequence(message: Any, path: str, most: int) -> Any:
-    """What is at a dotted path, if it can be counted and is not longer than `most`; else ValueError."""
+    """The list at a dotted path; raises ValueError if it is none or longer than `most`."""
     values = field(message, path)
     if not hasattr(values, "__len__") or isinstance(values, Mapping):
         raise ValueError(f"{path} is no list")

@@ -1,4 +1,4 @@
-"""What every driver on a ROS graph does alike, by whatever transport; see tfg_drake.hardware.device.Driver."""
+"""Shared part of the drivers on a ROS graph, by any transport; see tfg_drake.hardware.device.Driver."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Graph(Protocol):
         """The types that a topic is listened to with; None where that cannot be told."""
 
     def best_effort(self, name: str) -> bool:
-        """Whether whoever publishes a topic does so best effort only: who asks for reliable gets nothing."""
+        """True if all publishers of a topic are best effort: a reliable subscriber gets nothing."""
 
     def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
         """receive(message, arrival), by `spin`; arrival s of the host's clock."""

@@ -46,7 +46,7 @@ class ImageTags:
         self._views = no_views()
 
     def sighting(self, message: Any, camera_info: Any, stamp: float) -> Sighting:
-        """What an image shows; raises ValueError where it is none that can be read. stamp: s."""
+        """The tags in an image; raises ValueError if it cannot be read. stamp: s."""
         image = decompressed(message) if self._compressed else plain(message)
         calibration = lens(camera_info, self._rectified)
         tags = self._detector.detect(image)

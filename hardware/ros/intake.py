@@ -1,4 +1,4 @@
-"""What both transports do with what they receive: stamps and conversion."""
+"""Stamps and converts the messages that either transport receives."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Intake:
         return told if note is not None and note.kind == "speed" else believed  # the former is refused elsewhere
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
-        """Where the odometry is in another frame than the preset says, our map -> odom would join nothing."""
+        """Remarks on odometry in another frame than the preset's: our map -> odom would join nothing."""
         frame, expected = str(conversions.field(message, "header.frame_id")), self._preset.frames.odom
         if frame.lstrip("/") != expected:
             self._remarks.append(
@@ -166,5 +166,5 @@ class Intake:
 
 
 def _kind(error: Exception) -> str:
-    """What an error complains of: its words without what differs from message to message."""
+    """Kind of an error: its words without what differs from message to message."""
     return re.sub(r"[^a-z_ ]+", "", str(error).partition(":")[0].partition("'")[0])

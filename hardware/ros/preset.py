@@ -1,4 +1,4 @@
-"""What a TurtleBot's ROS graph looks like: topics, types, quality of service, limits and mounts, read from YAML."""
+"""Preset of a TurtleBot's ROS graph: topics, types, quality of service, limits and mounts, read from YAML."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class Ros2Graph:
         return sorted({end.topic_type for end in self.node.get_subscriptions_info_by_topic(name)})
 
     def best_effort(self, name: str) -> bool:
-        """Whether whoever publishes a topic does so best effort only."""
+        """True if all publishers of a topic are best effort."""
         from rclpy.qos import ReliabilityPolicy
 
         ends = self.node.get_publishers_info_by_topic(name)

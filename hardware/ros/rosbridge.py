@@ -70,7 +70,7 @@ class RosbridgeGraph:
 
     @property
     def connected(self) -> bool:
-        """Whether the server is there."""
+        """True while connected."""
         return bool(self._ros.is_connected)
 
     def subscribe(self, topic: Topic, receive: Receive) -> None:

@@ -47,7 +47,7 @@ class StampClock:
 
     @property
     def ready(self) -> bool:
-        """Whether the clock is learned."""
+        """True if it is learned."""
         return self._heard - self._began >= LEARN
 
     def odometry(self, topic: str, stamp: float, arrival: float) -> float | None:

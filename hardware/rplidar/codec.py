@@ -53,7 +53,7 @@ def descriptor(command: int) -> bytes:
 
 
 def answer(data: bytes, command: int) -> bytes | None:
-    """What follows the descriptor of a command's answer in what has arrived; None where it is not there, or not whole.
+    """The data after the descriptor of a command's answer; None while it is missing or not whole.
     Of an answer that goes on: all that follows."""
     _, length, goes_on = ANSWERS[command]
     _, found, rest = data.partition(descriptor(command))
@@ -71,7 +71,7 @@ class Info:
 
 
 def info(data: bytes) -> Info:
-    """What an answer to GET_INFO says."""
+    """Decodes a GET_INFO answer."""
     return Info(data[0] >> 4, f"{data[2]}.{data[1]}")
 
 

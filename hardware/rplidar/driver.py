@@ -103,7 +103,7 @@ class RplidarDriver(SensorReader):
         os.write(self._port.fileno(), data)
 
     def _asked(self, command: int) -> bytes | None:
-        """What is answered to a command; raises OSError."""
+        """The answer to a command; raises OSError."""
         assert self._port is not None
         self._say(codec.request(command))
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
@@ -113,7 +113,7 @@ class RplidarDriver(SensorReader):
         return told
 
     def _read(self) -> bytes:
-        """What has arrived; raises OSError where the line is cut."""
+        """The bytes so far; raises OSError if the line is cut."""
         assert self._port is not None
         try:
             data = os.read(self._port.fileno(), 1 << 16)

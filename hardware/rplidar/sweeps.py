@@ -68,7 +68,7 @@ class SweepMaker:
         return [self._sweep(nodes, 0.0, *self._turn)]
 
     def _sweep(self, nodes: list[Node], middle: float, stamp: float, period: float) -> Sweep:
-        """Of the rays of a turn that had the angle `middle` (rad) at `stamp` and took `period`, both s."""
+        """Sweep of the rays of a turn that took `period` and was at `middle` (rad) at `stamp`, both s."""
         angles = np.array([node.angle for node in nodes])
         ranges = np.array([node.range for node in nodes])
         ranges[ranges < LEAST_RANGE] = math.nan

@@ -51,5 +51,5 @@ class TurnClock:
 
 
 def _is_above(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
-    """Whether b is not below the line from a to c."""
+    """True if b is not below the line a to c."""
     return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])

@@ -59,13 +59,13 @@ class Forks(Protocol):
 
     @property
     def is_running(self) -> bool:
-        """Whether the newest fork is under way."""
+        """True while the newest fork runs."""
 
     def start(self, stage: int, goal: tuple[float, float]) -> bool:
         """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
 
     def state(self) -> dict[str, Any]:
-        """What the page tells of the newest fork."""
+        """The newest fork for the page."""
 
 
 class Cockpit:
@@ -144,12 +144,12 @@ class Cockpit:
 
     @property
     def watched(self) -> bool:
-        """Whether a page is open."""
+        """True if a page is open."""
         return bool(self._server.answered)
 
     @property
     def begun(self) -> bool:
-        """Whether there is a timeline to show."""
+        """True once there is a timeline."""
         return self._timeline is not None
 
     def follow(self, timeline: Path) -> None:
@@ -158,13 +158,13 @@ class Cockpit:
         self._timeline = timeline
 
     def requests(self) -> Sequence[Request]:
-        """What an operator was asked for since the last call."""
+        """The operator's requests since the last call."""
         with self._lock:
             taken, self._asked = self._asked, []
         return taken
 
     def keys(self) -> Sequence[str]:
-        """What a driver has pressed since the last call, see tfg_drake.mission.manual_drive: also a stick let go where
+        """Keys pressed by a driver since the last call, see tfg_drake.mission.manual_drive: also a stick let go where
         the page of one that was held has fallen silent."""
         with self._lock:
             taken, self._keys = self._keys, []
@@ -321,7 +321,7 @@ class _Handler(WholeRequestHandler):
             self._answer(400, "text/plain", b"That cannot be asked for here.\n")
 
     def _is_ours(self) -> bool:
-        """Whether it is asked for by a name of this machine, and by no page of another; else that is told."""
+        """True if the request names this machine, and is from no page of another; else answers 403."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
         if self.cockpit._is_name(host) and origin in (None, f"http://{host}"):
@@ -362,7 +362,7 @@ class _Handler(WholeRequestHandler):
                         return
 
     def _has_gone(self) -> bool:
-        """Whether the page goes away within INTERVAL: it says nothing more after its request. Raises ConnectionError
+        """True if the page goes away within INTERVAL: it says nothing more after its request. Raises ConnectionError
         where it goes without a word."""
         return bool(wait([self.connection], INTERVAL)) and not self.connection.recv(1024)
 

@@ -104,7 +104,7 @@ class WholeRequestServer(ThreadingHTTPServer):
         connection.close()
 
     def _too_many(self, connections: Iterable[Any], most: int) -> list[Any]:
-        """Which of some connections, the oldest first, are to go: as many as are more than this, each the oldest of the
+        """Connections to close, of some in order of age: as many as are above `most`, each the oldest of the
         address that has most."""
         left, gone = {one: self._address.get(one, "") for one in list(connections)}, []
         crowds = collections.Counter(left.values())
@@ -132,7 +132,7 @@ class WholeRequestServer(ThreadingHTTPServer):
 
 
 def _is_whole(said: bytes) -> bool:
-    """Whether a request has come with all that belongs to it; or is too long, which is to be answered, too."""
+    """True if a request has come with its whole body; or is too long, which is to be answered, too."""
     head, end, body = said.partition(b"\r\n\r\n")
     length = re.search(rb"\r\ncontent-length:[ \t]*(\d{1,4})[ \t]*\r\n", head + b"\r\n", re.IGNORECASE)
     return len(said) >= _WHOLE or bool(end and (length is None or len(body) >= int(length[1])))

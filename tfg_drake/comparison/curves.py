@@ -121,7 +121,7 @@ def _samples(X_WB: FloatArray) -> IntArray:
 
 
 def _seen(X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float) -> BoolArray:
-    """Which points (c, 2) the scanner sees from one pose."""
+    """Mask (c,) of the points (c, 2) seen from one pose."""
     offset = p_WC - X_WB[:2]
     seen = np.hypot(offset[:, 0], offset[:, 1]) <= scan_range
     bearing = wrap_angle(np.arctan2(offset[seen, 1], offset[seen, 0]) - X_WB[2])

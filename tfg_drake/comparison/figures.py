@@ -32,7 +32,7 @@ _WIDE = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class FinalMap:
-    """What one run of a method made of the world: a landmark map, a grid, or neither; X_WB (n, 3): its true way."""
+    """Map of one run of a method: a landmark map, a grid, or neither; X_WB (n, 3): its true way."""
 
     method: str
     seed: int

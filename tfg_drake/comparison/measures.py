@@ -1,4 +1,4 @@
-"""What of a run's summary is compared: each figure's name, unit and digits, and how it is read."""
+"""Figures compared of a run's summary: each one's name, unit and digits, and how it is read."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Picture:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """What a report is made of.
+    """Contents of a report.
 
     title: what is compared, one line. methods: in their order; the others are compared with the first. runs: those
     there are; planned: how many there should be. command: repeats it. versions: what it ran with, one line.
@@ -142,7 +142,7 @@ def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
 
 
 def _measures(runs: Sequence[Run]) -> list[Measure]:
-    """Those that some run has: where no tags are, none of them."""
+    """Measures that some run has: without tags, none of theirs."""
     return [one for one in MEASURES if any(run.summary and one.read(run.summary) is not None for run in runs)]
 
 

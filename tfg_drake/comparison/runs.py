@@ -40,7 +40,7 @@ class Run:
 
     @property
     def counts(self) -> bool:
-        """Whether its figures are those of a mission that went to its end; a fault's are of a part of one."""
+        """True if its figures are of a mission that went to its end; a fault's are of a part of one."""
         return self.outcome not in ("failed", "fault")
 
 

@@ -161,7 +161,7 @@ class _Batch:
         ]
 
     def _motions(self, calibration: FloatArray) -> tuple[list[gtsam.BetweenFactorPose2], FloatArray]:
-        """Those of the odometry with a calibration (3,), and how they depend on it, (k - 1, 3, 3)."""
+        """Odometry factors with a calibration (3,), and their Jacobian by it, (k - 1, 3, 3)."""
         X_ij, on_calibration, _ = self._predicted(calibration, np.zeros(3))
         motions = [
             gtsam.BetweenFactorPose2(X(i), X(i + 1), gtsam.Pose2(*one), noise)
@@ -226,7 +226,7 @@ class _Batch:
     def _step(
         self, linear: gtsam.GaussianFactorGraph, calibration: FloatArray, on_calibration: FloatArray
     ) -> gtsam.VectorValues:
-        """Where the linear factors of `solved` lead when motions depend on the calibration, too."""
+        """Gauss-Newton step of `solved` with motions that depend on the calibration, too."""
         system, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
         on_calibration[:, :2] = self._R_ji @ on_calibration[:, :2]
         for i, (noise, on) in enumerate(zip(self._noise, on_calibration, strict=True)):

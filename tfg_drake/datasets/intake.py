@@ -106,7 +106,7 @@ def believed(recording: Recording) -> Recording:
 
 
 def _often(doubts: Sequence[Doubt], odometry: Sequence[Odometry]) -> bool:
-    """Whether odometry jumps all along."""
+    """True if odometry jumps all along."""
     return sum(doubt.note.kind == "jump" for doubt in doubts) > max(FEW, OFTEN * len(odometry))
 
 

@@ -128,7 +128,7 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, scanner: Mapping[s
 
 
 def _way(path: Path, log: CarmenLog) -> tuple[bool, FloatArray, FloatArray]:
-    """Whether a log is raw; the poses (n, 3) at its scans, of a raw one the body's by its wheels, else the scanner's;
+    """True if a log is raw; the poses (n, 3) at its scans, of a raw one the body's by its wheels, else the scanner's;
     the scanner's pose X_BS (3,) in what has these poses.
 
     Where SLAM corrected the poses of scans they leave those of the odometry's own lines, or there are none of these.
@@ -234,7 +234,7 @@ def _from_body(scan: LaserScan, place: FloatArray) -> LaserScan:
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:
-    """What wheels and a gyro would have said at stamps (n,) and true poses (n, 3)."""
+    """Simulated odometry of wheels and a gyro at stamps (n,), true poses (n, 3)."""
     rng = np.random.default_rng(seed)
     errors = odometry.run_errors(rng.standard_normal(3), model)
     state = odometry.initial_state(X_WB[0])

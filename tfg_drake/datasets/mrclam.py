@@ -39,7 +39,7 @@ LONGEST_HELD = 2.0
 
 
 def odometry_model() -> OdometryConfig:
-    """What fits the odometry of every run, the commands' mean scale taken out."""
+    """Noise of the odometry of every run, the commands' mean scale taken out."""
     return OdometryConfig(distance_noise=0.02, distance_scale=0.04, gyro_noise=0.02, gyro_bias=0.005, gyro_scale=0.04)
 
 
@@ -143,7 +143,7 @@ def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
 
 
 def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, list[Note]]:
-    """What is known of it, and what was mended in its files. unit: of its stamps, s."""
+    """Ground truth, if any, and notes on mended lines. unit: of its stamps, s."""
     notes: list[Note] = []
     stamps, X_WB = np.empty(0), np.empty((0, 3))
     ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))

@@ -82,7 +82,7 @@ def relation_errors(
 
 
 def _nearest(stamps: FloatArray, times: FloatArray, relations: Relations) -> IntArray:
-    """Which of stamps (n,), in order, are nearest to times (k, 2). Raises DatasetError where none is near."""
+    """Rows of the stamps (n,), in order, nearest to times (k, 2). Raises DatasetError where none is near."""
     after = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
     nearest = after - (times - stamps[after - 1] < stamps[after] - times)
     off = np.abs(times - stamps[nearest])

@@ -84,7 +84,7 @@ class Rows:
             self._mended.append("decimal commas read as points")
 
     def columns(self, *layouts: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int, int]:
-        """Which of the layouts the rows have, where in a row each of its columns stands, how many words a row has, and
+        """The rows' layout, the index in a row of each of its columns, the number of words in a row, and
         the number of the last line of the heading, 0 without any.
 
         A heading tells if it names as many columns as the first row has; else the number of words does, or the first
@@ -121,7 +121,7 @@ class Rows:
         return layout, at, width, max(plain, default=0)
 
     def read(self, parse: Callable[[int, list[str]], Row | None], after: int = 0) -> list[Row]:
-        """What parse makes of the number (from 1) and the words of every line; lines of which it makes None are no row.
+        """Results of parse on the number (from 1) and the words of every line; lines for which it is None are no row.
 
         parse: raises DatasetError where a row is broken, and ShortRowError where words are missing at its end. after:
         lines up to this number are left out. Blank lines and lines that begin with '#' are left out, too; so is the
@@ -219,7 +219,7 @@ def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tup
 
 
 def is_heading(words: list[str], columns: Collection[int]) -> bool:
-    """Whether the words of a line are names where numbers should be, as many as one of these."""
+    """True if the words of a line are names where numbers should be, as many as one of these."""
     numbers = [_is_number(word) for word in words]
     return not any(numbers) or (not numbers[0] and len(words) not in columns)
 
@@ -237,7 +237,7 @@ def _count(number: int, what: str) -> str:
 
 
 def _lacks_decimals(word: str, others: Collection[str]) -> bool:
-    """Whether a file's last word has fewer decimals than the words that end the rows before, which all have as many."""
+    """True if a file's last word has fewer decimals than the words that end the rows before, which all have as many."""
     decimals = {len(one.partition(".")[2]) for one in others}
     return len(others) > 2 and len(decimals) == 1 and len(word.partition(".")[2]) < decimals.pop()
 

@@ -44,7 +44,7 @@ _TAG_COLUMNS = ("stamp_s", "camera", "tag_id", "hamming", *_CORNERS)
 
 
 def odometry_model() -> OdometryConfig:
-    """What fits the visual-inertial odometry of a hand-held rig."""
+    """Noise of the visual-inertial odometry of a hand-held rig."""
     return OdometryConfig(distance_noise=0.03, distance_scale=0.02, gyro_noise=0.01, gyro_bias=0.001, gyro_scale=0.005)
 
 

@@ -55,7 +55,7 @@ def wandering() -> OdometryConfig:
 
 
 def odometry_model() -> OdometryConfig:
-    """What is believed of odometry of which only the poses are known: an ordinary wheeled base or better."""
+    """Noise assumed for odometry of which only the poses are known: an ordinary wheeled base or better."""
     return OdometryConfig(distance_noise=0.05, distance_scale=0.03, gyro_noise=0.02, gyro_bias=0.002, gyro_scale=0.02)
 
 

@@ -62,7 +62,7 @@ def dump_yaml(value: object) -> str:
 
 
 def _problem(event: yaml.Event, depth: int) -> str:
-    """What is wrong with a piece of YAML at a depth, "" for nothing."""
+    """The fault of a piece of YAML at a depth, "" for none."""
     if depth > _DEEPEST:
         return f"more than {_DEEPEST} levels deep"
     if isinstance(event, yaml.AliasEvent):

@@ -1,1 +1,1 @@
-"""What comes after what in a mission, and what an operator may ask of it."""
+"""Sequence of a mission's phases, and requests of its operator."""

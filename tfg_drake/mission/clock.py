@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class Clock:
-    """What is wanted of the clock. It changes when something happens, never what: a held simulation goes on to the bit.
+    """State asked of the clock. It changes when something happens, never what: a held simulation goes on to the bit.
 
     rate: simulated seconds a second at most, 0 for no limit. held: the clock stands. stepping: it will at the next
     stage. version: another number whenever something was asked for.

@@ -44,7 +44,7 @@ class Pressed:
 
 
 def stick(forward: float, left: float) -> str:
-    """What a gamepad's stick is as a key: how far it is pushed forward and to the left, of 1."""
+    """Key of a gamepad's stick: how far it is pushed forward and to the left, of 1."""
     bounded = (max(-1.0, min(share, 1.0)) for share in (forward, left))
     return " ".join(["stick", *(f"{share:.2f}" for share in bounded)])
 

@@ -1,4 +1,4 @@
-"""What an operator wants of a robot: nothing moves before it is enabled, and a stop holds until it is enabled anew."""
+"""Operator's requests to a robot: nothing moves before it is enabled, and a stop holds until it is enabled anew."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Request = Command | Literal["push"] | tuple[float, float]
 
 @message
 class Operation:
-    """What the operator wants.
+    """The operator's requests.
 
     enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled: a base that stops by itself
     does not count that one any more. enablings: times so far. paused, recalled, ended: the mission's.
@@ -38,7 +38,7 @@ def stopped_by(hazards: Hazards) -> str | None:
 
 
 def requested(operation: Operation, request: Command) -> Operation:
-    """What is wanted after a request. An end stops the base too; nothing undoes it, nor a recall."""
+    """Applies a request. An end stops the base too; nothing undoes it, nor a recall."""
     if operation.ended:
         return operation
     if request == "enable":

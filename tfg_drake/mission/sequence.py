@@ -40,7 +40,7 @@ NOT_ENABLED = "the base is not enabled: whoever operates it enables it"
 
 @dataclasses.dataclass(frozen=True)
 class MissionInputs:
-    """What the sequencer sees at one instant.
+    """Inputs of the sequencer at one instant.
 
     time: s. follower, goal, path, path_status: each asks for the newest message. mapped_stage: asks for the number of
     views in the map and in all that is made of it. max_speed: the robot's, m/s. glance_period: s, as
@@ -162,7 +162,7 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 
 def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
-    """Whether something is in the way, or the base does not move for whatever reason."""
+    """True if something is in the way, or the base does not move for any reason."""
     follower = inputs.follower()
     return _seen_or_felt(status, inputs) or (follower.path_id == status.path_id and follower.stalled)
 

@@ -27,7 +27,7 @@ _WIDTH = 7.2  # of the text of a two-column paper, inches
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
-    """What the explorer had before it at one stage."""
+    """The explorer's inputs at one stage."""
 
     estimate: MapEstimate
     tfg: TfgMap

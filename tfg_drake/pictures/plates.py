@@ -29,7 +29,7 @@ def words_plate(text: str) -> bytes:
 
 
 def legend_plate() -> tuple[bytes, int]:
-    """What each colour is, and the scale of the gains, as a PNG; and how high that is, pixels."""
+    """Legend of the colours and the scale of the gains, as a PNG; and its height, pixels."""
     entries = [entry.split(":") for entry in _ENTRIES.replace(",\n", ", ").split(", ")]
     lines = -(-len(entries) // COLUMNS) + 1
     image = Image.new("RGB", (WIDTH, lines * LINE), "white")

@@ -1,4 +1,4 @@
-"""What layers of a scene look like in space: solids and sheets, and those as an OBJ file. Pure geometry, no Drake."""
+"""Layers of a scene in space: solids and sheets, and those as an OBJ file. Pure geometry, no Drake."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What stands between any controller and the base, simulated or real: the velocity filter and what it believes."""
+"""Guards the base, simulated or real, from any controller: the velocity filter and what it believes."""

@@ -67,7 +67,7 @@ def write_checkpoint(path: Path, told: Mapping[str, Any], state: Mapping[str, tu
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], Packed]:
-    """What is told of a mission, and its state. path: the file, or the run's folder with it.
+    """Reads a mission's header and its state. path: the file, or the run's folder with it.
 
     Raises:
         CheckpointError: there is none, it is damaged, or another version wrote it. So does the state's `take`.
@@ -80,7 +80,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], Packed]:
 
 
 def read_told(path: Path) -> dict[str, Any]:
-    """What is told of a mission that was cut short, whichever version wrote it. Raises CheckpointError."""
+    """Reads the header of a mission cut short, whichever version wrote it. Raises CheckpointError."""
     return _opened(path)[0]
 
 

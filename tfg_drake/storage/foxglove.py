@@ -1,4 +1,4 @@
-"""What Foxglove's 3D panel shows of a recording, in Foxglove's own schemas: poses, scans, map and path.
+"""Recording for Foxglove's 3D panel, in Foxglove's own schemas: poses, scans, map and path.
 
 Frames: "map" (M) and "base" (B), which the estimated pose ties together. A scan is a foxglove.LaserScan that carries
 the fields of our message, too, under numbers that Foxglove has not given: so nothing stands in the file twice.
@@ -59,7 +59,7 @@ def scan_files(own: Sequence[Any]) -> tuple[str, descriptor_pb2.FileDescriptorSe
 
 
 def scan_header(scan: LaserScan) -> bytes:
-    """What Foxglove needs of a scan besides its ranges, in protobuf's wire format: goes before those."""
+    """Foxglove's fields of a scan besides its ranges, in protobuf's wire format: goes before those."""
     written = FoxgloveScan(frame_id=BASE)
     _stamp(written.timestamp, scan.stamp)
     written.pose.orientation.w = 1.0

@@ -1,4 +1,4 @@
-"""What a station's ports carried in a run, as an MCAP file that Foxglove and the MCAP tools read.
+"""Recording of a station's ports in a run: an MCAP file that Foxglove and the MCAP tools read.
 
 A channel a port, named like it, of protobuf messages: the fields of the messages in `tfg_drake.messages` by their
 names, float64 to the bit, with their schema in the file. log_time is when the port carried the message first (ns since
@@ -193,7 +193,7 @@ class PortWriter:
             self._write_waiting()
 
     def wants_map(self, stage: int) -> bool:
-        """Whether the map of a stage would be a new one."""
+        """True if a stage's map would be a new one."""
         return stage > self._stage
 
     def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
@@ -271,7 +271,7 @@ class PortRecording:
     whole: bool
 
     def at(self, port: str, time: float) -> Any:
-        """What a port carried at a time, s; before the first message that one."""
+        """A port's message at a time, s; before the first one, that one."""
         row = int(np.searchsorted(self.log_times[port], nanoseconds(time), side="right")) - 1
         return self.messages[port][max(row, 0)]
 
@@ -280,7 +280,7 @@ class PortRecording:
         return float(self.at(ENABLED, time).enabled) if self.messages[ENABLED] else 1.0
 
     def requested_goal(self, time: float) -> RequestedGoal:
-        """Where the robot had been sent by a time, s."""
+        """Goal requested up to a time, s."""
         sent = bool(len(self.log_times[GOAL])) and nanoseconds(time) >= self.log_times[GOAL][0]
         return self.at(GOAL, time) if sent else RequestedGoal()
 
@@ -371,7 +371,7 @@ def _unpacked(chunk: Chunk) -> Chunk:
 
 
 def _encoder(kind: type) -> Callable[[Any], bytes]:
-    """What puts a message of a kind into protobuf's wire format: its arrays as they are in memory, an order of
+    """Encoder of a kind of message to protobuf's wire format: its arrays as they are in memory, an order of
     magnitude quicker than by protobuf itself."""
     parts: list[tuple[str, bytes, Any]] = []
     for number, name, hint in _numbered(kind):

@@ -16,13 +16,13 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 @dataclasses.dataclass(frozen=True)
 class Near:
-    """Where a table is told: within reach, m, of center, (2,) m; by default everywhere."""
+    """Area of a table: within reach, m, of center, (2,) m; by default everywhere."""
 
     center: FloatArray | None = None
     reach: float = math.inf
 
     def holds(self, places: FloatArray) -> BoolArray:
-        """Which of some places (n, 2), m, lie there: (n,)."""
+        """Mask (n,) of the places (n, 2), m, in it."""
         if self.center is None:
             return np.ones(len(places), dtype=bool)
         return np.asarray(np.hypot(*(places - self.center).T) <= self.reach)
@@ -90,7 +90,7 @@ class StandingRows:
 
 
 def _alike(before: FloatArray, values: FloatArray, old_keys: IntArray | None, keys: IntArray | None) -> IntArray:
-    """Of each row of values (n, k) one of before (m, k) that is alike, -1 where there is none."""
+    """Index of a row of before (m, k) that is like each of values (n, k), -1 for none."""
     if not len(before) or not len(values):
         return np.full(len(values), -1)
     if keys is None or old_keys is None:

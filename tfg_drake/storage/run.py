@@ -37,7 +37,7 @@ class RunError(FileError):
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What a mission left. summary: summary.json; stages: stages.jsonl, a row a stage. stamps: (n,) s and X_WB: (n, 3)
+    """Results of a run. summary: summary.json; stages: stages.jsonl, a row a stage. stamps: (n,) s and X_WB: (n, 3)
     the estimated poses as they were at the time, m and rad; true_stamps (m,) and X_WB_true (m, 3): empty where they are
     not known. map: None of a method that keeps none."""
 
@@ -56,7 +56,7 @@ class Run:
 
     @functools.cached_property
     def recording(self) -> PortRecording:
-        """What the station's ports carried. Raises RecordingError where that was not recorded."""
+        """Recording of the station's ports. Raises RecordingError if there is none."""
         return read_recording(self.folder)
 
     def port(self, name: str) -> dict[str, NDArray[Any]]:

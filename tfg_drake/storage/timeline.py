@@ -137,7 +137,7 @@ class TimelineWriter:
         self.close()
 
     def is_due(self, layer: str, time: float) -> bool:
-        """Whether a layer may be written at a time, s, or has been written too much lately."""
+        """True if a layer may be written at a time, s: not if written too much lately."""
         return time >= self._due.get(layer, -math.inf)
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
