@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.slam.test_scan_lines import ANGLES, CONFIG
+from tests.walls import walls_between
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import SHARED
@@ -13,7 +14,12 @@ from tfg_drake.slam.wall_correction import seen_through, walls_seen
 AHEAD = np.array([[4.0, -3.0], [4.0, 3.0]])
 LEFT = np.array([[4.0, 3.0], [-4.0, 3.0]])
 TWIST = np.array([0.3, 0.5])
-REACH = np.array([[0.0, 6.0], [0.0, 8.0]])
+
+
+def known(ends, reach=None):
+    """Walls, anchors and reaches of walls between ends (w, 2, 2), seen so far, (w, 2) m from the first."""
+    walls, anchor, whole = walls_between(ends)
+    return walls, anchor, whole if reach is None else np.asarray(reach) + whole[:, :1]
 
 
 def lines_from(X_DB, *walls):
@@ -24,23 +30,23 @@ def lines_from(X_DB, *walls):
 def test_lines_are_of_the_walls_that_they_lie_on():
     X_DB = np.array([0.5, -0.2, 0.4])
     lines = lines_from(X_DB, AHEAD, LEFT)
-    wall = walls_seen(X_DB, np.zeros(SHARED), TWIST, lines, np.array([AHEAD, LEFT]), REACH)
+    wall = walls_seen(X_DB, np.zeros(SHARED), TWIST, lines, *known([AHEAD, LEFT]))
     assert sorted(wall) == [0, 1]
 
 
 @pytest.mark.parametrize(("shift", "found"), [(0.1, 0), (0.6, -1)])
 def test_a_wall_must_be_near_its_line(shift, found):
     lines = lines_from(np.zeros(3), AHEAD)
-    assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, AHEAD[None] + [shift, 0.0], REACH[:1]) == [found]
+    assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, *known(AHEAD[None] + [shift, 0.0])) == [found]
 
 
 def test_what_may_be_two_walls_is_neither():
     """Nor is it one that was seen elsewhere, or from the other side."""
     lines = lines_from(np.zeros(3), AHEAD)
     both = AHEAD + np.array([[[0.0, 0.0]], [[0.2, 0.0]]])
-    assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, both, REACH[[0, 0]]) == [-1]
+    assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, *known(both)) == [-1]
     for wall, reach in ((AHEAD, [5.8, 9.0]), (AHEAD[::-1], [0.0, 6.0])):
-        assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, wall[None], np.array([reach])) == [-1]
+        assert walls_seen(np.zeros(3), np.zeros(SHARED), TWIST, lines, *known(wall[None], [reach])) == [-1]
 
 
 @pytest.mark.parametrize(
@@ -57,5 +63,5 @@ def test_what_may_be_two_walls_is_neither():
 )
 def test_a_line_behind_a_wall_is_seen_through_it(wall, reach, found, count):
     lines = lines_from(np.zeros(3), AHEAD)
-    against = np.ascontiguousarray(wall)[None], np.array([reach])
+    against = known(wall[None], [reach])
     assert seen_through(np.zeros(3), np.zeros(SHARED), TWIST, lines, np.array([found]), *against) == count

@@ -24,17 +24,13 @@ def seen(of, pose):
     return se2.transform(se2.inverse(pose), part.reshape(-1, 2)).reshape(-1, 2, 2)
 
 
-def reach(of):
-    return np.column_stack([np.zeros(len(of)), np.hypot(*(of[:, 1] - of[:, 0]).T)])
-
-
 def both():
     return np.concatenate([walls(ROOM), walls(OTHER, TURNED)])
 
 
 @pytest.mark.parametrize("pose", [HERE, np.array([4.0, 2.0, -2.5]), np.array([0.5, 0.5, 3.0])])
 def test_exact_without_noise(pose):
-    found, here = find_place(seen(walls(ROOM), pose), both(), reach(both()), AWAY)
+    found, here = find_place(seen(walls(ROOM), pose), both(), AWAY)
     assert found is not None
     np.testing.assert_allclose(se2.between(pose, found), 0.0, atol=1e-9)
     assert here < 0.3
@@ -43,31 +39,31 @@ def test_exact_without_noise(pose):
 def test_noise_moves_the_pose_by_as_much():
     rng = np.random.default_rng(0)
     noisy = seen(walls(ROOM), HERE) + rng.normal(0.0, 0.01, (6, 2, 2))
-    found, _ = find_place(noisy, both(), reach(both()), AWAY)
+    found, _ = find_place(noisy, both(), AWAY)
     assert found is not None
     assert np.abs(se2.between(HERE, found)).max() < 0.02
 
 
 def test_where_nothing_is_mapped_nothing_is_found():
     known = walls(ROOM)
-    assert find_place(seen(walls(OTHER), HERE), known, reach(known), AWAY)[0] is None
-    assert find_place(seen(known, HERE), known[:0], reach(known[:0]), AWAY) == (None, 0.0)
-    assert find_place(np.zeros((0, 2, 2)), known, reach(known), AWAY) == (None, 0.0)
+    assert find_place(seen(walls(OTHER), HERE), known, AWAY)[0] is None
+    assert find_place(seen(known, HERE), known[:0], AWAY) == (None, 0.0)
+    assert find_place(np.zeros((0, 2, 2)), known, AWAY) == (None, 0.0)
 
 
 def test_of_two_equal_rooms_neither_is_believed():
     known = np.concatenate([walls(ROOM), walls(ROOM, TURNED)])
-    assert find_place(seen(walls(ROOM), HERE), known, reach(known), AWAY)[0] is None
+    assert find_place(seen(walls(ROOM), HERE), known, AWAY)[0] is None
 
 
 def test_a_room_that_looks_the_same_turned_round_is_not_believed():
     known = walls(OTHER)
-    assert find_place(seen(known, HERE), known, reach(known), AWAY)[0] is None
+    assert find_place(seen(known, HERE), known, AWAY)[0] is None
 
 
 def test_what_few_walls_tell_is_not_believed():
     """A corner is anywhere."""
-    assert find_place(seen(walls(ROOM)[:2], HERE), both(), reach(both()), AWAY)[0] is None
+    assert find_place(seen(walls(ROOM)[:2], HERE), both(), AWAY)[0] is None
 
 
 def test_what_fits_the_expected_pose_is_told():
@@ -76,8 +72,8 @@ def test_what_fits_the_expected_pose_is_told():
     of = seen(known, HERE)
     length = np.hypot(*(of[:, 1] - of[:, 0]).T)
     for aside in (0.0, 0.9 * SAME[0]):
-        assert find_place(of, known, reach(known), HERE + np.array([aside, 0.0, 0.0]))[1] == pytest.approx(1.0)
-    found, half = find_place(of, known[:3], reach(known)[:3], HERE)
+        assert find_place(of, known, HERE + np.array([aside, 0.0, 0.0]))[1] == pytest.approx(1.0)
+    found, half = find_place(of, known[:3], HERE)
     assert found is None
     assert half == pytest.approx(length[:3].sum() / length.sum())
 
@@ -85,7 +81,7 @@ def test_what_fits_the_expected_pose_is_told():
 def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted_to():
     known = np.concatenate([walls(ROOM), walls(ROOM, TURNED)])
     drifted = HERE + np.array([0.7, -0.5, 0.1])
-    found, here = find_place(seen(walls(ROOM), HERE), known, reach(known), drifted)
+    found, here = find_place(seen(walls(ROOM), HERE), known, drifted)
     assert found is not None
     np.testing.assert_allclose(se2.between(HERE, found), 0.0, atol=1e-9)
     assert here < 0.5
@@ -93,10 +89,10 @@ def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted
 
 def test_nobody_has_carried_it_through_the_whole_building():
     far = np.array([30.0, 0.0, 0.0])
-    assert find_place(seen(walls(ROOM), HERE), walls(ROOM), reach(walls(ROOM)), far)[0] is None
+    assert find_place(seen(walls(ROOM), HERE), walls(ROOM), far)[0] is None
 
 
 def test_a_rough_pose_is_refined_by_all_walls():
     known = both()
-    found = refined(HERE + 0.02, seen(known, HERE), known, reach(known))
+    found = refined(HERE + 0.02, seen(known, HERE), known)
     np.testing.assert_allclose(found, HERE, atol=1e-9)
