@@ -5,6 +5,7 @@ import pytest
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, WALKS, Drive, measured
 from tests.slam.rings import NOTHING
+from tests.walls import no_walls
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections, replace
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
@@ -42,7 +43,7 @@ def make_map(n, seed, sigma=0.05, of_shared=None):
     mean = truth + whole @ rng.normal(size=size + SHARED)
     P = whole @ whole.T
     estimate = replace(
-        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[: 2 * n].reshape(-1, 2), X_MD=mean[2 * n : size],
+        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[: 2 * n].reshape(-1, 2), **no_walls(n), X_MD=mean[2 * n : size],
         local=np.arange(n), covariance=P[:size, :size], shared=mean[size:], with_shared=P[:, size:],
     )  # fmt: skip
     return estimate, truth[: 2 * n].reshape(-1, 2), truth[2 * n : size]
