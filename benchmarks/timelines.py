@@ -22,7 +22,7 @@ _LARGEST = 2 * 2**30
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """What a layer is like from a time on, s: of a table all rows. told: what else the header has. Positions in m."""
+    """A layer from a time on, s; of a table all rows. told: what else the header has. Positions in m."""
 
     time: float
     layer: str

@@ -327,7 +327,7 @@ class TfgMap:
 
     @property
     def obstacles(self) -> FloatArray:
-        """What the robot must keep clear of, (m + o, 4), m in M: the segments and keep_out."""
+        """Segments that the robot must keep clear of, (m + o, 4), m in M: surfaces and keep_out."""
         return _freeze(np.vstack([self.segments, self.keep_out])) if len(self.keep_out) else self.segments
 
 
