@@ -211,7 +211,8 @@ def gain_problem(rng: np.random.Generator, p_ML: FloatArray, normals: FloatArray
     arrival = Arrival(X_MD, given, odometry_covariance(X_MD, points, distance, 2.0 * distance, OdometryConfig()))
     none = np.zeros(0, dtype=np.int64)
     new = New(np.zeros(CANDIDATES + 1, dtype=np.int64), none, np.zeros((0, 2)), np.zeros(0), 10.0, np.array([1.0, 1.0]))
-    return points, arrival, Known(offsets, rows, p_ML, S, np.zeros_like(p_ML)), new, NOISE
+    tags = np.arange(len(p_ML)), np.tile(np.eye(2), (len(p_ML), 1, 1)), np.zeros_like(p_ML)
+    return points, arrival, Known(offsets, rows, p_ML, *tags, S), new, NOISE
 
 
 def stars(centres: FloatArray, walls: FloatArray) -> tuple[Any, ...]:

@@ -20,7 +20,7 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
 from tfg_drake.planning.exact_gain import whitened
-from tfg_drake.planning.expected_view import expected_tags, local_visibility
+from tfg_drake.planning.expected_view import Visibility, expected_tags
 
 # Surfaces farther from a point of the path than this are not looked at, m.
 REACH = 1.2
@@ -82,7 +82,9 @@ def _pose_errors(
     ahead = np.diff(path, axis=0)
     heading = np.arctan2(*np.vstack([ahead, ahead[-1:]]).T[::-1])
     step = np.append(0.0, np.hypot(*ahead.T))
-    visible = local_visibility(expected_tags(path, estimate, tfg, sensor), estimate)
+    visible = expected_tags(path, estimate, tfg, sensor)
+    entry = estimate.local_entry[visible.index]
+    visible = Visibility(visible.offsets, entry).kept(entry >= 0)
     p_ML = estimate.local_p_ML
     S = estimate.covariance
     n = 2 * len(p_ML)

@@ -61,7 +61,8 @@ def predicted(
         odometry_covariance(before.X_MD, place, np.array([distance]), time, scenario.odometry),
     )
     p_ML = before.local_p_ML
-    known = Known(np.array([0, len(rows)]), rows, p_ML, before.covariance, np.zeros_like(p_ML))
+    tags = np.arange(len(p_ML)), np.tile(np.eye(2), (len(p_ML), 1, 1)), np.zeros_like(p_ML)
+    known = Known(np.array([0, len(rows)]), rows, p_ML, *tags, before.covariance)
     offsets, each = np.array([0, len(new)]), np.arange(len(new))
     unknown = New(offsets, each, new, np.ones(len(new)), scenario.explorer.prior_sigma, IN_REACH)
     return exact_gain(place, arrival, known, unknown, turn_noise(scenario.tags, sightings))[0, :2]

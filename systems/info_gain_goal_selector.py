@@ -16,7 +16,6 @@ from tfg_drake.planning.information_gain import density_shown
 from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
-from tfg_drake.slam.walls import walls_as_points
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
@@ -104,7 +103,7 @@ class InfoGainGoalSelector(LeafSystem):
             return EventStatus.DidNothing()
         estimate, tfg, near = self._inputs.each(context, "map", "tfg", "local_roadmap")
         if self._parameters.explorer.gain == "exact":
-            estimate = walls_as_points(self._inputs.optional(context, "landmarks") or estimate)
+            estimate = self._inputs.optional(context, "landmarks") or estimate
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
         promise = judged(now.promise, estimate, self._parameters.explorer.prior_sigma)

@@ -5,11 +5,12 @@ import pytest
 import shapely
 
 from tests.arrays import frozen
+from tests.walls import no_walls
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import surely_visible
-from tfg_drake.messages import replace
-from tfg_drake.planning.expected_view import Visibility, expected_frontiers, local_visibility, visible_targets
+from tfg_drake.messages import WALLS_BELOW, replace
+from tfg_drake.planning.expected_view import Visibility, expected_frontiers, targets, visible_targets
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
@@ -97,11 +98,38 @@ def test_the_view_from_some_of_the_points():
     assert (none.offsets.tolist(), none.index.tolist()) == ([0], [])
 
 
-def test_a_view_counts_the_landmarks_known_jointly_by_their_place_among_them():
-    estimate = replace(empty_map(), ids=np.arange(10, 16), local=np.array([1, 3, 4]))
-    visible = local_visibility(Visibility(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])), estimate)
+def test_a_view_counts_the_targets_whose_landmarks_are_known_jointly():
+    estimate = replace(empty_map(), ids=np.arange(10, 16), **no_walls(6), local=np.array([1, 3, 4]))
+    of = targets(replace(estimate, p_ML=np.zeros((6, 2))), replace(empty_tfg(), facing=np.zeros((6, 2))))
+    visible = of.known_jointly(Visibility(np.array([0, 3, 4, 4, 6]), np.array([0, 1, 4, 5, 3, 4])))
     assert visible.offsets.tolist() == [0, 2, 2, 2, 4]
-    assert visible.index.tolist() == [0, 2, 1, 2]
+    assert visible.index.tolist() == [1, 4, 3, 4]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_targets_of_a_wall_are_on_it_and_move_with_it(seed):
+    rng = np.random.default_rng(seed)
+    wall, anchor = rng.uniform([-3.0, -2.0], [3.0, 2.0]), rng.uniform(-5.0, 5.0, 2)
+    reach, tag = np.sort(rng.uniform(-4.0, 4.0, 2)), rng.uniform(-5.0, 5.0, 2)
+    tfg = replace(empty_tfg(), facing=np.array([[0.0, 1.0]]))
+
+    def of(*by):
+        p_ML, a = np.array([wall + by, tag]), np.array([anchor, [0.0, 0.0]])
+        ids, reaches = np.array([WALLS_BELOW - 1, 3]), np.array([reach, [0.0, 0.0]])
+        return targets(replace(empty_map(), ids=ids, p_ML=p_ML, anchor=a, reach=reaches, local=np.array([1])), tfg)
+
+    at, normal = of(0.0, 0.0), np.array([np.cos(wall[0]), np.sin(wall[0])])
+    np.testing.assert_allclose((at.p_MT[:2] - anchor) @ normal, wall[1])
+    inwards = min(0.2, 0.25 * (reach[1] - reach[0]))
+    np.testing.assert_allclose((at.p_MT[:2] - anchor) @ [-normal[1], normal[0]], reach + np.array([inwards, -inwards]))
+    by_turn = (of(1e-6, 0.0).p_MT - of(-1e-6, 0.0).p_MT)[:2] / 2e-6
+    by_shift = (of(0.0, 1e-6).p_MT - of(0.0, -1e-6).p_MT)[:2] / 2e-6
+    # Along the wall its points are held.
+    np.testing.assert_allclose(at.by_landmark[:2, :, 0], (by_turn @ normal)[:, None] * normal, atol=1e-8)
+    np.testing.assert_allclose(at.by_landmark[:2, :, 1], by_shift, atol=1e-8)
+    np.testing.assert_array_equal(at.by_landmark[2], np.eye(2))
+    np.testing.assert_allclose(at.facing, [-normal, -normal, [0.0, 1.0]])
+    assert (at.entry.tolist(), at.of_walls) == ([-1, -1, 0], 2)
 
 
 @pytest.mark.parametrize("least_range", [0.0, 0.5, 1.5])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.arrays import frozen
-from tests.walls import no_walls
+from tests.walls import no_walls, walls_between
 from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, share_seen
-from tfg_drake.planning.expected_view import Visibility, wall_points
+from tfg_drake.planning.expected_view import Visibility, targets
 from tfg_drake.planning.information_gain import (
     PRIOR_LENGTH,
     density_shown,
@@ -74,6 +74,12 @@ def problem(seed, n=9, common=0.3):
     return rng, p_ML, X_MD, covariance, point, Q
 
 
+def known_tags(rows, p_ML, S):
+    """Known for one candidate that sees these rows of the tags p_ML (n, 2)."""
+    as_they_are = np.arange(len(p_ML)), np.tile(np.eye(2), (len(p_ML), 1, 1)), np.zeros((len(p_ML), 2))
+    return Known(np.array([0, len(rows)]), rows, p_ML, *as_they_are, S)
+
+
 # A sensor range at which every frontier point counts in full, m.
 SEE_ALL = 1e9
 
@@ -87,7 +93,7 @@ def problem_of(point, Q, known, p_ML, X_MD, covariance, p_MU, count, prior_sigma
     return (
         point[None],
         Arrival(frozen(X_MD), given, Q),
-        Known(np.array([0, len(rows)]), rows, p_ML, frozen(S), np.zeros((len(p_ML), 2))),
+        known_tags(rows, p_ML, frozen(S)),
         New(np.array([0, len(p_MU)]), np.arange(len(p_MU)), frozen(p_MU), count, prior_sigma, np.array([SEE_ALL, 1.0])),
     )
 
@@ -163,17 +169,19 @@ def room(seed, walls=True, tags=True):
     rng, corners = np.random.default_rng(seed), np.array([[-4.0, -3], [4, -3], [4, 3], [-4, 3]])
     sides = np.stack([corners[:-1], corners[1:]], axis=1)  # seen from their left
     inwards = np.array([[0.0, 1], [-1, 0], [0, -1]])
-    first = WALLS_BELOW - 2 - 2 * np.arange(3)[::-1]
-    ids = np.stack([first, first + 1], axis=1).ravel()
-    p_ML = np.vstack([sides[::-1].reshape(-1, 2), sides.mean(axis=1)])
-    keep = np.append(np.full(6, walls), np.full(3, tags))
-    ids, p_ML = np.append(ids, np.arange(3))[keep], p_ML[keep]
+    lines, anchor, reach = walls_between(sides[::-1])
+    keep = np.append(np.full(3, walls), np.full(3, tags))
+    ids, p_ML = np.append(WALLS_BELOW - 3 + np.arange(3), np.arange(3)), np.vstack([lines, sides.mean(axis=1)])
+    anchor, reach = np.vstack([anchor, np.zeros((3, 2))]), np.vstack([reach, np.zeros((3, 2))])
+    ids, p_ML, anchor, reach = ids[keep], p_ML[keep], anchor[keep], reach[keep]
     root = rng.normal(0, 0.02, (2 * len(ids) + 3, 2 * len(ids) + 3))
     root[-1] *= 0.2
     X_MD = np.append(rng.uniform(-1, 1, 2), 0.3)
     together = np.zeros((2 * len(ids) + 3, 3))
-    for i, p in enumerate([*p_ML, X_MD[:2]]):
-        together[2 * i : 2 * i + 2] = [[1, 0, -p[1]], [0, 1, p[0]]]
+    for i, (p, a) in enumerate(zip([*p_ML, X_MD[:2]], [*anchor, np.zeros(2)], strict=True)):
+        c, s = np.cos(p[0]), np.sin(p[0])
+        of_wall = [[0, 0, 1], [c, s, s * a[0] - c * a[1]]]
+        together[2 * i : 2 * i + 2] = of_wall if a.any() else [[1, 0, -p[1]], [0, 1, p[0]]]
     together[-1, 2] = 1
     covariance = root @ root.T + 0.09 * together @ np.diag([1, 1, 0.01]) @ together.T + 1e-6 * np.eye(len(root))
     landmarks = replace(
@@ -181,7 +189,8 @@ def room(seed, walls=True, tags=True):
         stage=1,
         ids=ids,
         p_ML=p_ML,
-        **no_walls(len(ids)),
+        anchor=anchor,
+        reach=reach,
         local=np.arange(len(ids)),
         covariance=covariance,
         X_MD=X_MD,
@@ -201,10 +210,11 @@ def judge_of(landmarks, tfg, scan_range=10.0, **sensor):
 
 def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none_of_its_points():
     landmarks, tfg = room(0)
-    walls = wall_points(landmarks)
+    of = targets(landmarks, tfg)
     # Towards the middle of the room, and so long that the angle is most of what the looks share.
-    assert (np.einsum("ij,ij->i", walls.facing, walls.target) < 0.0).all()
-    np.testing.assert_allclose(walls.deviation, np.repeat(np.hypot(2e-3, 1e-3 * np.array([4, 3, 4])), 2))
+    assert (np.einsum("ij,ij->i", of.facing, of.p_MT) < 0.0).all()
+    deviation = np.repeat(np.hypot(2e-3, 1e-3 * (np.array([4, 3, 4]) - 0.2)), 2)
+    np.testing.assert_allclose(-of.normal[:6], of.facing[:6] / deviation[:, None])
     seen = judge_of(landmarks, tfg).seen(np.zeros((1, 2)))
     assert seen.index.tolist() == list(range(9))
     # The south wall is seen too aslant from near by; three ends of the others are out of range.
@@ -237,7 +247,8 @@ def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(see
     judge, point = judge_of(landmarks, tfg), np.array([[1.0, -0.5]])
     arrival = judge.arrival(point, np.array([4.0]), np.array([9.0]))
     seen = judge.seen(point)
-    assert len(seen.index) == len(landmarks.ids)
+    of = judge.targets
+    assert len(seen.index) == len(of.entry) == 6 + 3 * tags
     n, noise = 2 * len(landmarks.ids), judge.noise
 
     # The Gaussian of landmarks and arrival pose, and the measurements' Jacobian by differences.
@@ -248,12 +259,15 @@ def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(see
 
     def measured(state):
         p, x, R = state[:n].reshape(-1, 2), state[n : n + 2], rotation(state[-1])
-        z, walls = [], wall_points(landmarks)
-        for i in seen.index:
-            p_B = R.T @ (p[i] - x)
+        z = []
+        for t in seen.index:
+            i = of.entry[t]
             if landmarks.ids[i] < WALLS_BELOW:
-                z.append(-walls.facing[i] @ p_B / walls.deviation[i])
+                n_M, along = np.array([np.cos(p[i, 0]), np.sin(p[i, 0])]), np.array([-np.sin(p[i, 0]), np.cos(p[i, 0])])
+                at = (of.p_MT[t] - landmarks.anchor[i]) @ [-of.normal[t, 1], of.normal[t, 0]] / np.hypot(*of.normal[t])
+                z.append(of.normal[t] @ R.T @ (landmarks.anchor[i] + p[i, 1] * n_M + at * along - x))
             else:
+                p_B = R.T @ (p[i] - x)
                 r = np.hypot(*p_B)
                 z += [r / max(noise[0] + noise[1] * r, noise[2]), np.arctan2(p_B[1], p_B[0]) / noise[3]]
         return np.array(z)
@@ -263,7 +277,7 @@ def test_walls_and_tags_bring_the_mutual_information_of_their_joint_gaussian(see
     # The noise of a range is that at its mean: only the numerator varies.
     for k, i in enumerate(np.flatnonzero(landmarks.ids >= 0)):
         d = landmarks.p_ML[i] - point[0]
-        row = int(np.count_nonzero(landmarks.ids < 0)) + 2 * k
+        row = of.of_walls + 2 * k
         J[row] = 0.0
         J[row, 2 * i : 2 * i + 2] = whitened(d, noise)[0]
         J[row, n : n + 2] = -whitened(d, noise)[0]

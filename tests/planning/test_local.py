@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from tests.planning.test_planner import PARAMETERS
 from tests.planning.test_roadmap import build, known, two_rooms
-from tests.walls import no_walls
+from tests.walls import no_walls, walls_between
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
@@ -208,13 +208,15 @@ def test_planning_finds_near_the_robot_what_it_would_find_if_that_were_all():
     assert not whole.reachable[np.isin(np.arange(len(whole.points)), rows, invert=True)].any()
 
 
-def test_a_wall_is_near_with_both_of_its_points_where_one_is():
+def test_a_wall_is_near_where_one_of_its_ends_is():
     estimate, tfg = scattered(1)
-    places = np.array([[5.0, 0.0], [50.0, 0.0], [50.0, 3.0], [50.0, 9.0], [1.0, 1.0], [60.0, 0.0]])
+    walls = walls_between([[[50.0, 0.0], [5.0, 0.0]], [[50.0, 3.0], [50.0, 9.0]]])
+    tags = [[1.0, 1.0], [60.0, 0.0]], np.zeros((2, 2)), np.zeros((2, 2))
+    p_ML, anchor, reach = (np.vstack(both) for both in zip(walls, tags, strict=True))
     estimate = replace(
-        estimate, ids=np.append(WALLS_BELOW - np.array([6, 5, 4, 3]), [0, 1]), p_ML=places, local=np.arange(6),
-        **no_walls(6), covariance=np.eye(15), landmark_covariance=np.zeros((6, 2, 2)), X_MA=np.zeros((1, 3)),
+        estimate, ids=np.append(WALLS_BELOW - np.array([2, 1]), [0, 1]), p_ML=p_ML, anchor=anchor, reach=reach,
+        local=np.arange(4), covariance=np.eye(11), landmark_covariance=np.zeros((4, 2, 2)), X_MA=np.zeros((1, 3)),
     )  # fmt: skip
     part, part_tfg = local(estimate, replace(tfg, facing=np.array([[0.0, 1], [1, 0]])), 10.0, 5.0)
-    assert part.ids.tolist() == [WALLS_BELOW - 6, WALLS_BELOW - 5, 0]
+    assert part.ids.tolist() == [WALLS_BELOW - 2, 0]
     assert part_tfg.facing.tolist() == [[0.0, 1]]

@@ -9,9 +9,9 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
-from tfg_drake.planning.expected_view import Visibility
+from tfg_drake.planning.expected_view import Targets, Visibility
 from tfg_drake.planning.information_gain import turn_noise
-from tfg_drake.planning.revisit import error_removed, known_together, worth_revisiting
+from tfg_drake.planning.revisit import error_removed, known_jointly, known_together, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
 
 
@@ -126,3 +126,18 @@ def test_a_tag_before_its_wall_by_the_error_of_a_long_way_is_no_promise():
     seen = [np.arange(11), np.array([10]), rng.permutation(10)[:3], np.zeros(0, dtype=int)]
     tags = Visibility(np.cumsum([0, *map(len, seen)]), np.concatenate(seen))
     assert known_together(tags, covariance).tolist() == [True] * 10 + [False] + [True] * 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_places_of_targets_have_the_covariance_that_their_landmarks_give_them(seed):
+    rng = np.random.default_rng(seed)
+    entry, by_landmark = np.array([1, 1, -1, 0]), rng.normal(size=(4, 2, 2))
+    root = rng.normal(size=(7, 7))
+    of = Targets(rng.normal(size=(4, 2)), np.ones((4, 2)), entry, by_landmark, np.zeros((4, 2)))
+    joint, covariance = known_jointly(of, root @ root.T)
+    J = np.zeros((9, 7))
+    for row, t in enumerate([0, 1, 3]):
+        J[2 * row : 2 * row + 2, 2 * entry[t] : 2 * entry[t] + 2] = by_landmark[t]
+    J[6:, 4:] = np.eye(3)
+    np.testing.assert_allclose(covariance, J @ root @ root.T @ J.T)
+    np.testing.assert_array_equal(joint.p_MT, of.p_MT[[0, 1, 3]])

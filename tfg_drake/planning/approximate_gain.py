@@ -75,7 +75,7 @@ def authors_gain(points: FloatArray, known: Known, new: New, normal: FloatArray)
     """
     out = np.zeros((len(points), 3))
     for c, point in enumerate(points):
-        rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
+        rows = known.entry[known.rows[known.offsets[c] : known.offsets[c + 1]]]
         m = len(rows)
         if m < AUTHORS_LEAST:
             continue

@@ -14,7 +14,7 @@ from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
-from tfg_drake.planning.expected_view import Visibility, expected_tags, local_visibility
+from tfg_drake.planning.expected_view import Visibility, expected_tags
 from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach, turns
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.tfg.star_polygon import looked_round
@@ -117,7 +117,7 @@ def judged(now: Situation) -> Candidates:
     def expected(rows: IntArray) -> Gains:
         seen, frontiers = judge.seen(points[rows], grid), frontiers_seen.of(rows)
         gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), seen, frontiers)
-        return _found_again(gains, local_visibility(seen, now.landmarks).count == seen.count)
+        return _found_again(gains, judge.targets.known_jointly(seen).count == seen.count)
 
     # The most that a place can bring is known of the exact gain alone.
     all_at_once = explorer.gain != "exact" or not explorer.pose_price

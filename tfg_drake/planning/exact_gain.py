@@ -22,16 +22,18 @@ from tfg_drake.slam.measurement import whitened_tag
 class Known(NamedTuple):
     """The known landmarks and which of them c candidates see.
 
-    Candidate i sees rows[offsets[i]:offsets[i + 1]] of p_ML (n, 2), m in M. covariance: (2n + 3, 2n + 3) of p_ML row by
-    row and of the departure pose. wall: (n, 2) of a wall's point, whose distance along the wall's normal is all that is
-    measured, that normal over the distance's deviation, 1/m in M; zero of a tag.
+    Candidate i sees rows[offsets[i]:offsets[i + 1]] of the points p_MT (t, 2), m in M, whose landmarks have the places
+    entry (t,) in the covariance (2n + 3, 2n + 3) of the landmarks, row by row, and of the departure pose. by_landmark,
+    normal: as of `expected_view.Targets`; of a wall's point the distance along the normal is all that is measured.
     """
 
     offsets: IntArray
     rows: IntArray
-    p_ML: FloatArray
+    p_MT: FloatArray
+    entry: IntArray
+    by_landmark: FloatArray
+    normal: FloatArray
     covariance: FloatArray
-    wall: FloatArray
 
 
 class New(NamedTuple):
@@ -90,17 +92,18 @@ def known_terms(
     covariance, most = known.covariance, 2 * len(rows)
     column, G, K, k = np.empty(most, dtype=np.int64), np.empty((most, 2)), np.zeros((most, 3)), 0
     for row in rows:
-        dx, dy = known.p_ML[row, 0] - x, known.p_ML[row, 1] - y
-        wx, wy = known.wall[row, 0], known.wall[row, 1]
-        if wx != 0.0 or wy != 0.0:
-            G[k, 0], G[k, 1], K[k, 2] = wx, wy, dy * wx - dx * wy
-            column[k], k = 2 * row, k + 1
+        dx, dy = known.p_MT[row, 0] - x, known.p_MT[row, 1] - y
+        n_x, n_y, on = known.normal[row, 0], known.normal[row, 1], known.by_landmark[row]
+        column[k] = 2 * known.entry[row]
+        if n_x != 0.0 or n_y != 0.0:
+            K[k, 0], K[k, 1], K[k, 2] = -n_x, -n_y, dy * n_x - dx * n_y
+            G[k, 0], G[k, 1] = n_x * on[0, 0] + n_y * on[1, 0], n_x * on[0, 1] + n_y * on[1, 1]
+            k += 1
         else:
             G[k, 0], G[k, 1], G[k + 1, 0], G[k + 1, 1] = whitened_tag(dx, dy, noise)
-            K[k + 1, 2] = -1.0 / noise[3]
-            column[k], column[k + 1], k = 2 * row, 2 * row, k + 2
+            K[k, :2], K[k + 1, :2], K[k + 1, 2] = -G[k], -G[k + 1], -1.0 / noise[3]
+            column[k + 1], k = column[k], k + 2
     column, G, K = column[:k], G[:k], K[:k]
-    K[:, :2] = -G
     C = np.empty((k, k))
     for i in range(k):
         a, b = column[i], -1
@@ -182,7 +185,7 @@ def terms(
     """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
     (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
     """
-    return _terms(points, F, *known, *new, noise)  # type: ignore[arg-type]
+    return _terms(points, F, *known, *new, noise)
 
 
 @njit(cache=True)
@@ -191,9 +194,11 @@ def _terms(
     F: FloatArray,
     known_offsets: IntArray,
     known_rows: IntArray,
-    p_ML: FloatArray,
+    p_MT: FloatArray,
+    entry: IntArray,
+    by_landmark: FloatArray,
+    normal: FloatArray,
     covariance: FloatArray,
-    wall: FloatArray,
     new_offsets: IntArray,
     new_rows: IntArray,
     p_MU: FloatArray,
@@ -204,10 +209,10 @@ def _terms(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """As terms. Known and New are passed field by field: numba dispatches on arrays many times quicker than on named
     tuples."""
-    known = Known(known_offsets, known_rows, p_ML, covariance, wall)
+    known = Known(known_offsets, known_rows, p_MT, entry, by_landmark, normal, covariance)
     new = New(new_offsets, new_rows, p_MU, number, prior_sigma, reach)
     logs, T, B = np.zeros((len(points), 2)), np.zeros((len(points), 6, 6)), np.zeros((len(points), 3, 3, 3))
-    pose = 2 * len(p_ML)
+    pose = len(covariance) - 3
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
         column, G, K, C = known_terms(x, y, c, known, noise)
@@ -247,10 +252,12 @@ def most_gain(
     S_xx: FloatArray,
     S_x_given_L: FloatArray,
     F: FloatArray,
-    p_ML: FloatArray,
+    p_MT: FloatArray,
     facing: FloatArray,
+    entry: IntArray,
+    by_landmark: FloatArray,
+    normal: FloatArray,
     covariance: FloatArray,
-    wall: FloatArray,
     range_max: float,
     max_incidence: float,
     new_offsets: IntArray,
@@ -267,12 +274,12 @@ def most_gain(
         I(L; z) <= I(L; x) + I(L; z | x),   I(L; z | x) <= the sum over all landmarks that could be in view.
 
     S_xx, S_x_given_L: (c, 3, 3) covariance of the arrival pose, also given all landmarks, F: (c, 3, 3), see
-    `to_arrival`. p_ML (n, 2), m in M, that face facing (n, 2); their covariance and wall as in Known. What is farther
-    away than range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
+    `to_arrival`. p_MT to normal: as of `expected_view.Targets`. covariance: as in Known. What is farther away than
+    range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
     whitened_tag.
     """
-    most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), 2 * len(p_ML)
-    grid, near = segment_grid(np.hstack((p_ML, p_ML))), np.empty(len(p_ML), dtype=np.int64)
+    most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), len(covariance) - 3
+    grid, near = segment_grid(np.hstack((p_MT, p_MT))), np.empty(len(p_MT), dtype=np.int64)
     variance = prior_sigma**2
     for c in range(len(points)):
         x, y = points[c, 0], points[c, 1]
@@ -287,12 +294,12 @@ def most_gain(
         product = max(1.0, det / det_T)
         for k in range(rows_in_box(grid, x - range_max, x + range_max, y - range_max, y + range_max, near)):
             i = near[k]
-            dx, dy = p_ML[i, 0] - x, p_ML[i, 1] - y
+            dx, dy = p_MT[i, 0] - x, p_MT[i, 1] - y
             r = math.sqrt(dx * dx + dy * dy)
-            if r > range_max or -(dx * facing[i, 0] + dy * facing[i, 1]) < cos_max * r:
+            if entry[i] < 0 or r > range_max or -(dx * facing[i, 0] + dy * facing[i, 1]) < cos_max * r:
                 continue
             # Its covariance given the arrival pose.
-            p, q = 2 * i, 2 * i + 1
+            p, q = 2 * entry[i], 2 * entry[i] + 1
             x0, x1, x2 = covariance[p, pose], covariance[p, pose + 1], covariance[p, pose + 2]
             y0, y1, y2 = covariance[q, pose], covariance[q, pose + 1], covariance[q, pose + 2]
             x0, x1, y0, y1 = x0 + F[c, 0, 2] * x2, x1 + F[c, 1, 2] * x2, y0 + F[c, 0, 2] * y2, y1 + F[c, 1, 2] * y2
@@ -301,9 +308,10 @@ def most_gain(
             xy = covariance[p, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
             u0, u1, u2 = a * y0 + b * y1 + d * y2, b * y0 + e * y1 + f * y2, d * y0 + f * y1 + g * y2
             yy = covariance[q, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
-            wx, wy = wall[i, 0], wall[i, 1]
-            if wx != 0.0 or wy != 0.0:
-                product *= max(1.0, 1.0 + wx * wx * xx + 2.0 * wx * wy * xy + wy * wy * yy)
+            n_x, n_y, on = normal[i, 0], normal[i, 1], by_landmark[i]
+            if n_x != 0.0 or n_y != 0.0:
+                g0, g1 = n_x * on[0, 0] + n_y * on[1, 0], n_x * on[0, 1] + n_y * on[1, 1]
+                product *= max(1.0, 1.0 + g0 * g0 * xx + 2.0 * g0 * g1 * xy + g1 * g1 * yy)
             else:
                 g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
                 of_range = g00 * g00 * xx + 2.0 * g00 * g01 * xy + g01 * g01 * yy

@@ -16,7 +16,7 @@ from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.slam.scan_lines import SLANT
-from tfg_drake.slam.walls import FLOOR
+from tfg_drake.slam.walls import FLOOR, ends_of
 from tfg_drake.table import taken
 from tfg_drake.tfg.frontier import GRAZE
 
@@ -204,37 +204,59 @@ def expected_tags(
     return Visibility(*visible_targets(points, p_ML, tfg.facing, *surfaces, *within, 0.0, 0.0))
 
 
-class WallPoints(NamedTuple):
-    """The w points of a map's walls, the first of its landmarks. target: (w, 2) where they are looked for, m in M.
-    facing: (w, 2) the side they were seen from. deviation: (w,) m, of their distances along the walls' normals, by what
-    all looks of a turn share."""
+class Targets(NamedTuple):
+    """The t points that a map's landmarks are seen at: a point near each end of a wall, then the tags.
 
-    target: FloatArray
+    p_MT: (t, 2) m. facing: (t, 2) the side it was seen from. entry: (t,) its landmark's place among those known
+    jointly, -1 for the others. by_landmark: (t, 2, 2) derivative of p_MT by the landmark. normal: (t, 2) of the wall,
+    over the deviation of the distance along it by what all looks of a turn share, 1/m in M; zero of a tag.
+    """
+
+    p_MT: FloatArray
     facing: FloatArray
-    deviation: FloatArray
+    entry: IntArray
+    by_landmark: FloatArray
+    normal: FloatArray
+
+    @property
+    def of_walls(self) -> int:
+        """So many, the first of them, are points of walls."""
+        return int(np.count_nonzero(self.normal.any(axis=1)))
+
+    def known_jointly(self, seen: Visibility) -> Visibility:
+        """A visibility of targets without those whose landmarks are not known jointly."""
+        return seen.kept(self.entry[seen.index] >= 0)
 
 
-def wall_points(landmarks: MapEstimate) -> WallPoints:
-    """The points of the map's walls."""
-    p = landmarks.p_ML[~is_tag(landmarks.ids)].reshape(-1, 2, 2)
-    along = p[:, 1] - p[:, 0]
-    length = np.hypot(along[:, 0], along[:, 1])[:, None]
-    along = along / length
-    inwards = np.minimum(FROM_CORNER, 0.25 * length) * along
-    target = p + np.stack([inwards, -inwards], axis=1)
-    facing = np.repeat(np.column_stack([-along[:, 1], along[:, 0]]), 2, axis=0)
-    return WallPoints(target.reshape(-1, 2), facing, np.repeat(np.hypot(0.5 * length * FLOOR[0], FLOOR[1]), 2))
+def targets(landmarks: MapEstimate, tfg: TfgMap) -> Targets:
+    """The points that the landmarks of a map are seen at; tfg.facing is that of its tags."""
+    walls = int(np.count_nonzero(~is_tag(landmarks.ids)))
+    wall, reach = landmarks.p_ML[:walls], landmarks.reach[:walls]
+    half = 0.5 * (reach[:, 1] - reach[:, 0])
+    inwards = np.minimum(FROM_CORNER, 0.5 * half)
+    reach = reach + inwards[:, None] * [1.0, -1.0]
+    normal = np.column_stack([np.cos(wall[:, 0]), np.sin(wall[:, 0])])
+    of_wall = normal[:, None, :, None] * np.stack([-reach, np.ones_like(reach)], axis=2)[:, :, None]
+    deviation = np.hypot((half - inwards) * FLOOR[0], FLOOR[1])
+    whitened, tags = normal / deviation[:, None], len(landmarks.ids) - walls
+    entry = landmarks.local_entry
+    return Targets(
+        np.vstack([ends_of(wall, landmarks.anchor[:walls], reach).reshape(-1, 2), landmarks.p_ML[walls:]]),
+        np.vstack([np.repeat(-normal, 2, axis=0), tfg.facing]),
+        np.append(np.repeat(entry[:walls], 2), entry[walls:]),
+        np.concatenate([of_wall.reshape(-1, 2, 2), np.tile(np.eye(2), (tags, 1, 1))]),
+        np.vstack([np.repeat(whitened, 2, axis=0), np.zeros((tags, 2))]),
+    )
 
 
-def expected_walls(
-    points: FloatArray, walls: WallPoints, tfg: TfgMap, scan_range: float, grid: SegmentGrid
-) -> Visibility:
-    """Points of walls that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of `walls`.
+def expected_walls(points: FloatArray, of: Targets, tfg: TfgMap, scan_range: float, grid: SegmentGrid) -> Visibility:
+    """Points of walls that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of `of`.
 
     scan_range: m. grid: the segment_grid of tfg.segments.
     """
+    p, facing = of.p_MT[: of.of_walls], of.facing[: of.of_walls]
     within = scan_range, math.acos(SLANT), SURFACE_TOLERANCE, 0.0, 0.0
-    return Visibility(*visible_targets(points, walls.target, walls.facing, tfg.segments, grid, *within))
+    return Visibility(*visible_targets(points, p, facing, tfg.segments, grid, *within))
 
 
 def expected_frontiers(
@@ -252,11 +274,3 @@ def expected_frontiers(
         return visible
     ways = tfg.frontiers[visible.index] - np.repeat(points, visible.count, axis=0)
     return visible.kept(np.hypot(ways[:, 0], ways[:, 1]) >= least_range)
-
-
-def local_visibility(seen: Visibility, estimate: MapEstimate) -> Visibility:
-    """A visibility of rows of estimate.ids as rows of the landmarks known jointly; the others are left out."""
-    if estimate.is_joint:
-        return seen
-    index = estimate.local_entry[seen.index]
-    return Visibility(seen.offsets, index).kept(index >= 0)

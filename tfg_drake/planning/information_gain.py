@@ -29,12 +29,11 @@ from tfg_drake.planning.exact_gain import (
     to_arrival,
 )
 from tfg_drake.planning.expected_view import (
+    Targets,
     Visibility,
-    WallPoints,
     expected_tags,
     expected_walls,
-    local_visibility,
-    wall_points,
+    targets,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
 from tfg_drake.slam.scan_lines import SLANT
@@ -99,10 +98,10 @@ def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray 
 
 def density_shown(landmarks: MapEstimate, tfg: TfgMap, explorer: ExplorerConfig) -> float:
     """New landmarks to be expected on a metre of surface, by what this building has shown so far: tags on surface that
-    was inspected, and walls, as two points that tell one freedom each are worth a tag. A map without walls tells no
-    more than explorer.density."""
+    was inspected, and walls, whose two numbers are worth a tag's. A map without walls tells no more than
+    explorer.density."""
     tags = np.count_nonzero(is_tag(landmarks.ids))
-    walls = (len(landmarks.ids) - tags) // 2
+    walls = len(landmarks.ids) - tags
     if not walls:
         return explorer.density
     surface = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T).sum()
@@ -136,25 +135,15 @@ class Turns:
     departure_given_map: FloatArray
 
     @functools.cached_property
-    def _p_ML(self) -> FloatArray:
-        return self.estimate.local_p_ML
-
-    @functools.cached_property
     def noise(self) -> FloatArray:
         """As in `exact_gain`."""
         sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
         return turn_noise(self.sensor, sightings, self.estimate.tag_error)
 
     @functools.cached_property
-    def _walls(self) -> WallPoints:
-        return wall_points(self.estimate)
-
-    @functools.cached_property
-    def wall(self) -> FloatArray:
-        """As Known has it."""
-        wall = np.zeros((len(self.estimate.ids), 2))
-        wall[: len(self._walls.facing)] = -self._walls.facing / self._walls.deviation[:, None]
-        return wall[self.estimate.local]
+    def targets(self) -> Targets:
+        """The points that the known landmarks are seen at."""
+        return targets(self.estimate, self.tfg)
 
     @functools.cached_property
     def _number(self) -> FloatArray:
@@ -173,15 +162,15 @@ class Turns:
         return Arrival(X_MD, self.departure_given_map, Q)
 
     def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
-        """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.ids.
+        """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of the targets.
 
         grid: the segment_grid of tfg.segments, if it is there.
         """
-        walls, tfg, grid = self._walls, self.tfg, grid or segment_grid(self.tfg.segments)
+        tfg, grid, walls = self.tfg, grid or segment_grid(self.tfg.segments), self.targets.of_walls
         tags = expected_tags(points, self.estimate, tfg, self.sensor, grid)
-        if not len(walls.target):
+        if not walls:
             return tags
-        return expected_walls(points, walls, tfg, self.scan_range, grid).joined(tags, len(walls.target))
+        return expected_walls(points, self.targets, tfg, self.scan_range, grid).joined(tags, walls)
 
     def gains(self, points: FloatArray, arrival: Arrival, seen: Visibility, frontiers: Visibility) -> Gains:
         """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.
@@ -190,10 +179,11 @@ class Turns:
         landmarks, seen where the frontier point is, less where the view ends soon behind it. Landmarks that are not
         known jointly with the departure pose count for nothing. explorer.gain names the formula.
         """
-        estimate, explorer = self.estimate, self.explorer
-        seen = local_visibility(seen, estimate)
+        explorer, of = self.explorer, self.targets
+        seen = of.known_jointly(seen)
         points = np.ascontiguousarray(points)
-        known = Known(seen.offsets, seen.index, self._p_ML, estimate.covariance, self.wall)
+        at = of.p_MT, of.entry, of.by_landmark, of.normal
+        known = Known(seen.offsets, seen.index, *at, self.estimate.covariance)
         new, noise = self._new(frontiers), self.noise
         if explorer.gain == "authors":
             out = authors_gain(points, known, new, self.tfg.frontier_normal)
@@ -210,18 +200,15 @@ class Turns:
         estimate, sensor = self.estimate, self.sensor
         points = np.ascontiguousarray(points)
         F, new = to_arrival(arrival.X_MD, points), self._new(frontiers)
-        target, facing = self._walls.target, np.vstack([self._walls.facing, self.tfg.facing])
         range_max, max_incidence = sensor.range, sensor.max_incidence
-        if len(target):
+        if self.targets.of_walls:
             range_max, max_incidence = max(range_max, self.scan_range), max(max_incidence, math.acos(SLANT))
         out = most_gain(
             points,
             *arrival_covariance(F, arrival, estimate.covariance),
             F,
-            np.vstack([target, estimate.p_ML[len(target) :]])[estimate.local],
-            facing[estimate.local],
+            *self.targets,  # type: ignore[arg-type]
             estimate.covariance,
-            self.wall,
             range_max,
             max_incidence,
             *new,  # type: ignore[arg-type]

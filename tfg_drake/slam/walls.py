@@ -48,8 +48,6 @@ MOST_DEVIATION = 0.5
 UNCLEAR = 0.4
 # Two walls of the map so near to each other, m, are one for whoever looks at both.
 ONE_WALL = 0.05
-# Deviation (m) along a wall of the points that planning takes it for.
-HELD = 0.01
 # A new wall has been seen by so many looks, so long, m.
 LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
 # Keyframes are of one wall where it is no farther off than this, m and rad: by other parameters it may be another.
@@ -136,46 +134,6 @@ def ends_of(wall: FloatArray, anchor: FloatArray, reach: FloatArray) -> FloatArr
     along = along_walls(wall)
     normal = np.column_stack([along[:, 1], -along[:, 0]])
     return np.asarray((anchor + wall[:, 1:] * normal)[:, None] + reach[:, :, None] * along[:, None])
-
-
-def walls_as_points(estimate: MapEstimate) -> MapEstimate:
-    """The map with both ends of each wall in its place, as two landmarks that are known normal to the wall and held
-    along it: what planning takes walls for."""
-    w = int(np.searchsorted(estimate.ids, WALLS_BELOW))
-    if not w:
-        return estimate
-    along, reach = along_walls(estimate.p_ML[:w]), estimate.reach[:w]
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
-    by_wall = np.stack([-reach, np.ones_like(reach)], axis=2)
-    # (w, 4, 2): both ends, row by row, by angle and distance.
-    J = np.einsum("wi,wkj->wkij", normal, by_wall).reshape(w, 4, 2)
-    held = HELD**2 * np.repeat(along[:, :, None] * along[:, None, :], 2, axis=0)
-    ends = np.einsum("wij,wjk,wlk->wil", J, estimate.landmark_covariance[:w], J).reshape(w, 2, 2, 2, 2)
-    each = ends[:, [0, 1], :, [0, 1]].transpose(1, 0, 2, 3).reshape(-1, 2, 2) + held
-    local = np.flatnonzero(estimate.local < w)
-    v, rest = len(local), len(estimate.covariance) - 2 * len(local)
-    whole = np.zeros((4 * v + rest, 2 * v + rest))
-    for k in range(v):
-        whole[4 * k : 4 * k + 4, 2 * k : 2 * k + 2] = J[estimate.local[k]]
-    whole[4 * v :, 2 * v :] = np.eye(rest)
-    covariance = whole @ estimate.covariance @ whole.T
-    for k in range(2 * v):
-        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += held[2 * estimate.local[k // 2] + k % 2]
-    shared, q = estimate.with_shared, len(estimate.shared)
-    with_shared = np.vstack([whole @ shared[:-q], shared[-q:]]) if q else shared
-    rows = (2 * estimate.local[:v, None] + [0, 1]).ravel()
-    none = np.zeros((w + len(estimate.ids), 2))
-    return replace(
-        estimate,
-        ids=np.concatenate([(2 * estimate.ids[:w, None] - WALLS_BELOW + [0, 1]).ravel(), estimate.ids[w:]]),
-        p_ML=np.vstack([known_walls(estimate)[1].reshape(-1, 2), estimate.p_ML[w:]]),
-        anchor=none,
-        reach=none,
-        local=np.append(rows, w + estimate.local[v:]),
-        covariance=covariance,
-        landmark_covariance=np.concatenate([each, estimate.landmark_covariance[w:]]),
-        with_shared=with_shared,
-    )
 
 
 def least_known(known: MapEstimate | KeyframeGraph) -> tuple[float, FloatArray] | None:
