@@ -43,8 +43,8 @@ def make_map(n, seed, sigma=0.05, of_shared=None):
     mean = truth + whole @ rng.normal(size=size + SHARED)
     P = whole @ whole.T
     estimate = replace(
-        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[: 2 * n].reshape(-1, 2), **no_walls(n), X_MD=mean[2 * n : size],
-        local=np.arange(n), covariance=P[:size, :size], shared=mean[size:], with_shared=P[:, size:],
+        empty_map(), stage=1, ids=np.arange(n), p_ML=mean[: 2 * n].reshape(-1, 2), X_MD=mean[2 * n : size],
+        local=np.arange(n), covariance=P[:size, :size], shared=mean[size:], with_shared=P[:, size:], **no_walls(n),
     )  # fmt: skip
     return estimate, truth[: 2 * n].reshape(-1, 2), truth[2 * n : size]
 

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.slam.test_scan_lines import ANGLES, CONFIG, WALLS
+from tests.walls import walls_between
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import WALLS_BELOW, LaserScan, Odometry, is_tag
+from tfg_drake.messages import WALLS_BELOW, LaserScan, Odometry
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.keyframe import linearised, without_tags
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import random_walks
@@ -32,10 +34,12 @@ from tfg_drake.slam.shared import (
 from tfg_drake.slam.turn import TAGS, TurnFrame, no_detections, reduced, solved_chain
 from tfg_drake.slam.turn import _ties as ties_of
 from tfg_drake.slam.walls import (
+    FLOOR,
+    OVERLAP,
     PROVISIONAL,
     Names,
-    Walls,
-    floor_of_points,
+    compared,
+    ends_seen,
     grouped,
     identified,
     known_walls,
@@ -43,6 +47,7 @@ from tfg_drake.slam.walls import (
     named,
     no_lines,
     no_walls,
+    same_walls,
 )
 
 NOISE = Noise(random_walks(OdometryConfig()))
@@ -69,21 +74,36 @@ def turn(rng=None, rate=0.6, steps=30, scanner=(0.0, 0.0, 0.0), clock=0.0):
     return bare[0], tuple(frames[1:-1]), bare[1]
 
 
-def distances(p_W):
-    """How far points (k, 2) are from the nearest line of WALLS, (k,) m."""
-    normal = np.column_stack([WALLS[:, 3] - WALLS[:, 1], WALLS[:, 0] - WALLS[:, 2]])
-    normal /= np.hypot(*normal.T)[:, None]
-    return np.abs(np.einsum("kwi,wi->kw", p_W[:, None] - WALLS[None, :, :2], normal)).min(axis=1)
+def faces(ends_W):
+    """The row (v,) in WALLS that each pair of ends (v, 2, 2) lies on; how far the ends are off its line, and how far
+    beyond what there is of it, (v, 2) m."""
+    along = WALLS[:, 2:] - WALLS[:, :2]
+    length = np.hypot(*along.T)
+    along /= length[:, None]
+    apart = ends_W[:, None] - WALLS[None, :, None, :2]
+    off = np.abs(apart[..., 0] * along[:, None, 1] - apart[..., 1] * along[:, None, 0])
+    s = np.einsum("vwei,wi->vwe", apart, along)
+    beyond = np.maximum(np.maximum(-s, s - length[:, None]), 0.0)
+    wall = np.argmin((off + beyond).max(axis=2), axis=1)
+    rows = np.arange(len(wall))
+    return wall, off[rows, wall], beyond[rows, wall]
 
 
 def test_a_turn_puts_its_walls_where_they_are():
     begin, frames, end = turn()
-    solution = reduced(NOISE, begin, frames, end, SHEET)
-    p_AL, X_AD, _ = solution.keyframe.given(np.zeros(SHARED))
-    assert len(p_AL) >= 8
-    assert (solution.keyframe.ids < PROVISIONAL).all()
-    np.testing.assert_allclose(distances(se2.transform(START, p_AL)), 0.0, atol=1e-6)
-    np.testing.assert_allclose(X_AD, [0.0, 0.0, end.X_OB[2]], atol=1e-6)
+    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    assert one.walls == len(one.ids) >= 4
+    assert (one.ids < PROVISIONAL).all()
+    ends = ends_seen(one, np.zeros(SHARED))
+    wall, off, beyond = faces(se2.transform(START, ends.reshape(-1, 2)).reshape(-1, 2, 2))
+    assert len(np.unique(wall)) >= 4
+    np.testing.assert_allclose(off, 0.0, atol=1e-6)
+    np.testing.assert_allclose(beyond, 0.0, atol=1e-6)
+    # The anchor is on the wall, in the middle of what was seen, which the robot has on its left from the first end on.
+    np.testing.assert_allclose(ends.mean(axis=1), one.anchor, atol=1e-6)
+    along = ends[:, 1] - ends[:, 0]
+    assert (ends[:, 0, 0] * along[:, 1] > ends[:, 0, 1] * along[:, 0]).all()
+    np.testing.assert_allclose(one.given(np.zeros(SHARED))[1], [0.0, 0.0, end.X_OB[2]], atol=1e-6)
 
 
 def test_normal_equations_are_those_of_numerical_differences():
@@ -165,81 +185,185 @@ def test_turns_tell_how_the_scanner_is_mounted(scanner, clock, which, value):
     assert mean[SWEEP] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_wall_seen_again_is_found_and_told_along_its_normal_only():
-    begin, frames, end = turn(np.random.default_rng(4), steps=80)
-    first = reduced(NOISE, begin, frames, end, SHEET)
-    nothing = empty_map(SHEET)
-    names, walls = identified(first.keyframe, first.sightings, no_walls(), nothing)
-    assert names.is_new.all()
-    assert len(walls.first) >= 4
-    assert (walls.first < WALLS_BELOW).all()
-    one = named(first.keyframe, names, np.zeros(SHARED))
-    assert (np.diff(one.ids) > 0).all()
-    # The map as that keyframe has it, the robot where it began.
+def map_of(one, covariance=None, moved=(0.0, 0.0)):
+    """The map as a keyframe of walls has it, moved by so much, the robot where that began."""
     n = len(one.ids)
-    covariance = np.zeros((2 * n + 3, 2 * n + 3))
-    covariance[:-3, :-3] = one.given(np.zeros(SHARED))[2][:-3, :-3]
-    p_ML = one.given(np.zeros(SHARED))[0]
-    estimate = replace(
-        nothing,
+    p_ML, _, own = one.given(np.zeros(SHARED))
+    joint = np.zeros((2 * n + 3, 2 * n + 3))
+    joint[:-3, :-3] = own[:-3, :-3] if covariance is None else covariance * np.eye(2 * n)
+    return replace(
+        empty_map(SHEET),
         ids=one.ids,
         p_ML=p_ML,
+        anchor=one.anchor + moved,
+        reach=one.reach,
         local=np.arange(n),
-        covariance=covariance,
-        landmark_covariance=np.zeros((n, 2, 2)),
+        covariance=joint,
+        landmark_covariance=np.array([joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(n)]),
         with_shared=np.zeros((2 * n + 3 + SHARED, SHARED)),
     )
+
+
+def test_a_wall_seen_again_is_found():
+    begin, frames, end = turn(np.random.default_rng(4), steps=80)
+    first = reduced(NOISE, begin, frames, end, SHEET)
+    names, walls = identified(first.keyframe, first.sightings, no_walls(), empty_map(SHEET))
+    assert sorted(names.ids) == list(range(WALLS_BELOW - len(names.ids), WALLS_BELOW))
+    assert len(names.ids) >= 4
+    one = named(first.keyframe, names)
+    assert (np.diff(one.ids) > 0).all()
+    estimate = map_of(one)
     begin, frames, end = turn(np.random.default_rng(5), steps=30)
     again = reduced(NOISE, begin, frames, end, SHEET)
     names, after = identified(again.keyframe, again.sightings, walls, estimate)
-    assert not names.is_new.any()
-    assert len(names.first) >= 2
-    np.testing.assert_array_equal(after.first, walls.first)
-    seen = named(again.keyframe, names, np.zeros(SHARED))
-    assert np.isin(seen.ids, one.ids).all()
-    p_AL, _, R = seen.given(np.zeros(SHARED))
-    for k in range(0, len(p_AL), 2):
-        along = p_AL[k + 1] - p_AL[k]
-        along /= np.hypot(*along)
-        normal, own = np.array([along[1], -along[0]]), R[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
-        assert along @ own @ along > 100.0
-        known = p_ML[np.searchsorted(one.ids, seen.ids[k])]
-        off = normal @ (p_AL[k] - known)
-        assert off**2 < 16.0 * (normal @ own @ normal + normal @ covariance[:2, :2] @ normal + 1e-5)
+    assert len(names.ids) >= 2
+    assert np.isin(names.ids, one.ids).all()
+    assert (after.by_floor != walls.by_floor).all()
+    seen = named(again.keyframe, names)
+    R = seen.given(np.zeros(SHARED))[2]
+    # Both are looks at one wall of the world, and agree.
+    row = np.searchsorted(one.ids, seen.ids)
+    ends, known = (ends_seen(of, np.zeros(SHARED)) for of in (seen, one))
+    where, of_map = (faces(se2.transform(START, pairs.reshape(-1, 2)).reshape(-1, 2, 2))[0] for pairs in (ends, known))
+    np.testing.assert_array_equal(where, of_map[row])
+    for k in range(len(seen.ids)):
+        off = apart_at_ends(ends[k], known[row[k]])
+        by = np.column_stack([-seen.reach[k], [1.0, 1.0]])
+        S = R[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] + estimate.landmark_covariance[row[k]]
+        assert (off**2 < 16.0 * np.diag(by @ S @ by.T) + 1e-5).all()
 
 
-def test_a_name_tells_nothing_of_the_parameters():
-    """The points named lie on the walls seen, a metre along them, where the parameters are those linearised at."""
-    begin, frames, end = turn()
+def apart_at_ends(ends, known):
+    """How far ends (2, 2) are off the line through two others (2, 2), (2,) m, positive away from the robot."""
+    along = (known[1] - known[0]) / np.hypot(*(known[1] - known[0]))
+    return (ends - known[0]) @ [along[1], -along[0]]
+
+
+def test_a_wall_is_told_along_its_normal_only():
+    """However far the robot is moved along a wall, the cost of a keyframe that sees it is the same."""
+    begin, frames, end = turn(np.random.default_rng(4))
+    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    for id_ in one.ids:
+        alone = without_tags(one, one.ids[one.ids != id_])
+        ((p_M, q_M),) = ends_seen(alone, np.zeros(SHARED))
+        along = (q_M - p_M) / np.hypot(*(q_M - p_M))
+
+        def cost(move, alone=alone):
+            A, D = np.append(move, 0.0), alone.y_AD + np.append(move, 0.0)
+            return linearised(alone.y_AL, alone.anchor, *alone.told, A, D, np.zeros(SHARED))[2]
+
+        for far in (-7.0, 0.5, 30.0):
+            assert cost(far * along) == pytest.approx(cost(np.zeros(2)), abs=1e-6)
+        assert cost(0.02 * np.array([along[1], -along[0]])) > cost(np.zeros(2)) + 4.0
+
+
+def test_a_wall_that_is_hardly_known_spoils_nothing_of_the_others():
+    """However little: rounding leaves what is known to a millimetre beside kilometres."""
+    begin, frames, end = turn(np.random.default_rng(4))
+    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    R, by_shared = one.conditional()
+    for share in (1e-3, 1e-7):
+        unit = np.ones(len(one.information))
+        unit[2:4] = share
+        hardly = replace(one, information=unit[:, None] * one.information * unit)
+        found, on = hardly.conditional()
+        np.testing.assert_allclose(found * np.outer(unit, unit)[: len(R), : len(R)], R, rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(unit[: len(R), None] * on, by_shared, atol=1e-6 * np.abs(by_shared).max())
+
+
+def test_a_name_changes_nothing_but_the_order():
+    """Also where the parameters are not zero; and what has no name takes nothing from what has."""
+    begin, frames, end = turn(np.random.default_rng(6))
     shared = np.zeros(SHARED)
     shared[SCANNER_YAW] = 0.1
     one = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
-    p_AL = one.given(shared)[0].reshape(-1, 2, 2)
-    along = p_AL[:, 1] - p_AL[:, 0]
-    along /= np.hypot(*along.T)[:, None]
-    none = np.zeros(len(p_AL), dtype=bool)
-    names = Names(one.ids[::2], WALLS_BELOW - 2 - 2 * np.arange(len(p_AL)), p_AL + along[:, None], none)
-    seen = named(one, names, shared)
-    order = np.argsort(names.first)
-    off = seen.given(shared)[0].reshape(-1, 2, 2) - p_AL[order]
-    normal = np.column_stack([along[:, 1], -along[:, 0]])[order]
-    np.testing.assert_allclose(np.einsum("wpi,wi->wp", off, normal), 0.0, atol=1e-6)
-    np.testing.assert_allclose(np.einsum("wpi,wi->wp", off, along[order]), 1.0, atol=0.02)
-    before, after = (keyframe.alone()[0] / np.outer(1.0 / SHEET.sigma, 1.0 / SHEET.sigma) for keyframe in (one, seen))
-    np.testing.assert_allclose(after, before, atol=1e-3)
+    ids = WALLS_BELOW - 1 - np.random.default_rng(7).permutation(one.walls)
+    for some in (np.arange(one.walls), np.array([2, 0, 3])):
+        seen = named(one, Names(one.ids[some], ids[some]))
+        np.testing.assert_array_equal(seen.ids, np.sort(ids[some]))
+        row = some[np.argsort(ids[some])]
+        (y, X_AD, R), (y_1, X_AD_1, R_1) = seen.given(shared), one.given(shared)
+        np.testing.assert_allclose(y, y_1[row], atol=1e-9)
+        np.testing.assert_allclose(X_AD, X_AD_1, atol=1e-9)
+        np.testing.assert_array_equal(seen.anchor, one.anchor[row])
+        np.testing.assert_array_equal(seen.reach, one.reach[row])
+        at = np.append((2 * row[:, None] + [0, 1]).ravel(), len(R_1) - np.arange(3, 0, -1))
+        np.testing.assert_allclose(R, R_1[np.ix_(at, at)], rtol=1e-6, atol=1e-12)
+        before, after = (keyframe.alone()[0] * np.outer(SHEET.sigma, SHEET.sigma) for keyframe in (one, seen))
+        np.testing.assert_allclose(after, before, atol=1e-6)
 
 
-def test_what_is_free_along_walls_spoils_nothing_across_them(monkeypatch):
-    """However free: rounding leaves what is known to a millimetre beside kilometres."""
-    begin, frames, end = turn(np.random.default_rng(4))
+def test_walls_are_the_same_wherever_their_anchors_are():
+    """A keyframe's walls by other anchors on the same lines, or turned or moved by just more than is the same."""
+    begin, frames, end = turn()
     one = reduced(NOISE, begin, frames, end, SHEET).keyframe
-    p_AL = one.given(np.zeros(SHARED))[0].reshape(-1, 2, 2)
-    names = Names(one.ids[::2], WALLS_BELOW - 2 - 2 * np.arange(len(p_AL)), p_AL, np.zeros(len(p_AL), dtype=bool))
-    least = []
-    for free in (1.0, 3000.0):
-        monkeypatch.setattr("tfg_drake.slam.walls.FREE", free)
-        least.append(np.linalg.eigvalsh(named(one, names, np.zeros(SHARED)).conditional()[0])[:3])
-    np.testing.assert_allclose(least[1], least[0], rtol=0.01)
+    ends = ends_seen(one, np.zeros(SHARED))
+
+    def by_others(pairs, at):
+        wall, anchor, reach = walls_between(pairs, at)
+        wall[:, 0] += 2.0 * np.pi * np.round((one.y_AL[:, 0] - wall[:, 0]) / (2.0 * np.pi))
+        return replace(one, y_AL=wall, anchor=anchor, reach=reach)
+
+    for at in (-1.0, 0.3):
+        assert same_walls(by_others(ends, at), one)
+        for k in range(len(ends)):
+            along = (ends[k, 1] - ends[k, 0]) / np.hypot(*(ends[k, 1] - ends[k, 0]))
+            for move, same in ((0.28, True), (0.32, False), (-0.32, False)):
+                moved, turned = ends.copy(), ends.copy()
+                moved[k] += move * np.array([along[1], -along[0]])
+                # About the anchor's foot.
+                turned[k] = one.anchor[k] + (ends[k] - one.anchor[k]) @ se2.rotation(move).T
+                assert same_walls(by_others(moved, at), one) == same
+                assert same_walls(by_others(turned, 0.5), one) == same
+
+
+def test_what_is_known_of_a_wall_is_compared_with_what_is_seen_of_it():
+    """The squared error beside numerical differences; how far off and how much of it was seen, by the ends."""
+    rng = np.random.default_rng(12)
+    X_MD = np.array([0.7, -0.4, 2.6])
+    ends_M = np.array([[[3.0, -2.0], [3.0, 3.0]], [[3.0, 2.0], [-2.0, 2.0]], [[-2.0, 0.3], [-2.1, -2.2]]])
+    known, p_MC, reach = walls_between(ends_M)
+    ends_D = se2.transform(se2.inverse(X_MD), ends_M.reshape(-1, 2)).reshape(-1, 2, 2)
+    part = (
+        ends_D[:, :1] + np.array([[0.2], [0.7]]) * (ends_D[:, 1:] - ends_D[:, :1]) + 0.02 * rng.normal(size=(3, 2, 2))
+    )
+    seen, p_AC, seen_reach = walls_between(part)
+    root, own = 0.01 * rng.normal(size=(11, 11)), 0.01 * rng.normal(size=(6, 6))
+    P, R, entry = root @ root.T, own @ own.T, np.array([2, 0, 3])
+    squared, far, overlap = compared(seen, p_AC, seen_reach, R, known, p_MC, reach, entry, X_MD, P)
+
+    def error(x, k):
+        """Of the wall known and the pose (5,): angle and distance there by the anchor of what is seen, less these."""
+        anchor, normal = se2.transform(x[2:], p_AC[k][None])[0], np.array([math.cos(x[0]), math.sin(x[0])])
+        turned = se2.wrap_angle(x[0] - x[4] - seen[k, 0])
+        return np.array([turned, normal @ (p_MC[k] + x[1] * normal - anchor) - seen[k, 1]])
+
+    for k in range(3):
+        x = np.append(known[k], X_MD)
+        J = np.column_stack([(error(x + h, k) - error(x - h, k)) / 2e-6 for h in 1e-6 * np.eye(5)])
+        at = np.append(2 * entry[k] + np.arange(2), np.arange(8, 11))
+        S = J @ P[np.ix_(at, at)] @ J.T + R[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+        assert squared[k, k] == pytest.approx(error(x, k) @ np.linalg.solve(S, error(x, k)), rel=1e-6)
+        in_M = se2.transform(X_MD, part[k])
+        assert far[k, k] == pytest.approx(np.abs(apart_at_ends(in_M, ends_M[k])).max(), rel=0.03)
+        assert overlap[k, k] == pytest.approx(np.hypot(*(part[k, 1] - part[k, 0])), rel=0.01)
+    others = ~np.eye(3, dtype=bool)
+    assert np.isinf(squared[others]).all()
+    assert np.isinf(far[others]).all()
+
+
+@pytest.mark.parametrize("shift", [-3.0, -1.0, 0.0, 1.0, 2.4, 3.15, 3.25, 5.0])
+def test_what_hardly_overlaps_is_not_compared(shift):
+    """A wall of 5 m, and 2.5 m of its line, seen from 1 m on: anchors and poses tell no more than where both are."""
+    X_MD, piece = np.array([0.7, -0.4, 2.6]), np.array([1.0, 3.5])
+    known, p_MC, reach = walls_between([[[3.0, -2.0], [3.0, 3.0]]])
+    ends_M = np.array([[3.0, -2.0], [3.0, -2.0]]) + np.outer(piece + shift, [0.0, 1.0])
+    seen, p_AC, seen_reach = walls_between(se2.transform(se2.inverse(X_MD), ends_M), 0.8)
+    P, R, entry = 1e-4 * np.eye(5), 1e-4 * np.eye(2), np.array([0])
+    squared, far, overlap = compared(seen, p_AC, seen_reach, R, known, p_MC, reach, entry, X_MD, P)
+    expected = min(5.0, 3.5 + shift) - max(0.0, 1.0 + shift)
+    assert overlap[0, 0] == pytest.approx(expected)
+    assert np.isfinite(squared[0, 0]) == np.isfinite(far[0, 0]) == (expected > OVERLAP)
 
 
 def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_tags_ranges():
@@ -252,11 +376,10 @@ def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_t
     shared[RANGE_SCALE] = 0.02
     by_sheet = reduced(NOISE, begin, frames, end, SHEET).keyframe
     other = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
-    walls = ~is_tag(by_sheet.ids)
-    assert not walls.all()
-    np.testing.assert_allclose(other.given(shared)[0][walls], by_sheet.given(np.zeros(SHARED))[0][walls], atol=1e-5)
+    assert other.walls == by_sheet.walls == len(by_sheet.ids) - 1
+    np.testing.assert_allclose(ends_seen(other, shared), ends_seen(by_sheet, np.zeros(SHARED)), atol=1e-5)
     # And the tag is nearer, by the longer ranges.
-    r, nearer = (np.hypot(*one.given(at)[0][~walls].T) for one, at in ((by_sheet, np.zeros(SHARED)), (other, shared)))
+    r, nearer = (np.hypot(*one.given(at)[0][-1]) for one, at in ((by_sheet, np.zeros(SHARED)), (other, shared)))
     assert r / nearer == pytest.approx(1.02, abs=1e-3)
 
 
@@ -265,21 +388,16 @@ def test_a_wall_beside_a_known_one_waits():
     begin, frames, end = turn()
     solution = reduced(NOISE, begin, frames, end, SHEET)
     names, walls = identified(solution.keyframe, solution.sightings, no_walls(), empty_map(SHEET))
-    one = named(solution.keyframe, names, np.zeros(SHARED))
-    n = len(one.ids)
-    moved = one.given(np.zeros(SHARED))[0] + [0.15, 0.15]
-    estimate = replace(
-        empty_map(SHEET),
-        ids=one.ids,
-        p_ML=moved,
-        local=np.arange(n),
-        covariance=1e-8 * np.eye(2 * n + 3),
-        landmark_covariance=np.zeros((n, 2, 2)),
-        with_shared=np.zeros((2 * n + 3 + SHARED, SHARED)),
-    )
+    one = named(solution.keyframe, names)
+    estimate = map_of(one, covariance=1e-8, moved=(0.15, 0.15))
     names, after = identified(solution.keyframe, solution.sightings, walls, estimate)
-    assert not len(names.first)
-    assert len(after.first) == len(walls.first)
+    assert not len(names.ids)
+    np.testing.assert_array_equal(after.by_floor, walls.by_floor)
+    # Where it is, it is found; and farther off, it is another.
+    for moved, found in (((0.0, 0.0), True), ((0.7, 0.7), False)):
+        names, _ = identified(solution.keyframe, solution.sightings, walls, map_of(one, covariance=1e-8, moved=moved))
+        assert len(names.ids)
+        assert np.isin(names.ids, one.ids).all() == found
 
 
 def drive(state, seed, noise, legs, spoil=lambda scanned: scanned):
@@ -310,7 +428,6 @@ def test_a_robot_without_tags_knows_where_it_is():
     alone, _ = drive(initial_state(OdometryConfig(), 1.0, sheet, landmarks="tags"), 1, 1.0, ROUND)
     assert alone.map is not None
     assert not len(alone.map.ids)
-    assert not len(alone.walls.first)
     assert walls.published is not None
     assert not len(walls.published.ids)
     by_walls, by_wheels = pose_estimate(walls), pose_estimate(alone)
@@ -337,11 +454,12 @@ def test_between_views_the_pose_is_told_by_walls():
 @pytest.mark.parametrize("level", [0.5, 1.0, 4.0])
 def test_the_floor_is_found_by_walls_seen_again(level):
     """Walls, each off by errors of the floor beside others; whatever the floor is taken to be meanwhile."""
-    rng, floor = np.random.default_rng(3), floor_of_points(np.array([[0.0, 0.0], [2.0, 0.0]]))[1::2, 1::2]
-    walls, others = no_walls(), np.array([[1e-6, 5e-7], [5e-7, 1e-6]])
-    for _ in range(60):
-        off = rng.multivariate_normal(np.zeros(2), others + level**2 * floor)
-        walls = walls.seen_again(off, others + 0.5**2 * floor, floor, 0.5)
+    rng, floor = np.random.default_rng(3), np.diag(np.square(FLOOR))
+    walls, others = no_walls(), np.array([[3e-7, 2e-7], [2e-7, 1e-6]])
+    for _ in range(30):
+        two, of_floor = np.kron(np.eye(2), others), np.kron(np.eye(2), floor)
+        off = rng.multivariate_normal(np.zeros(4), two + level**2 * of_floor)
+        walls = walls.seen_again(off, two + 0.5**2 * of_floor, 0.5)
     assert walls.floor == pytest.approx(level, rel=0.3)
 
 
@@ -357,7 +475,6 @@ def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():
 
 def test_nothing_seen_is_no_wall():
     assert no_lines().shape == (0, 11)
-    assert isinstance(no_walls(), Walls)
     begin, frames, end = turn(steps=3)
     blind = tuple(TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in frames)
     assert not len(reduced(NOISE, begin, blind, end, SHEET).keyframe.ids)
@@ -372,44 +489,57 @@ def test_a_mirrored_scan_is_no_witness():
 
     state, _ = drive(initial_state(OdometryConfig(), 1.0, sheet), 2, 1.0, ROUND[:3], spoil=mirrored)
     assert state.landmarks == "tags"
-    assert not len(state.walls.first)
     assert state.map is not None
     assert not len(state.map.ids)
 
 
-def test_of_a_walls_points_the_deviation_normal_to_it_counts():
-    """Whatever they are said to be along it, and whichever way it runs."""
+def test_of_a_walls_ends_the_deviation_normal_to_it_counts():
+    """Whichever way it runs, wherever its anchor is."""
     rng = np.random.default_rng(4)
-    ids = WALLS_BELOW + np.array([-6, -5, -2, -1, 0, 1])  # two walls and two tags
-    p_ML = rng.normal(size=(6, 2))
-    covariance = np.array([one @ one.T for one in rng.normal(size=(6, 2, 2))])
-    known = SimpleNamespace(ids=ids, p_ML=p_ML, landmark_covariance=covariance)
-    first, points, deviation = known_walls(known)
-    np.testing.assert_array_equal(first, ids[[0, 2]])
-    np.testing.assert_array_equal(points.reshape(-1, 2), p_ML[:4])
-    for k, row in np.ndindex(2, 2):
-        # As far as samples of the point are off its line.
-        some = rng.multivariate_normal(points[k, row], covariance[2 * k + row], size=20000)
-        turn = math.atan2(*(points[k, 1] - points[k, 0])[::-1])
-        off = (some - points[k, 0]) @ [-math.sin(turn), math.cos(turn)]
-        assert deviation[k, row] == pytest.approx(off.std(), rel=0.03)
-    assert [
-        len(some)
-        for some in known_walls(SimpleNamespace(ids=ids[4:], p_ML=p_ML[4:], landmark_covariance=covariance[4:]))
-    ] == [0, 0, 0]
+    ids = WALLS_BELOW + np.array([-2, -1, 0, 1])  # two walls and two tags
+    ends = np.array([[[1.0, 2.0], [3.0, -1.0]], [[-2.0, 0.5], [-1.5, 2.5]]])
+    columns = [np.vstack([of_walls, rng.normal(size=(2, 2))]) for of_walls in walls_between(ends)]
+    covariance = 1e-4 * np.array([one @ one.T for one in rng.normal(size=(4, 2, 2))])
+
+    def known(rows):
+        p_ML, anchor, reach = (column[rows] for column in columns)
+        return SimpleNamespace(
+            ids=ids[rows], p_ML=p_ML, anchor=anchor, reach=reach, landmark_covariance=covariance[rows]
+        )
+
+    of, found, deviation = known_walls(known(slice(None)))
+    np.testing.assert_array_equal(of, ids[:2])
+    np.testing.assert_allclose(found, ends, atol=1e-12)
+    p_ML, anchor, _ = columns
+    for k, end in np.ndindex(2, 2):
+        # As far as the lines of samples are off the end.
+        angle, distance = rng.multivariate_normal(p_ML[k], covariance[k], size=20000).T
+        off = distance - np.column_stack([np.cos(angle), np.sin(angle)]) @ (ends[k, end] - anchor[k])
+        assert deviation[k, end] == pytest.approx(off.std(), rel=0.03)
+    assert [len(some) for some in known_walls(known(slice(2, 4)))] == [0, 0, 0]
 
 
 def test_the_least_known_place_is_of_a_tag_or_normal_to_a_wall():
-    """A wall along x, known to 4 cm at one point, to 2 m along itself, and a tag known to 3 cm at best."""
+    """A wall along x, known to 1 cm at one end and 4 cm at the other, and a tag known to 3 cm at best."""
+    wall, anchor, reach = walls_between([[[0.0, 1.0], [3.0, 1.0]]])
+    across = np.linalg.inv(np.column_stack([-reach[0], [1.0, 1.0]]))
+    of_wall = across @ np.diag([0.01**2, 0.04**2]) @ across.T
     known = SimpleNamespace(
-        ids=np.array([WALLS_BELOW - 2, WALLS_BELOW - 1, 7]),
-        p_ML=np.array([[0.0, 1.0], [3.0, 1.0], [2.0, 2.0]]),
-        landmark_covariance=np.array([np.diag([4.0, 0.01**2]), np.diag([4.0, 0.04**2]), np.diag([0.03**2, 0.01**2])]),
+        ids=np.array([WALLS_BELOW - 1, 7]),
+        p_ML=np.vstack([wall, [[2.0, 2.0]]]),
+        anchor=np.vstack([anchor, np.zeros((1, 2))]),
+        reach=np.vstack([reach, np.zeros((1, 2))]),
+        landmark_covariance=np.array([of_wall, np.diag([0.03**2, 0.01**2])]),
     )
     deviation, place = least_known(known)
     assert deviation == pytest.approx(0.04)
     assert place == pytest.approx([3.0, 1.0])
-    known.landmark_covariance[2] *= 4.0
-    assert least_known(known)[0] == pytest.approx(0.06)
-    nothing = SimpleNamespace(ids=known.ids[:0], p_ML=known.p_ML[:0], landmark_covariance=known.landmark_covariance[:0])
+    known.landmark_covariance[1] *= 4.0
+    deviation, place = least_known(known)
+    assert deviation == pytest.approx(0.06)
+    assert place == pytest.approx([2.0, 2.0])
+    none = np.empty((0, 2))
+    nothing = SimpleNamespace(
+        ids=known.ids[:0], p_ML=none, anchor=none, reach=none, landmark_covariance=known.landmark_covariance[:0]
+    )
     assert least_known(nothing) is None
