@@ -24,7 +24,7 @@ def gaussian(ids, y_AL, y_AD, covariance, by_shared=None, on_error=None):
     on_error = np.zeros((len(ids), 2, 2)) if on_error is None else on_error
     unit = RANGE_SCALE if len(ids) else DISTANCE_SCALE
     none = np.zeros((len(ids), 2))
-    return Keyframe(ids, y_AL, none, none, y_AD, unit, 0.5 * (W + W.T), np.zeros(SHARED), on_error)
+    return Keyframe(ids, y_AL, none, none, y_AD, unit, 0.5 * (W + W.T), np.zeros(SHARED), on_error, none)
 
 
 def observed(rng, p_ML, X_MA, X_AD, seen, noise=1.0, tag_errors=None, shared=None):
@@ -126,12 +126,7 @@ def dense_solution(graph):
     of_errors = np.arange(2 * n + 3 * k, len(x) - SHARED)
     prior, roots, entries = np.linalg.inv(graph.prior.covariance), [], []
     for j, one in enumerate(graph.keyframes):
-        whole = one.information
-        if has_errors:
-            by_errors, size = one.by_errors(), len(whole)
-            errors_alone = by_errors[size:, :-1] if len(one.ids) else np.zeros((0, 0))
-            across = by_errors[:size, :-1] if len(one.ids) else np.zeros((size, 0))
-            whole = np.block([[whole, across], [across.T, errors_alone]])
+        whole = one.with_errors() if has_errors else one.without_errors
         value, direction = np.linalg.eigh(whole)
         roots.append(np.sqrt(np.maximum(value, 0.0))[:, None] * direction.T)
         own = (2 * np.searchsorted(graph.ids, one.ids)[:, None] + [0, 1]).ravel()
@@ -169,7 +164,7 @@ def dense_solution(graph):
             g[of_shared] += graph.keyframes[j].vector
             if has_errors and len(graph.keyframes[j].ids):
                 own = 2 * len(graph.keyframes[j].ids)
-                g[at[-SHARED - own : -SHARED]] += graph.keyframes[j].by_errors()[-own:, -1]
+                g[at[-SHARED - own : -SHARED]] += graph.keyframes[j].pull.ravel()
         H[np.ix_(of_shared, of_shared)] += prior
         g[of_shared] += prior @ (x[of_shared] - graph.prior.mean)
         if has_errors:

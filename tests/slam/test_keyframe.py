@@ -44,7 +44,7 @@ def test_the_linearisation_is_that_of_its_cost():
 
     def at(x):
         p_ML, A, D, shared = parts(x)
-        return linearised(p_ML, np.zeros((4, 2)), *one.told, A, D, shared)
+        return linearised(one, p_ML, np.zeros((4, 2)), A, D, shared)
 
     def errors(x):
         p_ML, A, D, shared = parts(x)
@@ -60,6 +60,38 @@ def test_the_linearisation_is_that_of_its_cost():
     on = residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[1]
     np.testing.assert_allclose(on, J[:, 11:], atol=1e-8)
     np.testing.assert_allclose(H, J.T @ one.information @ J, rtol=1e-6, atol=1e-7 * np.abs(H).max())
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_with_the_tags_errors_the_linearisation_is_that_of_its_cost(fused):
+    """An error moves where a tag is seen by on_error, or is a parameter of a keyframe that was fused."""
+    rng, errors = np.random.default_rng(4), 0.02 * np.random.default_rng(5).normal(size=(4, 2))
+    one = observed(rng, P_ML, X_MA, X_AD, np.arange(4), 1.0, errors, TRUTH)
+    if fused:
+        one = fusion(one, observed(rng, P_ML, X_AD, X_AD, np.arange(4), 1.0, errors, TRUTH), TRUTH)[0]
+        assert one.pull.any()
+    else:
+        one = replace(one, vector=np.arange(float(SHARED)))
+    x = np.concatenate([P_ML.ravel(), se2.compose(X_MA, X_AD), X_MA, TRUTH, errors.ravel()])
+    x += 0.01 * rng.normal(size=len(x))
+
+    def twice(x):
+        p_ML, D, A, shared, errors = x[:8].reshape(-1, 2), x[8:11], x[11:14], x[14:27], x[27:]
+        error = residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[0]
+        if fused:
+            error = np.append(error, errors)
+            return error @ one.information @ error + 2.0 * one.vector @ shared + 2.0 * one.pull.ravel() @ errors
+        error[:8] += np.einsum("nij,nj->ni", one.on_error, errors.reshape(-1, 2)).ravel()
+        return error @ one.information @ error + 2.0 * one.vector @ shared
+
+    H, g, cost = linearised(one, x[:8].reshape(-1, 2), np.zeros((4, 2)), x[11:14], x[8:11], x[14:27], x[27:])
+    assert cost == pytest.approx(twice(x), rel=1e-9)
+    steps = 1e-6 * np.eye(len(x))
+    np.testing.assert_allclose(g, [(twice(x + h) - twice(x - h)) / 4e-6 for h in steps], rtol=1e-4, atol=1e-2)
+    np.testing.assert_array_equal(H[27:, 27:], one.with_errors()[24:, 24:])
+    few, few_g, few_cost = linearised(one, x[:8].reshape(-1, 2), np.zeros((4, 2)), x[11:14], x[8:11], x[14:27])
+    np.testing.assert_allclose(H[:27, :27], few, rtol=1e-12, atol=1e-9 * np.abs(few).max())
+    assert (few_cost != cost, len(few_g)) == (True, 27)
 
 
 def test_what_it_says_given_the_parameters_is_where_its_cost_is_least():
@@ -190,9 +222,11 @@ def test_two_keyframes_fused_say_of_the_errors_of_tags_what_both_say():
     assert np.abs((X_few[-1] - X_MN[-1]) / sigma[24:27]).max() < 0.1
     # Without one of its tags: as if that had never been seen.
     fewer = without_tags(both, both.ids[:1])
-    assert fewer.by_errors().shape == (4 * 11 + 3 + SHARED, 2 * 11 + 1)
-    one, other = without_tags(first, first.ids[:1]), second
-    np.testing.assert_allclose(fewer.by_errors(), fusion(one, other, shared)[0].by_errors(), rtol=1e-3, atol=1.0)
+    size = 4 * 11 + 3 + SHARED
+    assert fewer.information.shape == (size, size)
+    expected = fusion(without_tags(first, first.ids[:1]), second, shared)[0]
+    np.testing.assert_allclose(fewer.information, expected.information, rtol=1e-3, atol=1.0)
+    np.testing.assert_allclose(fewer.pull, expected.pull, rtol=1e-3, atol=1.0)
 
 
 def test_a_way_known_from_elsewhere_is_in_metres():

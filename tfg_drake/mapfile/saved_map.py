@@ -258,9 +258,8 @@ def _contradiction(saved: SavedMap) -> str:
         return "graph.ids is not ascending"
     if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
         return "graph.keyframes.ids does not fit graph.ids"
-    of_errors = [((0, 0), (4 * len(one.ids) + 3 + SHARED, 2 * len(one.ids) + 1)) for one in graph.keyframes]
-    if any(one.errors.shape not in shapes for one, shapes in zip(graph.keyframes, of_errors, strict=True)):
-        return "graph.keyframes.errors does not fit graph.keyframes.ids"
+    if any(len(one.information) - 3 - SHARED not in (2 * len(one.ids), 4 * len(one.ids)) for one in graph.keyframes):
+        return "graph.keyframes.information does not fit graph.keyframes.ids"
     if any(not METRES <= one.unit < SHARED for one in graph.keyframes):
         return "graph.keyframes.unit is no parameter"
     if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, replace
 from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import directions
 from tfg_drake.table import take
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
 # Columns that a graph and its keyframes had not, and those that are like them.
-_NEW = {"graph.keyframes.anchor": "graph.keyframes.y_AL", "graph.keyframes.reach": "graph.keyframes.y_AL"}
+_NEW = {f"graph.keyframes.{name}": "graph.keyframes.y_AL" for name in ("anchor", "reach", "pull")}
 _NEW |= {"graph.anchor": "graph.p_ML", "graph.reach": "graph.p_ML"}
 
 Arrays = dict[str, NDArray[Any]]
@@ -32,7 +33,24 @@ def padded(arrays: Arrays) -> tuple[Arrays, IntArray, FloatArray]:
         arrays[name] = np.zeros_like(arrays[like])
         if f"{like}@shape" in arrays:
             arrays[f"{name}@shape"] = arrays[f"{like}@shape"]
+    _put_errors(arrays)
     return arrays, first, reach
+
+
+def _put_errors(arrays: Arrays) -> None:
+    """The constant errors of tags, which had derivatives of their own, as parameters of the keyframes."""
+    of, counts = "graph.keyframes.", arrays["graph.keyframes.ids@shape"][:, 0]
+    shapes, sizes = arrays.pop(f"{of}errors@shape"), arrays[f"{of}information@shape"].copy()
+    each = np.split(arrays.pop(f"{of}errors"), np.cumsum(shapes.prod(axis=1))[:-1])
+    information = np.split(arrays[f"{of}information"], np.cumsum(sizes.prod(axis=1))[:-1])
+    pull = np.split(arrays[f"{of}pull"], np.cumsum(2 * counts)[:-1])
+    for j in np.flatnonzero(shapes[:, 0]):
+        m = 2 * counts[j] + 3 + SHARED
+        by_error, W = each[j].reshape(shapes[j]), information[j].reshape(m, m)
+        information[j] = np.block([[W, by_error[:m, :-1]], [by_error[:m, :-1].T, by_error[m:, :-1]]])
+        pull[j], sizes[j] = by_error[m:, -1], len(information[j])
+    arrays[f"{of}information"] = np.concatenate([one.ravel() for one in information])
+    arrays[f"{of}information@shape"], arrays[f"{of}pull"] = sizes, np.concatenate(pull)
 
 
 def with_walls(saved: SavedMap, first: IntArray, reach: FloatArray) -> SavedMap:
@@ -84,12 +102,11 @@ def _with_walls(one: Keyframe) -> Keyframe:
     rows = np.append(2 * np.arange(w), np.arange(2 * w, len(one.ids)))
     # A point moves along the normal by the distance, and by the angle the farther it is from the middle.
     by_walls = [np.kron([[0.5 * d, 1.0], [-0.5 * d, 1.0]], n[:, None]) for n, d in zip(normal, length, strict=True)]
-    T = scipy.linalg.block_diag(*by_walls, np.eye(len(one.information) - 4 * w))
+    kept = np.eye(2 * len(one.ids))[:, (2 * rows[:, None] + [0, 1]).ravel()]
+    errors = [kept] if len(one.information) > 2 * len(one.ids) + 3 + SHARED else []
+    T = scipy.linalg.block_diag(*by_walls, np.eye(2 * len(one.ids) + 3 + SHARED - 4 * w), *errors)
     walls = np.column_stack([np.arctan2(normal[:, 1], normal[:, 0]), np.zeros(w)])
-    none, errors = np.zeros((len(one.ids) - 2 * w, 2)), one.errors
-    if len(errors):
-        kept = (2 * rows[:, None] + [0, 1]).ravel()
-        errors = np.vstack([T.T @ errors[: len(T)], errors[len(T) + kept]])[:, np.append(kept, -1)]
+    none = np.zeros((len(one.ids) - 2 * w, 2))
     return replace(
         take(one, n=rows),
         ids=_named(one.ids[rows]),
@@ -97,5 +114,4 @@ def _with_walls(one: Keyframe) -> Keyframe:
         anchor=np.vstack([pairs.mean(axis=1), none]),
         reach=np.vstack([0.5 * length[:, None] * [-1.0, 1.0], none]),
         information=T.T @ one.information @ T,
-        errors=errors,
     )

@@ -190,7 +190,7 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         n = len(one.ids)
         rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
         shared = graph.shared.mean
-        H, g, _ = linearised(graph.p_ML[rows], graph.anchor[rows], *one.told, X_MA, X_MD, shared)
+        H, g, _ = linearised(one, graph.p_ML[rows], graph.anchor[rows], X_MA, X_MD, shared)
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)
         spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)

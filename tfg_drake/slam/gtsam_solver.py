@@ -67,8 +67,9 @@ def _values_of(values: Values, names: list[int]) -> gtsam.Values:
 def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
     """W = R^T R with its empty directions left out, and R^T d = (0, v): half |R e + d|^2 is the cost but for a
     constant. p_MC: (n, 2) the anchors of its landmarks."""
-    diagonal = np.sqrt(np.maximum(np.diag(one.information), np.finfo(float).tiny))
-    value, direction = np.linalg.eigh(one.information / np.outer(diagonal, diagonal))
+    W = one.without_errors
+    diagonal = np.sqrt(np.maximum(np.diag(W), np.finfo(float).tiny))
+    value, direction = np.linalg.eigh(W / np.outer(diagonal, diagonal))
     some = value > LEAST_SHARE * value[-1]
     root = np.sqrt(value[some])
     R = root[:, None] * direction[:, some].T * diagonal

@@ -8,7 +8,6 @@ scale, always with the same sign.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Annotated
 
@@ -34,8 +33,9 @@ class Keyframe:
     e / 2 + v^T s, e = (y - y_0, s). ids: (n,) ascending, so that walls come first; none: odometry's way. y_AL: (n, 2),
     y_AD: (3,), y_0. anchor, reach: (n, 2) of walls, as of `messages.MapEstimate`, in A. unit: the parameter that is the
     scale of its lengths, or METRES, which it is where there are walls. information: W, (2n + 16, 2n + 16). vector: v,
-    (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad.
-    errors: see `by_errors`, empty where it follows from on_error.
+    (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. Where
+    more of the cost depends on these than follows from on_error, they are parameters behind s: W is (4n + 16, 4n + 16),
+    and pull (n, 2) their part of v.
     """
 
     ids: Annotated[IntArray, "n"]
@@ -44,10 +44,10 @@ class Keyframe:
     reach: Annotated[FloatArray, "n", 2]
     y_AD: Annotated[FloatArray, 3]
     unit: int
-    information: Annotated[FloatArray, f"2n+{3 + SHARED}", f"2n+{3 + SHARED}"]
+    information: Annotated[FloatArray, "m", "m"]
     vector: Annotated[FloatArray, SHARED]
     on_error: Annotated[FloatArray, "n", 2, 2]
-    errors: Annotated[FloatArray, "a", "b"] = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+    pull: Annotated[FloatArray, "n", 2]
 
     @property
     def walls(self) -> int:
@@ -60,20 +60,19 @@ class Keyframe:
         return self.walls, self.y_AL, self.anchor, self.y_AD, self.unit
 
     @property
-    def told(self) -> tuple[int, FloatArray, FloatArray, FloatArray, int, FloatArray, FloatArray]:
-        """The arguments of `linearised` that it has."""
-        return *self.measured, self.information, self.vector
+    def without_errors(self) -> FloatArray:
+        """W where the tags' errors are zero, (2n + 16, 2n + 16)."""
+        size = 2 * len(self.ids) + 3 + SHARED
+        return np.ascontiguousarray(self.information[:size, :size])
 
-    def by_errors(self) -> FloatArray:
-        """Derivatives of the cost on the tags' errors, (4n + 16, 2n + 1): the Hessian by (e, the errors) on these, and
-        in the last column the gradient where all are zero."""
-        if len(self.errors) or not len(self.ids):
-            return self.errors
+    def with_errors(self) -> FloatArray:
+        """W with the rows of the tags' errors, (4n + 16, 4n + 16)."""
         n, i = len(self.ids), np.arange(len(self.ids))
-        on = np.zeros((2 * n, 2 * n))
-        on.reshape(n, 2, n, 2)[i, :, i, :] = self.on_error
-        across = self.information[:, : 2 * n] @ on
-        return np.column_stack([np.vstack([across, on.T @ across[: 2 * n]]), np.zeros(4 * n + 3 + SHARED)])
+        if len(self.information) > 2 * n + 3 + SHARED:
+            return self.information
+        J = np.eye(2 * n + 3 + SHARED, 4 * n + 3 + SHARED)
+        J[: 2 * n, 2 * n + 3 + SHARED :].reshape(n, 2, n, 2)[i, :, i, :] = self.on_error
+        return np.asarray(J.T @ self.information @ J)
 
     def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (13,)."""
@@ -85,18 +84,17 @@ class Keyframe:
 
     def conditional(self) -> tuple[FloatArray, FloatArray]:
         """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 13) of its mean on them."""
-        m = len(self.information) - SHARED
+        m, W = 2 * len(self.ids) + 3, self.without_errors
         # In units of its own: an angle and a distance, or what is known well and hardly, differ by many powers of ten.
-        unit = 1.0 / np.sqrt(np.diag(self.information)[:m])
-        covariance = unit[:, None] * np.linalg.inv(unit[:, None] * self.information[:m, :m] * unit) * unit
+        unit = 1.0 / np.sqrt(np.diag(W)[:m])
+        covariance = unit[:, None] * np.linalg.inv(unit[:, None] * W[:m, :m] * unit) * unit
         covariance = 0.5 * (covariance + covariance.T)
-        return covariance, -covariance @ self.information[:m, m:]
+        return covariance, -covariance @ W[:m, m:]
 
     def alone(self) -> tuple[FloatArray, FloatArray]:
         """Information (13, 13) on the parameters by this keyframe alone, and its gradient (13,) where they are zero."""
-        m = len(self.information) - SHARED
-        _, by_shared = self.conditional()
-        own = self.information[m:, m:] + self.information[m:, :m] @ by_shared
+        m, W = 2 * len(self.ids) + 3, self.without_errors
+        own = W[m:, m:] + W[m:, :m] @ self.conditional()[1]
         return 0.5 * (own + own.T), self.vector
 
 
@@ -111,13 +109,15 @@ def keyframe(
     g: FloatArray,
     on_error: FloatArray,
 ) -> Keyframe:
-    """The keyframe of a cost that has gradient g (2n + 16,) and Hessian W (2n + 16, 2n + 16) at (y, shared), y: (2n +
-    3,), shared: (13,). anchor, reach: of its walls, see Keyframe."""
+    """The keyframe of a cost that has gradient g (u,) and Hessian W (u, u) at (y, shared), y: (2n + 3,), shared: (13,),
+    and where the tags' errors are zero, if they are among the u unknowns. anchor, reach: of its walls, see Keyframe."""
     m = len(y)
-    back = np.linalg.solve(W[:m, :m], W[:m, m:] @ shared - g[:m])
-    y_0 = y + back
-    vector = g[m:] + W[m:, :m] @ back - W[m:, m:] @ shared
-    return Keyframe(ids, y_0[:-3].reshape(-1, 2), anchor, reach, y_0[-3:], unit, W, vector, on_error)
+    parameters = np.append(shared, np.zeros(len(W) - m - SHARED))
+    back = np.linalg.solve(W[:m, :m], W[:m, m:] @ parameters - g[:m])
+    y_AL, y_AD = (y + back)[:-3].reshape(-1, 2), (y + back)[-3:]
+    vector = g[m:] + W[m:, :m] @ back - W[m:, m:] @ parameters
+    pull = vector[SHARED:].reshape(-1, 2) if len(vector) > SHARED else np.zeros_like(y_AL)
+    return Keyframe(ids, y_AL, anchor, reach, y_AD, unit, W, vector[:SHARED], on_error, pull)
 
 
 def placed(X_FA: FloatArray, ids: IntArray, y_AL: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -144,24 +144,19 @@ def along_walls(wall: FloatArray) -> FloatArray:
 def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
     """The keyframe with some tags marginalised out."""
     keep = ~np.isin(one.ids, ids)
-    if keep.all():
-        return one
-    rows = np.concatenate([np.repeat(keep, 2), np.ones(3 + SHARED, dtype=bool)])
-    W = one.information
-    across = W[np.ix_(rows, ~rows)]
-    information = W[np.ix_(rows, rows)] - across @ np.linalg.solve(W[np.ix_(~rows, ~rows)], across.T)
-    errors = _errors_without(one, rows, keep) if len(one.errors) else one.errors
-    return replace(take(one, n=keep), information=0.5 * (information + information.T), errors=errors)
+    return one if keep.all() else of_landmarks(one, np.flatnonzero(keep))
 
 
-def _errors_without(one: Keyframe, rows: BoolArray, keep: BoolArray) -> FloatArray:
-    """by_errors() with some tags marginalised out, whose own errors count as zero. rows (2n + 16,), keep (n,): which
-    remain."""
-    m, columns = len(rows), np.append(np.repeat(keep, 2), True)
-    W, across = one.information, one.errors[:m, columns]
-    gone = np.linalg.solve(W[np.ix_(~rows, ~rows)], across[~rows])
-    of_errors = one.errors[m:][columns[:-1]][:, columns] - across[~rows, :-1].T @ gone
-    return np.vstack([across[rows] - W[np.ix_(rows, ~rows)] @ gone, of_errors])
+def of_landmarks(one: Keyframe, rows: IntArray) -> Keyframe:
+    """The keyframe of its landmarks in these rows (k,), in this order; the others are marginalised out, whose errors
+    count as zero."""
+    n, pairs = len(one.ids), (2 * rows[:, None] + [0, 1]).ravel()
+    errors = 2 * n + 3 + SHARED + pairs if len(one.information) > 2 * n + 3 + SHARED else pairs[:0]
+    keep, gone = np.concatenate([pairs, 2 * n + np.arange(3 + SHARED), errors]), np.setdiff1d(np.arange(2 * n), pairs)
+    across = one.information[np.ix_(keep, gone)]
+    taken_off = across @ np.linalg.solve(one.information[np.ix_(gone, gone)], across.T)
+    information = one.information[np.ix_(keep, keep)] - 0.5 * (taken_off + taken_off.T)
+    return replace(take(one, n=rows), information=information)
 
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
@@ -178,7 +173,8 @@ def of_places(
     n = len(ids)
     information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
-    return Keyframe(ids, p_AL, anchor, reach, X_AD, METRES, information, np.zeros(SHARED), np.zeros((n, 2, 2)))
+    none = np.zeros((n, 2, 2)), np.zeros((n, 2))
+    return Keyframe(ids, p_AL, anchor, reach, X_AD, METRES, information, np.zeros(SHARED), *none)
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
@@ -206,11 +202,8 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
         for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
-            one, none = replace(one, unit=METRES), np.zeros(2 * len(row))
-            H_k, g_k, _ = linearised(y_AL[row], anchor[row], *one.told, begin, end, shared)
-            if errors:
-                error, on, by_landmark = residual(y_AL[row], anchor[row], *one.measured, begin, end, shared)
-                H_k, g_k, _ = with_errors(H_k, g_k, error, on, by_landmark, one.by_errors(), none)
+            at_zero = np.zeros(2 * len(row)) if errors else None
+            H_k, g_k, _ = linearised(replace(one, unit=METRES), y_AL[row], anchor[row], begin, end, shared, at_zero)
             place = place[: len(g_k)]
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
@@ -232,19 +225,38 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
     on_error = np.asarray(moved[i, :, i, :], dtype=float)
-    one = keyframe(ids, y, anchor, reach, shared, first.unit, W[:e, :e], gradient[:e], on_error)
-    back = np.concatenate([one.y_AL.ravel() - y[:-3], one.y_AD - D, -shared])
-    by_errors = np.column_stack([W[:, e:], np.append(np.zeros(e), gradient[e:] + W[e:, :e] @ back)])
+    one = keyframe(ids, y, anchor, reach, shared, first.unit, W, gradient, on_error)
     y_AD = np.append(one.y_AD[:2], wrap(float(one.y_AD[2])))
     share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
-    return replace(one, y_AD=y_AD, errors=by_errors), B * np.array([share, share, 1.0]), deviation
+    return replace(one, y_AD=y_AD), B * np.array([share, share, 1.0]), deviation
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
     """Where tags, D, A, the parameters and the tags' errors of a keyframe are in a fusion of n tags."""
     tags, shared = (2 * rows[:, None] + [0, 1]).ravel(), 2 * n + 3 + np.arange(SHARED)
     return np.concatenate([tags, D + np.arange(3), A + np.arange(3), shared, 2 * n + 3 + SHARED + tags])
+
+
+def linearised(
+    one: Keyframe,
+    p_ML: FloatArray,
+    p_MC: FloatArray,
+    A: FloatArray,
+    D: FloatArray,
+    shared: FloatArray,
+    errors: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Hessian, gradient and twice the cost of a keyframe, as of `gradient_of`; errors: (2n,) of the tags, if these are
+    parameters. Further arguments as of `residual`."""
+    error, on, by_landmark = residual(p_ML, p_MC, *one.measured, A, D, shared)
+    vector, parameters, information = one.vector, shared, one.without_errors
+    if errors is not None:
+        error, on = with_errors(error, on, errors)
+        vector, parameters = np.append(vector, one.pull), np.append(shared, errors)
+        information = one.with_errors()
+    g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
+    return hessian(on, by_landmark, information), g, cost
 
 
 @njit(cache=True)
@@ -305,50 +317,56 @@ def residual(
 
 
 @njit(cache=True)
-def linearised(
-    p_ML: FloatArray,
-    p_MC: FloatArray,
-    walls: int,
-    y_AL: FloatArray,
-    p_AC: FloatArray,
-    y_AD: FloatArray,
-    unit: int,
-    information: FloatArray,
-    vector: FloatArray,
-    A: FloatArray,
-    D: FloatArray,
-    shared: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:
-    """`hessian` of a keyframe; arguments as of `residual`, and information and vector as of Keyframe."""
-    error, on, by_landmark = residual(p_ML, p_MC, walls, y_AL, p_AC, y_AD, unit, A, D, shared)
-    return hessian(error, on, by_landmark, information, vector, shared)
+def with_errors(error: FloatArray, on: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Error and Jacobian `on` of `residual` with the tags' errors (2n,) among the parameters, behind the others."""
+    m, k = len(error), len(errors)
+    whole, wide = np.empty(m + k), np.zeros((m + k, on.shape[1] + k))
+    whole[:m], whole[m:], wide[:m, : on.shape[1]] = error, errors, on
+    for i in range(k):
+        wide[m + i, on.shape[1] + i] = 1.0
+    return whole, wide
 
 
 @njit(cache=True)
-def hessian(
+def gradient_of(
     error: FloatArray,
     on: FloatArray,
     by_landmark: FloatArray,
     information: FloatArray,
     vector: FloatArray,
-    shared: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian (2n + 19, 2n + 19) and gradient (2n + 19,) of a keyframe's cost, in the order of landmarks, D, A and
-    parameters, and twice the cost. error, on, by_landmark: of `residual`."""
-    m, size = len(error) - SHARED, len(error) + 3
-    weighted, weighted_on = information @ error, information @ on
-    H, g = np.empty((size, size)), np.empty((size, 1))
-    half = np.empty((m, m))
+    parameters: FloatArray,
+) -> tuple[FloatArray, float]:
+    """Gradient (u,) of a keyframe's cost, in the order of landmarks, D, A and parameters (p,), and twice the cost.
+
+    error, on, by_landmark: of `residual`. vector: (p,) as of Keyframe.
+    """
+    weighted, m, p = information @ error, len(error) - len(parameters), len(parameters)
+    g = np.empty((m + 3 + p, 1))
+    for i in range(0, m - 1, 2):
+        turned(g, i, 0, weighted[i], weighted[i + 1], by_landmark[i // 2])
+    g[m - 1, 0] = weighted[m - 1]
+    g[m:, 0] = on.T @ weighted
+    cost = float(error @ weighted)
+    for i in range(p):
+        g[m + 3 + i, 0] += vector[i]
+        cost += 2.0 * vector[i] * parameters[i]
+    return g[:, 0].copy(), cost
+
+
+@njit(cache=True)
+def hessian(on: FloatArray, by_landmark: FloatArray, information: FloatArray) -> FloatArray:
+    """Hessian (u, u) of a keyframe's cost, as `gradient_of`."""
+    m, size = 2 * len(by_landmark) + 1, 2 * len(by_landmark) + 1 + on.shape[1]
+    weighted_on = information @ on
+    H, half = np.empty((size, size)), np.empty((m, m))
     for i in range(0, m - 1, 2):
         L = by_landmark[i // 2]
         for j in range(m):
             turned(half, i, j, information[i, j], information[i + 1, j], L)
-        for j in range(3 + SHARED):
+        for j in range(on.shape[1]):
             turned(H, i, m + j, weighted_on[i, j], weighted_on[i + 1, j], L)
-        turned(g, i, 0, weighted[i], weighted[i + 1], L)
     half[m - 1] = information[m - 1, :m]
     H[m - 1, m:] = weighted_on[m - 1]
-    g[m - 1, 0] = weighted[m - 1]
     for j in range(0, m - 1, 2):
         L = by_landmark[j // 2]
         for i in range(m):
@@ -358,46 +376,7 @@ def hessian(
         H[i, m - 1] = half[i, m - 1]
         H[m:, i] = H[i, m:]
     H[m:, m:] = on.T @ weighted_on
-    g[m:, 0] = on.T @ weighted
-    cost = float(error @ weighted)
-    for i in range(SHARED):
-        g[m + 3 + i, 0] += vector[i]
-        cost += 2.0 * vector[i] * shared[i]
-    return H, g[:, 0].copy(), cost
-
-
-@njit(cache=True)
-def with_errors(
-    H: FloatArray,
-    g: FloatArray,
-    error: FloatArray,
-    on: FloatArray,
-    by_landmark: FloatArray,
-    by_errors: FloatArray,
-    errors: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian and gradient of `linearised` with the tags' errors (2n,) behind, and what these add to twice the cost.
-
-    error, on, by_landmark: of `residual` there. by_errors: see Keyframe.
-    """
-    k, size, q = len(errors), len(g), len(error)
-    m = q - SHARED
-    coupling = np.ascontiguousarray(by_errors[:q, :k])
-    wide, longer = np.zeros((size + k, size + k)), np.empty(size + k)
-    across = np.empty((size, k))
-    for j in range(k):
-        for i in range(0, m - 1, 2):
-            turned(across, i, j, coupling[i, j], coupling[i + 1, j], by_landmark[i // 2])
-        across[m - 1, j] = coupling[m - 1, j]
-    across[m:] = on.T @ coupling
-    of_errors = np.ascontiguousarray(by_errors[q:, :k])
-    force = coupling.T @ error + by_errors[q:, k]
-    weighted = of_errors @ errors
-    wide[:size, :size], wide[:size, size:], wide[size:, :size] = H, across, across.T
-    wide[size:, size:] = of_errors
-    longer[:size] = g + across @ errors
-    longer[size:] = force + weighted
-    return wide, longer, float(errors @ (2.0 * force + weighted))
+    return H
 
 
 @njit(cache=True)

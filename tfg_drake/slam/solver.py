@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import hessian, residual, rows_of, turned, with_errors
+from tfg_drake.slam.keyframe import gradient_of, hessian, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 
@@ -24,10 +24,10 @@ NEWEST = 3 + SHARED
 class Keyframes(NamedTuple):
     """k keyframes in flat arrays.
 
-    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL, anchor and on_error. rows: of
-    its landmarks in p_ML, walls: (k,) how many of them, the first, are walls. y_AL, anchor: (., 2), p_MC: (., 2) the
-    anchors in M, on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 13). starts: (k + 1,) the same of
-    information, flattened, starts_of_errors: of by_errors, flattened; nothing where tags have no errors.
+    offsets: (k + 1,) keyframe j has the entries offsets[j]:offsets[j + 1] of rows, y_AL, anchor, on_error and pull.
+    rows: of its landmarks in p_ML, walls: (k,) how many of them, the first, are walls. y_AL, anchor, pull: (., 2),
+    p_MC: (., 2) the anchors in M, on_error: (., 2, 2), y_AD: (k, 3), unit: (k,), vector: (k, 13). starts: (k + 1,) the
+    same of information, flattened; with the tags' errors where these are unknowns.
     """
 
     offsets: IntArray
@@ -37,13 +37,12 @@ class Keyframes(NamedTuple):
     anchor: FloatArray
     p_MC: FloatArray
     on_error: FloatArray
+    pull: FloatArray
     y_AD: FloatArray
     unit: IntArray
     vector: FloatArray
     starts: IntArray
     information: FloatArray
-    starts_of_errors: IntArray
-    by_errors: FloatArray
 
 
 class Values(NamedTuple):
@@ -142,7 +141,8 @@ class Solver(Protocol):
 def factors_of(graph: KeyframeGraph) -> Factors:
     """The factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
-    of_errors = [one.by_errors().ravel() for one in graph.keyframes] if graph.tag_error.any() else [np.empty(0)]
+    has_errors = graph.tag_error.any()
+    information = [one.with_errors() if has_errors else one.without_errors for one in graph.keyframes]
     rows = rows_of(np.concatenate([one.ids for one in graph.keyframes]), graph.ids)[0]
     keyframes = Keyframes(
         offsets=np.append(0, np.cumsum(counts)),
@@ -152,34 +152,27 @@ def factors_of(graph: KeyframeGraph) -> Factors:
         anchor=np.concatenate([one.anchor for one in graph.keyframes]),
         p_MC=graph.anchor[rows],
         on_error=np.concatenate([one.on_error for one in graph.keyframes]),
+        pull=np.concatenate([one.pull for one in graph.keyframes]),
         y_AD=np.array([one.y_AD for one in graph.keyframes]),
         unit=np.array([one.unit for one in graph.keyframes]),
         vector=np.array([one.vector for one in graph.keyframes]),
-        starts=np.append(0, np.cumsum((2 * counts + 3 + SHARED) ** 2)),
-        information=np.concatenate([one.information.ravel() for one in graph.keyframes]),
-        starts_of_errors=np.append(0, np.cumsum([len(one) for one in of_errors])),
-        by_errors=np.concatenate(of_errors),
+        starts=np.append(0, np.cumsum([one.size for one in information])),
+        information=np.concatenate([one.ravel() for one in information]),
     )
     with np.errstate(divide="ignore"):
         errors = np.where(graph.tag_error > 0.0, graph.tag_error**-2.0, np.inf)
-    information = np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float)
-    return Factors(keyframes, graph.prior.mean, information, errors)
+    return Factors(keyframes, graph.prior.mean, np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float), errors)
 
 
 @njit(cache=True)
-def _information(k: int, n: int, keyframes: Keyframes) -> FloatArray:
-    """The information (2n + 16, 2n + 16) of keyframe k, of n landmarks."""
-    m = 2 * n + 3 + SHARED
-    return keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(m, m)
-
-
-@njit(cache=True)
-def _residual(
-    k: int, rows: IntArray, keyframes: Keyframes, values: Values
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`residual` of keyframe k, of landmarks in rows (n,)."""
+def _keyframe(
+    k: int, keyframes: Keyframes, values: Values, unknowns: Unknowns
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The unknowns (u,) of keyframe k, negative where one has none: of its landmarks, D, A, the parameters and the
+    tags' errors, if these are unknowns. And the arguments of `gradient_of`."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-    return residual(
+    rows = keyframes.rows[some]
+    error, on, by_landmark = residual(
         values.p_ML[rows],
         keyframes.p_MC[some],
         keyframes.walls[k],
@@ -191,14 +184,28 @@ def _residual(
         values.X_MN[k + 1],
         values.shared,
     )
-
-
-@njit(cache=True)
-def _errors(k: int, rows: IntArray, keyframes: Keyframes, values: Values) -> tuple[FloatArray, FloatArray]:
-    """by_errors (4n + 16, 2n + 1) of keyframe k, and the errors (2n,) of its landmarks."""
-    n = len(rows)
-    flat = keyframes.by_errors[keyframes.starts_of_errors[k] : keyframes.starts_of_errors[k + 1]]
-    return flat.reshape(4 * n + 3 + SHARED, 2 * n + 1), values.errors[rows].copy().reshape(2 * n)
+    n, vector, parameters = len(rows), keyframes.vector[k].copy(), values.shared.copy()
+    has_errors = n > 0 and unknowns.error_at[rows[0]] >= 0
+    if has_errors:
+        errors = values.errors[rows].copy().reshape(2 * n)
+        error, on = with_errors(error, on, errors)
+        vector = np.append(vector, keyframes.pull[some].copy().reshape(2 * n))
+        parameters = np.append(parameters, errors)
+    at = np.empty(2 * n + 6 + len(parameters), dtype=np.int64)
+    of_errors = at[2 * n + 6 + SHARED :]
+    for i in range(n):
+        at[2 * i] = unknowns.landmark_at[rows[i]]
+        at[2 * i + 1] = at[2 * i] + 1
+        if has_errors:
+            of_errors[2 * i], of_errors[2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
+    A, D = unknowns.node_at[k], unknowns.node_at[k + 1]
+    for i in range(3):
+        at[2 * n + i] = D + i
+        at[2 * n + 3 + i] = A + i if A >= 0 else -1
+    for i in range(SHARED):
+        at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
+    information = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(len(error), len(error))
+    return at, error, on, by_landmark, information, vector, parameters
 
 
 @njit(cache=True)
@@ -216,22 +223,14 @@ def assemble(
     """
     total = 0.0
     for k in which:
-        begin = keyframes.offsets[k]
-        rows = keyframes.rows[begin : keyframes.offsets[k + 1]]
-        n = len(rows)
-        error, on, by_landmark = _residual(k, rows, keyframes, values)
-        W, vector = _information(k, n, keyframes), keyframes.vector[k]
-        H, g, cost = hessian(error, on, by_landmark, W, vector, values.shared)
+        at, error, on, by_landmark, information, vector, parameters = _keyframe(k, keyframes, values, unknowns)
+        g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
+        H = hessian(on, by_landmark, information)
         total += cost
-        for i in range(n):
+        begin = keyframes.offsets[k]
+        for i in range(keyframes.offsets[k + 1] - begin):
             places[begin + i, :, :2] = H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
-        at = _of_keyframe(k, rows, unknowns)
-        if n > 0 and unknowns.error_at[rows[0]] >= 0:
-            by_errors, errors = _errors(k, rows, keyframes, values)
-            H, g, more = with_errors(H, g, error, on, by_landmark, by_errors, errors)
-            at = np.append(at, _of_errors(rows, unknowns))
-            total += more
         for i in range(len(at)):
             if at[i] >= 0:
                 gradient[at[i]] += g[i]
@@ -243,62 +242,14 @@ def assemble(
 
 
 @njit(cache=True)
-def _of_errors(rows: IntArray, unknowns: Unknowns) -> IntArray:
-    """The unknowns (2n,) of the errors of landmarks in rows (n,)."""
-    at = np.empty(2 * len(rows), dtype=np.int64)
-    for i in range(len(rows)):
-        at[2 * i], at[2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
-    return at
-
-
-@njit(cache=True)
 def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
     """Add the gradient of the cost of k keyframes, and return twice that cost."""
     total = 0.0
     for k in range(len(keyframes.y_AD)):
-        rows = keyframes.rows[keyframes.offsets[k] : keyframes.offsets[k + 1]]
-        error, on, by_landmark = _residual(k, rows, keyframes, values)
-        m = len(error) - SHARED
-        weighted = _information(k, len(rows), keyframes) @ error
-        total += error @ weighted + 2.0 * (keyframes.vector[k] @ values.shared)
-        if len(rows) > 0 and unknowns.error_at[rows[0]] >= 0:
-            by_errors, errors = _errors(k, rows, keyframes, values)
-            coupling = np.ascontiguousarray(by_errors[: len(error), :-1])
-            of_errors = coupling.T @ error + by_errors[len(error) :, -1]
-            own = np.ascontiguousarray(by_errors[len(error) :, :-1]) @ errors
-            total += errors @ (2.0 * of_errors + own)
-            weighted += coupling @ errors
-            own += of_errors
-            for i, place in enumerate(_of_errors(rows, unknowns)):
-                gradient[place] += own[i]
-        force_of_rest, at = on.T @ weighted, _of_keyframe(k, rows, unknowns)
-        force = np.empty((2, 1))
-        for i in range(0, m - 1, 2):
+        at, error, on, by_landmark, information, vector, parameters = _keyframe(k, keyframes, values, unknowns)
+        g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
+        total += cost
+        for i in range(len(at)):
             if at[i] >= 0:
-                turned(force, 0, 0, weighted[i], weighted[i + 1], by_landmark[i // 2])
-                gradient[at[i]] += force[0, 0]
-                gradient[at[i] + 1] += force[1, 0]
-        if at[m - 1] >= 0:
-            gradient[at[m - 1]] += weighted[m - 1]
-        for i in range(NEWEST):
-            if at[m + i] >= 0:
-                gradient[at[m + i]] += force_of_rest[i] + (keyframes.vector[k, i - 3] if i >= 3 else 0.0)
+                gradient[at[i]] += g[i]
     return total
-
-
-@njit(cache=True)
-def _of_keyframe(k: int, rows: IntArray, unknowns: Unknowns) -> IntArray:
-    """The unknowns (2n + 14,) of keyframe k: those of its landmarks, in rows (n,), D's, A's and the parameters';
-    negative where one has none."""
-    n = len(rows)
-    at = np.empty(2 * n + 6 + SHARED, dtype=np.int64)
-    for i in range(n):
-        at[2 * i] = unknowns.landmark_at[rows[i]]
-        at[2 * i + 1] = at[2 * i] + 1
-    A, D = unknowns.node_at[k], unknowns.node_at[k + 1]
-    for i in range(3):
-        at[2 * n + i] = D + i
-        at[2 * n + 3 + i] = A + i if A >= 0 else -1
-    for i in range(SHARED):
-        at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
-    return at

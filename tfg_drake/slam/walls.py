@@ -18,10 +18,9 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, along_walls, residual, without_tags
+from tfg_drake.slam.keyframe import Keyframe, along_walls, of_landmarks, residual
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED
-from tfg_drake.table import take
 
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -279,14 +278,9 @@ class Names:
 
 def named(one: Keyframe, names: Names) -> Keyframe:
     """A keyframe with its walls by their names; those without a name are marginalised out."""
-    walls = one.ids[: one.walls]
-    one = without_tags(one, walls[~np.isin(walls, names.provisional)])
-    ids, w = one.ids.copy(), one.walls
-    by_id = np.argsort(names.provisional)
-    ids[:w] = names.ids[by_id[np.searchsorted(names.provisional, ids[:w], sorter=by_id)]]
-    order = np.argsort(ids, kind="stable")
-    rows = np.append((2 * order[:, None] + [0, 1]).ravel(), np.arange(2 * len(ids), len(one.information)))
-    return replace(take(one, order), ids=ids[order], information=one.information[np.ix_(rows, rows)])
+    order = np.argsort(names.ids)
+    rows = np.append(np.searchsorted(one.ids, names.provisional[order]), np.arange(one.walls, len(one.ids)))
+    return replace(of_landmarks(one, rows), ids=np.append(names.ids[order], one.ids[one.walls :]))
 
 
 def identified(
