@@ -6,12 +6,14 @@ import scipy.linalg
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive, dense
 from tests.slam.rings import NOTHING, dense_solution, observed, reckoned
+from tests.walls import walls_between
 from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.slam.keyframe import fusion, keyframe, linearised, of_places, residual, rows_of, way, without_tags
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_SCALE, RANGE_SCALE, SHARED, Shared
 from tfg_drake.slam.turn import reduced
+from tfg_drake.slam.walls import ends_seen, known_walls
 
 P_ML = np.array([[3.0, 1.0], [2.0, -1.0], [5.0, 0.0], [4.0, 2.0]])
 X_MA, X_AD = np.array([0.3, -0.2, 0.4]), np.array([0.1, 0.0, 0.2])
@@ -322,3 +324,37 @@ def test_a_map_of_walls_is_a_dense_solution():
     np.testing.assert_allclose(solved.X_MN, X_MN, atol=1e-6)
     found, expected = estimate.joint_covariance[:8, :8], covariance[:8, :8]
     assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+def test_two_keyframes_of_walls_fused_say_what_both_say():
+    """Each has its own anchors; the fused one is linearised at the pose between."""
+    first, second, _ = looks_at_walls()
+    X_MN, p, _, covariance = dense_solution(reckoned([first, second], PRIOR))
+    both, between, _ = fusion(first, second, np.zeros(SHARED))
+    np.testing.assert_array_equal(both.anchor, first.anchor)
+    X_few, p_few, _, covariance_few = dense_solution(reckoned([both], PRIOR))
+    at = np.append(np.arange(8), 11 + np.arange(3))
+    expected = covariance[np.ix_(at, at)]
+    sigma = np.sqrt(np.diag(expected))
+    off = np.concatenate([(p_few - p).ravel(), X_few[-1] - X_MN[-1]]) / sigma
+    assert np.abs(off).max() < 0.02
+    assert np.abs((covariance_few[:11, :11] - expected) / np.outer(sigma, sigma)).max() < 0.02
+    np.testing.assert_allclose(between, X_MN[1], atol=0.02)
+
+
+def test_a_wall_reaches_as_far_as_any_keyframe_has_seen_it():
+    """In a fused keyframe and in the graph, whatever anchors they have: by the ends in the world."""
+    truth, X_AB = np.array([[1.0, 2.0], [4.0, 3.0]]), np.array([1.0, 0.2, 0.3])
+    keyframes, X_MA = [], np.zeros(3)
+    for begin, end, at in ((0.3, 0.6, 0.1), (0.0, 0.5, 0.9), (0.4, 1.0, -2.0)):
+        part = truth[0] + np.outer([begin, end], truth[1] - truth[0])
+        seen = walls_between(se2.transform(se2.inverse(X_MA), part)[::-1], at)
+        keyframes.append(of_places(np.array([WALLS_BELOW - 1]), *seen, X_AB, 1e-6 * np.eye(5)))
+        X_MA = se2.compose(X_MA, X_AB)
+    graph = reckoned(keyframes)
+    both, _, _ = fusion(*keyframes[:2], np.zeros(SHARED))
+    three, _, _ = fusion(both, keyframes[2], np.zeros(SHARED))
+    for found, share in ((known_walls(graph)[1][0], 1.0), (ends_seen(three, np.zeros(SHARED))[0], 1.0),
+                         (ends_seen(both, np.zeros(SHARED))[0], 0.6)):  # fmt: skip
+        expected = np.vstack([truth[0] + share * (truth[1] - truth[0]), truth[0]])
+        np.testing.assert_allclose(found, expected, atol=1e-9)

@@ -5,14 +5,18 @@ import pytest
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, WALKS, Drive, measured
 from tests.slam.rings import NOTHING
-from tests.walls import no_walls
+from tests.slam.test_scan_lines import ANGLES, CONFIG, WALLS
+from tests.walls import no_walls, walls_between
 from tfg_drake.geometry import se2
-from tfg_drake.messages import TagDetections, replace
+from tfg_drake.messages import WALLS_BELOW, TagDetections, replace
+from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.localizer import (
     MOST_LOCAL,
+    corrected_by_walls,
     localized_pose,
     new_tags,
+    placed_localizer,
     restart_localizer,
     start_localizer,
     step_localizer,
@@ -20,8 +24,11 @@ from tfg_drake.slam.localizer import (
 )
 from tfg_drake.slam.map_update import finished, updated
 from tfg_drake.slam.odometry_model import arc, predict_increment
+from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import LEAST_SIGMA, SHARED, exactly_known
 from tfg_drake.slam.turn import reduced
+from tfg_drake.slam.walls import FLOOR
+from tfg_drake.slam.walls import no_walls as no_walls_yet
 
 STANDING = np.zeros(2)
 
@@ -378,3 +385,66 @@ def test_consistent_on_drives_with_all_parameters_off(nees):
     assert 0.6 < np.mean(values) < 1.5
     # One sighting in 270 000 is outside its gate, of some 15 000.
     assert outside <= 1
+
+
+def among_walls(sigma):
+    """A map of the walls of a room, which are where they are, and D, known jointly to some sigma; the lines that a
+    scan sees, and from where in M, X_MB (3,)."""
+    rng, X_MD = np.random.default_rng(9), np.array([-1.0, -1.0, 0.3])
+    walls, anchor, reach = walls_between(WALLS[:5].reshape(-1, 2, 2))
+    size = 2 * len(walls) + 3 + SHARED
+    root = sigma * rng.normal(size=(size, size))
+    P = root @ root.T / size
+    estimate = replace(
+        empty_map(), stage=1, ids=WALLS_BELOW - len(walls) + np.arange(len(walls)), p_ML=walls, anchor=anchor,
+        reach=reach, X_MD=X_MD, local=np.arange(len(walls)), covariance=P[:-SHARED, :-SHARED],
+        shared=np.zeros(SHARED), with_shared=P[:, -SHARED:],
+    )  # fmt: skip
+    X_MB = se2.compose(X_MD, np.array([0.4, 0.1, 0.5]))
+    return estimate, scan_lines(scan(WALLS, X_MB, 0.0, ANGLES, np.zeros(len(ANGLES)), CONFIG)), X_MB
+
+
+def test_walls_put_the_robot_where_it_is():
+    estimate, lines, X_MB = among_walls(0.0)
+    off = np.array([0.06, -0.04, 0.02])
+    localizer = placed_localizer(estimate, no_walls_yet(), se2.compose(X_MB, off), np.array([0.1, 0.1, 0.05]))
+    for _ in range(2):
+        localizer, told, contradicted = corrected_by_walls(localizer, lines, STANDING, np.zeros(2))
+        assert (told, contradicted) == (len(lines), 0)
+    assert len(localizer.seen) >= 2
+    X, P = localized_pose(localizer, WALKS, np.zeros(3), 0.0)
+    np.testing.assert_allclose(se2.between(X_MB, X), 0.0, atol=1e-3)
+    # No better than the floor, which all looks at a wall share.
+    assert (np.sqrt(np.diag(P)) > 0.5 * FLOOR.min()).all()
+    assert (np.sqrt(np.diag(P)) < [0.01, 0.01, 0.004]).all()
+
+
+def test_what_it_considers_of_walls_is_what_the_map_knows_of_them_seen_from_the_departure():
+    estimate, lines, X_MB = among_walls(0.02)
+    floor, s = 2.0, len(estimate.ids)
+    walls = replace(no_walls_yet(), floor=floor)
+    localizer = placed_localizer(estimate, walls, X_MB, np.array([0.1, 0.1, 0.05]))
+    localizer, _, _ = corrected_by_walls(localizer, lines, STANDING, np.zeros(2))
+    seen = localizer.seen
+    assert len(seen) >= 2
+    p_DC = se2.transform(se2.inverse(estimate.X_MD), estimate.anchor)
+
+    def in_D(x):
+        """Parameters and the walls seen, as they are in D by anchors that are fixed there."""
+        X_MD, found = x[2 * s : 2 * s + 3], [x[2 * s + 3 :]]
+        for row in seen:
+            angle, distance = x[2 * row : 2 * row + 2]
+            normal = np.array([np.cos(angle), np.sin(angle)])
+            (on_it,) = se2.transform(se2.inverse(X_MD), (estimate.anchor[row] + distance * normal)[None])
+            turned = angle - X_MD[2]
+            found.append([turned, np.array([np.cos(turned), np.sin(turned)]) @ (on_it - p_DC[row])])
+        return np.concatenate(found)
+
+    x = np.concatenate([estimate.p_ML.ravel(), estimate.X_MD, np.zeros(SHARED)])
+    J, P = differences(in_D, x), estimate.joint_covariance
+    expected = J @ P @ J.T
+    expected[SHARED:, SHARED:] += np.diag(np.tile(np.square(floor * FLOOR), len(seen)))
+    np.testing.assert_allclose(localizer.considered, expected, atol=1e-7 * np.abs(expected).max())
+    with_D = J @ P[:, 2 * s : 2 * s + 3]
+    np.testing.assert_allclose(localizer.with_D, with_D, atol=1e-7 * np.abs(with_D).max())
+    np.testing.assert_allclose(localizer.p_DL.ravel(), in_D(x)[SHARED:], atol=1e-12)

@@ -1,9 +1,12 @@
 import numpy as np
+import pytest
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive
 from tests.slam.rings import NOTHING, built, dense_solution, observed, reckoned, ring, way
+from tests.slam.test_keyframe import looks_at_walls
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
+from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import finished, needs_solve, updated
@@ -133,3 +136,34 @@ def test_ways_in_another_unit_are_taken_in_as_a_solve_would():
     deviation = np.sqrt(np.diag(exact.joint_covariance))
     assert np.abs((estimate.shared - whole.shared.mean) / deviation[-SHARED:]).max() < 0.05
     assert np.abs((estimate.p_ML - exact.p_ML).ravel() / deviation[: -3 - SHARED]).max() < 0.05
+
+
+@pytest.mark.parametrize("new", [[0], [0, 1], [1]])
+def test_an_update_by_walls_is_a_dense_solution(new):
+    """Two walls and two tags, some of the walls seen by the last keyframe alone; each keyframe has its own anchors."""
+    *before, last = looks_at_walls()
+    gone = last.ids[new]
+    graph, estimate = solve(reckoned([without_tags(one, gone) for one in before]), 0.0, NOTHING)
+    graph, estimate, rejected = updated(graph, estimate, last)
+    assert not len(rejected)
+    _, estimate = finished(graph, estimate, 1.0, NOTHING)
+    X_MN, p_ML, _, P = dense_solution(graph)
+    at = np.append(np.arange(8), np.arange(14, 17))
+    expected = P[np.ix_(at, at)]
+    deviation = np.sqrt(np.diag(expected))
+    assert np.abs((estimate.p_ML - p_ML).ravel() / deviation[:-3]).max() < 0.05
+    assert np.abs((estimate.X_MD - X_MN[-1]) / deviation[-3:]).max() < 0.05
+    assert np.abs((estimate.covariance - expected) / np.outer(deviation, deviation)).max() < 0.02
+    # A wall that is new has the keyframe's anchor, where that was seen.
+    X_MA = graph.X_MN[-2]
+    np.testing.assert_allclose(estimate.anchor[new], se2.transform(X_MA, last.anchor[new]), atol=0.02)
+
+
+def test_a_wall_that_contradicts_all_else_is_left_out():
+    first, second, last = looks_at_walls()
+    graph, estimate = solve(reckoned([first, second]), 0.0, NOTHING)
+    y_AL = last.y_AL.copy()
+    y_AL[1, 1] += 0.6
+    graph, _, rejected = updated(graph, estimate, replace(last, y_AL=y_AL))
+    np.testing.assert_array_equal(rejected, last.ids[1:2])
+    np.testing.assert_array_equal(graph.keyframes[-1].ids, last.ids[[0, 2, 3]])
