@@ -47,7 +47,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     seen = Visibility(seen.offsets, (np.cumsum(turns.targets.entry >= 0) - 1)[seen.index])
     seen = seen.kept(known_together(seen, covariance))
     count = len(targets.entry)
-    of = (2 * np.arange(0, count, 1 + count // SAMPLE)[:, None] + [0, 1]).ravel()
+    of = (2 * np.arange(0, count, 1 + (count - 1) // SAMPLE)[:, None] + [0, 1]).ravel()
     error, by_targets = np.diag(covariance)[of].sum(), covariance[:, of]
     squared = by_targets @ by_targets.T
     time = time + time_all_round(sensor, explorer)

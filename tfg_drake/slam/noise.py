@@ -25,10 +25,11 @@ MOST = np.array([1.6, 1.6, 1.6, 1.7])
 # Samples kept. The noise is learnt anew when there have been so many times more.
 MOST_SAMPLES = 32
 GROWTH = 3
-# Steps of one learning at most, the longest, and the share of a deviation that is small; step of the differences.
+# Steps of one learning at most, the longest, and that after which the next would be none, in deviations; step of the
+# differences.
 MOST_STEPS = 6
 LONGEST_STEP = 1.0
-SMALL = 0.3
+SMALL = 1.0
 DIFFERENCE = 0.01
 
 
