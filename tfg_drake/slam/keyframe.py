@@ -260,6 +260,20 @@ def linearised(
 
 
 @njit(cache=True)
+def wall_off(
+    wall: FloatArray, p_MC: FloatArray, seen: FloatArray, p_AC: FloatArray, A: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """Angle, rad, and distance, m, of a wall (2,) of the map, by its anchor p_MC (2,), less those that were seen (2,),
+    by an anchor p_AC (2,), from A (3,). And of the distance the derivatives on the wall's angle and on A's x, y, theta;
+    the angle has those of 1 and -1 on the wall's and A's."""
+    c, s, n_x, n_y = math.cos(A[2]), math.sin(A[2]), math.cos(wall[0]), math.sin(wall[0])
+    lever_x, lever_y = c * p_AC[0] - s * p_AC[1], s * p_AC[0] + c * p_AC[1]
+    x, y = A[0] + lever_x - p_MC[0], A[1] + lever_y - p_MC[1]
+    turn, off = wrap(wall[0] - A[2] - seen[0]), wall[1] - n_x * x - n_y * y - seen[1]
+    return turn, off, n_y * x - n_x * y, -n_x, -n_y, n_x * lever_y - n_y * lever_x
+
+
+@njit(cache=True)
 def residual(
     p_ML: FloatArray,
     p_MC: FloatArray,
@@ -285,15 +299,10 @@ def residual(
     for i in range(n + 1):
         a, b = 2 * i, 2 * i + 1
         if i < walls:
-            # The wall's distance from the keyframe's own anchor.
-            l_x, l_y = c * p_AC[i, 0] - s * p_AC[i, 1], s * p_AC[i, 0] + c * p_AC[i, 1]
-            x, y = A[0] + l_x - p_MC[i, 0], A[1] + l_y - p_MC[i, 1]
-            n_x, n_y = math.cos(p_ML[i, 0]), math.sin(p_ML[i, 0])
-            error[a] = wrap(p_ML[i, 0] - A[2] - y_AL[i, 0])
-            error[b] = p_ML[i, 1] - n_x * x - n_y * y - y_AL[i, 1]
-            on[a, 2], on[b, 0], on[b, 1], on[b, 2] = -1.0, -n_x, -n_y, n_x * l_y - n_y * l_x
+            error[a], error[b], by_angle, by_x, by_y, by_theta = wall_off(p_ML[i], p_MC[i], y_AL[i], p_AC[i], A)
+            on[a, 2], on[b, 0], on[b, 1], on[b, 2] = -1.0, by_x, by_y, by_theta
             by_landmark[i, 0, 0], by_landmark[i, 0, 1] = 1.0, 0.0
-            by_landmark[i, 1, 0], by_landmark[i, 1, 1] = n_y * x - n_x * y, 1.0
+            by_landmark[i, 1, 0], by_landmark[i, 1, 1] = by_angle, 1.0
             continue
         if i < n:
             dx, dy = p_ML[i, 0] - A[0], p_ML[i, 1] - A[1]

@@ -18,9 +18,8 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, along_walls, of_landmarks, residual
+from tfg_drake.slam.keyframe import Keyframe, along_walls, of_landmarks, wall_off
 from tfg_drake.slam.odometry_model import wrap
-from tfg_drake.slam.shared import METRES, SHARED
 
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
@@ -332,27 +331,6 @@ def identified(
 
 
 @njit(cache=True)
-def wall_off(
-    wall: FloatArray, p_MC: FloatArray, seen: FloatArray, p_AC: FloatArray, X_MA: FloatArray
-) -> tuple[float, float, FloatArray, FloatArray]:
-    """Angle and distance of a wall (2,) of the map, by its anchor p_MC (2,), less those that were seen (2,), by an
-    anchor p_AC (2,), from X_MA (3,); derivatives (2, 2) on the wall and (2, 3) on the pose."""
-    error, on, by_wall = residual(
-        wall.reshape(1, 2),
-        p_MC.reshape(1, 2),
-        1,
-        seen.reshape(1, 2),
-        p_AC.reshape(1, 2),
-        np.zeros(3),
-        METRES,
-        X_MA,
-        X_MA,
-        np.zeros(SHARED),
-    )
-    return error[0], error[1], by_wall[0].copy(), on[:2, :3].copy()
-
-
-@njit(cache=True)
 def compared(
     seen: FloatArray,
     p_AC: FloatArray,
@@ -375,7 +353,8 @@ def compared(
     squared, far, overlap = np.full((s, k), np.inf), np.full((s, k), np.inf), np.full((s, k), -np.inf)
     at = np.empty(5, dtype=np.int64)
     at[2:] = np.arange(D, D + 3)
-    J = np.empty((2, 5))
+    J = np.zeros((2, 5))
+    J[0, 0], J[0, 4], J[1, 1] = 1.0, -1.0, 1.0
     ends = np.ones((2, 2))
     c, t = math.cos(X_MD[2]), math.sin(X_MD[2])
     for j in range(k):
@@ -383,7 +362,7 @@ def compared(
         P = covariance[at][:, at]
         n_x, n_y = math.cos(wall[j, 0]), math.sin(wall[j, 0])
         for i in range(s):
-            turn, off, by_wall, by_pose = wall_off(wall[j], p_MC[j], seen[i], p_AC[i], X_MD)
+            turn, off, by_angle, by_x, by_y, by_theta = wall_off(wall[j], p_MC[j], seen[i], p_AC[i], X_MD)
             if math.cos(turn) < SAME_DIRECTION:
                 continue
             x = X_MD[0] + c * p_AC[i, 0] - t * p_AC[i, 1] - p_MC[j, 0]
@@ -397,7 +376,7 @@ def compared(
             ends[:, 0] = -seen_reach[i]
             of_ends = ends @ np.array([turn, off])
             far[i, j] = np.abs(of_ends).max()
-            J[:, :2], J[:, 2:] = by_wall, by_pose
+            J[1, 0], J[1, 2], J[1, 3], J[1, 4] = by_angle, by_x, by_y, by_theta
             S = J @ P @ J.T + R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             if np.trace(ends @ S @ ends.T) < 2.0 * MOST_DEVIATION**2:
                 squared[i, j] = (S[1, 1] * turn * turn - 2.0 * S[0, 1] * turn * off + S[0, 0] * off * off) / (
@@ -414,8 +393,9 @@ def _off(
     q = len(row)
     J, off = np.zeros((2 * q, 2 * q + 3)), np.empty(2 * q)
     for k in range(q):
-        of_wall = slice(2 * k, 2 * k + 2)
-        wall, anchor = estimate.p_ML[row[k]], estimate.anchor[row[k]]
-        *off[of_wall], J[of_wall, of_wall], J[of_wall, -3:] = wall_off(wall, anchor, seen[k], p_AC[k], estimate.X_MD)
+        wall, anchor, angle, distance = estimate.p_ML[row[k]], estimate.anchor[row[k]], 2 * k, 2 * k + 1
+        off[angle], off[distance], by_angle, *by_pose = wall_off(wall, anchor, seen[k], p_AC[k], estimate.X_MD)
+        J[angle, [angle, -1]] = 1.0, -1.0
+        J[distance, [angle, distance, -3, -2, -1]] = by_angle, 1.0, *by_pose
     at = np.append((2 * entry[:, None] + [0, 1]).ravel(), len(estimate.covariance) - np.arange(3, 0, -1))
     return off, J @ estimate.covariance[np.ix_(at, at)] @ J.T + R
