@@ -25,6 +25,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import Factors, Unknowns, Values, assemble, batch_gradient, factors_of
+from tfg_drake.slam.surfaces import add_pieces
 
 # Keyframes of a front that has no halves, at most.
 LEAF = 32
@@ -44,6 +45,7 @@ class Front:
     halves: tuple[int, ...]
     keyframes: IntArray
     above: IntArray
+    pieces: IntArray
 
     @property
     def eliminated(self) -> slice:
@@ -182,19 +184,29 @@ def _halves(
     ]
 
 
-def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: IntArray) -> Dissection:
+def dissected(
+    leaf: IntArray, variable: IntArray, keyframe: IntArray, width: IntArray, tied: IntArray, piece: IntArray
+) -> Dissection:
     """The dissection of a graph.
 
     Args:
         leaf: (k,) of each keyframe, as of `leaves`.
         variable, keyframe: (e,) the variables, from 0 to g - 1, that each keyframe has, and which that is.
         width: (g,) unknowns of each variable, 0 where it is left out.
+        tied, piece: (t,) the variables that each piece of surface ties, and which that is.
     """
     depth = int(leaf.max(initial=0)).bit_length()
     number = len(width)
     first, last = np.full(number, 2**depth), np.full(number, -1)
     np.minimum.at(first, variable, leaf[keyframe])
     np.maximum.at(last, variable, leaf[keyframe])
+    lowest = first[tied], last[tied]
+    pieces = int(piece.max(initial=-1)) + 1
+    lower, upper = np.full(pieces, 2**depth), np.full(pieces, -1)
+    np.minimum.at(lower, piece, lowest[0])
+    np.maximum.at(upper, piece, lowest[1])
+    np.minimum.at(first, tied, lower[piece])
+    np.maximum.at(last, tied, upper[piece])
     # What no keyframe has is put into the first leaf.
     unseen = np.flatnonzero(last < 0)
     first[unseen] = last[unseen] = 0
@@ -206,6 +218,8 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
     for (level, i), p in place.items():
         table[level, i] = p
     of = table[up, first >> up]
+    level = np.frexp((lower ^ upper).astype(float))[1]
+    of_piece = table[level, lower >> level] if pieces else np.zeros(0, dtype=np.int64)
     order = np.argsort(of, kind="stable")
     order = order[width[order] > 0]
     at = np.full(number, -1)
@@ -228,7 +242,7 @@ def dissected(leaf: IntArray, variable: IntArray, keyframe: IntArray, width: Int
         for half in halves:
             fronts[half] = dataclasses.replace(fronts[half], above=np.searchsorted(has, fronts[half].boundary))
         keyframes = nothing if halves else np.flatnonzero(leaf == i)
-        fronts.append(Front(has, int(width[of == p].sum()), halves, keyframes, nothing))
+        fronts.append(Front(has, int(width[of == p].sum()), halves, keyframes, nothing, np.flatnonzero(of_piece == p)))
     return Dissection(tuple(fronts), at, int(width.sum()))
 
 
@@ -242,7 +256,7 @@ def _in_order(level: int, i: int) -> list[tuple[int, int]]:
 def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], damping: float = 0.0) -> Elimination:
     """The system eliminated.
 
-    block: the information (f, f) that the keyframes of a leaf have on its unknowns. damping: added to each unknown's.
+    block: the information (f, f) that is in a front first. damping: added to each unknown's.
     Raises numpy.linalg.LinAlgError where it is singular.
     """
     parts: list[tuple[Front, FloatArray, FloatArray]] = []
@@ -251,7 +265,7 @@ def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], dam
     for p, front in enumerate(dissection.fronts):
         size, own = len(front.unknowns), front.own
         # Of a parent only the upper triangle, row by row, is filled: LAPACK's lower one.
-        whole = np.zeros((size, size)) if front.halves else block(front)
+        whole = block(front)
         for half in front.halves:
             extend_add(whole, left.pop(half).T, dissection.fronts[half].above)
         if damping:
@@ -297,9 +311,17 @@ class DissectionSolver:
         keyframe = np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k), np.arange(k)])
         # A landmark's error is in the keyframes that the landmark is in, and the parameters are in all.
         cut = (variable < n) | ((variable >= 2 * n) & (variable < 2 * n + k))
-        leaf = leaves(graph.X_MN[:-1, :2], variable[cut], keyframe[cut])
+        pieces = self.factors.pieces
+        piece = pieces.piece
+        leaf = leaves(
+            graph.X_MN[:-1, :2],
+            np.append(variable[cut], 2 * n + k + 1 + piece),
+            np.append(keyframe[cut], pieces.keyframe),
+        )
+        free = pieces.keyframe > 0
         width = np.repeat([2 * landmarks, 2 * self.factors.has_errors, 3, SHARED], [n, n, k, 1])
-        self._dissection = dissected(leaf, variable, keyframe, width)
+        tied = 2 * n + pieces.keyframe[free] - 1
+        self._dissection = dissected(leaf, variable, keyframe, width, tied, piece[free])
         landmark_at, error_at, node_at, shared_at = np.split(self._dissection.at, [n, 2 * n, 2 * n + k])
         self.unknowns = Unknowns(landmark_at, np.append(-1, node_at), int(shared_at[0]), error_at)
 
@@ -319,7 +341,10 @@ class DissectionSolver:
             entry[front.unknowns] = np.arange(f)
             at = Unknowns(entry[u.landmark_at], entry[u.node_at], int(entry[u.shared_at]), entry[u.error_at])
             entry[front.unknowns] = -SHARED
-            error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
+            if len(front.keyframes):
+                error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
+            if len(front.pieces):
+                error += add_pieces(front.pieces, *factors.pieces, values.X_MN, at.node_at, whole, own)
             gradient[front.unknowns] += own
             if front is first:
                 whole[at.shared_at : at.shared_at + SHARED, at.shared_at : at.shared_at + SHARED] += factors.information
@@ -343,4 +368,7 @@ class DissectionSolver:
         """See `solver.Solver`."""
         gradient = np.zeros(self._dissection.size)
         error = batch_gradient(self.factors.keyframes, values, self.unknowns, gradient)
+        pieces = self.factors.pieces
+        every, none = np.arange(len(pieces.frame)), np.zeros((0, 0))
+        error += add_pieces(every, *pieces, values.X_MN, self.unknowns.node_at, none, gradient)
         return gradient, error + self.factors.priors(values, self.unknowns, gradient)

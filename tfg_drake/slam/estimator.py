@@ -86,10 +86,11 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.reunion import found_again
 from tfg_drake.slam.scan_lines import scan_lines, surface_seen
+from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.turn import SAME_INSTANT, Reduced, TurnFrame, no_detections, reduced
-from tfg_drake.slam.walls import Walls, identified, named, no_lines, same_walls
+from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
@@ -121,6 +122,8 @@ NEARLY_THERE = 0.05
 SCANS = 4
 # A turn or piece is solved with the lines of a scan so often, s: what they tell in between is below their floor.
 LINES_EVERY = 0.2
+# And the points of a scan once the robot has moved so far, m or rad.
+POINTS_WAY, POINTS_TURN = 0.3, 0.3
 # Messages of the first look, and scans that wait for odometry, that are kept, at most: two minutes of them.
 MOST_KEPT = 5000
 # What one scan has seen counts less by this factor with each scan after it. Where of so much surface, m, less than this
@@ -129,6 +132,7 @@ MOST_KEPT = 5000
 FORGET, ENOUGH_SEEN, LEAST_STRAIGHT = 1.0 - 1.0 / 600.0, 500.0, 0.4
 
 _NO_LINES = no_lines()
+_NO_POINTS = np.empty((0, 4))
 
 _log = logging.getLogger("tfg_drake.slam")
 # What somebody can mend is told on the screen, too.
@@ -394,13 +398,13 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
         first, pending = no_detections(scan), state.pending
         if frame <= scan + SAME_INSTANT:
             first, pending = pending[0], pending[1:]
-        lines = no_lines()
+        lines, points = no_lines(), np.empty((0, 4))
         if scan <= frame + SAME_INSTANT:
-            lines = scan_lines(state.unread[0], state.walls.unevenness)
+            lines, points = scan_lines(state.unread[0], state.walls.unevenness), scan_points(state.unread[0])
             state = _with_straightness(state, state.unread[0], lines)
             state = replace(state, unread=state.unread[1:])
         if first.stamp >= state.stamp:
-            state = _step(state, first, pending, lines, only_scan=scan < frame - SAME_INSTANT)
+            state = _step(state, first, pending, lines, points, only_scan=scan < frame - SAME_INSTANT)
         else:
             state = replace(state, pending=pending)
     return state
@@ -433,6 +437,7 @@ def _step(
     frame: TagDetections,
     pending: tuple[TagDetections, ...],
     lines: FloatArray = _NO_LINES,
+    points: FloatArray = _NO_POINTS,
     *,
     only_scan: bool = False,
 ) -> EstimatorState:
@@ -454,8 +459,10 @@ def _step(
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    looks = len(lines) > 0 and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
-    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan)
+    looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
+    open_ = turn if (turn := state.turn) is not None else state.piece
+    here = points if looks and _is_elsewhere(open_, X_OB) else _NO_POINTS
+    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, here, only_scan)
     more = (taken,) if looks or not only_scan else ()
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, *more))
@@ -510,6 +517,17 @@ def _step(
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
     return state
+
+
+def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
+    """Whether the robot has moved on since the newest points of its open turn or piece."""
+    if seen is None:
+        return False
+    for frame in reversed(seen.frames):
+        if len(frame.points):
+            moved = se2.between(frame.X_OB, X_OB)
+            return bool(math.hypot(moved[0], moved[1]) > POINTS_WAY or abs(moved[2]) > POINTS_TURN)
+    return True
 
 
 def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray, most: float) -> LaserScan | None:
@@ -592,7 +610,7 @@ def _reduced_anew(
         anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared, state.walls.floor)
         one = anew.keyframe
         if source.names is not None:
-            one = named(one, source.names)
+            one = beside_walls(named(one, source.names))
         one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))
         if np.array_equal(one.ids, keyframes[at].ids) and same_walls(one, keyframes[at]):
             keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level, floor=state.walls.floor)
@@ -710,7 +728,7 @@ def _with_names(
     if tags.all():
         return seen, source, walls
     names, walls = identified(one, seen.frames, walls, estimate, source.floor)
-    one = named(one, names)
+    one = beside_walls(named(one, names))
     of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls
 

@@ -8,6 +8,7 @@ scale, always with the same sign.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Annotated
 
@@ -35,7 +36,8 @@ class Keyframe:
     scale of its lengths, or METRES, which it is where there are walls. information: W, (2n + 16, 2n + 16). vector: v,
     (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. Where
     more of the cost depends on these than follows from on_error, they are parameters behind s: W is (4n + 16, 4n + 16),
-    and pull (n, 2) their part of v.
+    and pull (n, 2) their part of v. points: (p, 4) of its scans that are in no wall, with their normals, in A, see
+    `scan_points`.
     """
 
     ids: Annotated[IntArray, "n"]
@@ -48,6 +50,7 @@ class Keyframe:
     vector: Annotated[FloatArray, SHARED]
     on_error: Annotated[FloatArray, "n", 2, 2]
     pull: Annotated[FloatArray, "n", 2]
+    points: Annotated[FloatArray, "p", 4] = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
 
     @property
     def walls(self) -> int:
@@ -134,6 +137,12 @@ def joined_reach(
     """The reach (n, 2) of walls (n, 2) from their anchors (n, 2), with another reach (n, 2) from points at (n, 2)."""
     further = other + np.sum((at - anchor) * along_walls(wall), axis=1)[:, None]
     return np.column_stack([np.minimum(reach[:, 0], further[:, 0]), np.maximum(reach[:, 1], further[:, 1])])
+
+
+def moved_points(X_FA: FloatArray, points: FloatArray) -> FloatArray:
+    """Points with normals (p, 4) of A as they are in F: X_FA (3,)."""
+    turned = np.array([0.0, 0.0, X_FA[2]])
+    return np.hstack([se2.transform(X_FA, points[:, :2]), se2.transform(turned, points[:, 2:])])
 
 
 def along_walls(wall: FloatArray) -> FloatArray:
@@ -229,7 +238,9 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     y_AD = np.append(one.y_AD[:2], wrap(float(one.y_AD[2])))
     share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
-    return replace(one, y_AD=y_AD), B * np.array([share, share, 1.0]), deviation
+    X_AB = B * np.array([share, share, 1.0])
+    points = np.vstack([first.points, moved_points(X_AB, second.points)])
+    return replace(one, y_AD=y_AD, points=points), B * np.array([share, share, 1.0]), deviation
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:

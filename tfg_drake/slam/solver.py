@@ -16,6 +16,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import gradient_of, hessian, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.surfaces import Pieces, Points, pieces_of
 
 # Unknowns of the newest pose and the parameters.
 NEWEST = 3 + SHARED
@@ -73,6 +74,7 @@ class Factors:
     mean: FloatArray
     information: FloatArray
     of_errors: FloatArray
+    pieces: Pieces
 
     @property
     def has_errors(self) -> bool:
@@ -161,7 +163,13 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     )
     with np.errstate(divide="ignore"):
         errors = np.where(graph.tag_error > 0.0, graph.tag_error**-2.0, np.inf)
-    return Factors(keyframes, graph.prior.mean, np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float), errors)
+    of_prior = np.asarray(np.linalg.inv(graph.prior.covariance), dtype=float)
+    points = Points(
+        np.repeat(np.arange(len(graph.keyframes)), [len(one.points) for one in graph.keyframes]),
+        np.vstack([one.points for one in graph.keyframes]),
+    )
+    pieces = pieces_of(points, graph.X_MN, len(graph.keyframes))
+    return Factors(keyframes, graph.prior.mean, of_prior, errors, pieces)
 
 
 @njit(cache=True)

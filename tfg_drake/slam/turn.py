@@ -17,7 +17,7 @@ from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message, replace
-from tfg_drake.slam.keyframe import Keyframe, keyframe
+from tfg_drake.slam.keyframe import Keyframe, keyframe, moved_points
 from tfg_drake.slam.measurement import (
     CAMERA,
     COLUMNS,
@@ -30,7 +30,18 @@ from tfg_drake.slam.measurement import (
 )
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
-from tfg_drake.slam.shared import DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE, METRES, RANGE_SCALE, SHARED, Shared, scale_of
+from tfg_drake.slam.shared import (
+    DISTANCE_SCALE,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    METRES,
+    RANGE_SCALE,
+    SCANNER_Y,
+    SCANNER_YAW,
+    SHARED,
+    Shared,
+    scale_of,
+)
 from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
 from tfg_drake.table import empty
 
@@ -134,7 +145,8 @@ class _Solution(NamedTuple):
 class TurnFrame:
     """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
     frame's tags. offset: s, the camera's clock was taken to be so much ahead: the frame's own stamp is later by that.
-    lines: (k, 11) of a scan of that instant, see `scan_lines`. only_scan: the camera took no frame then."""
+    lines: (k, 11) of a scan of that instant, see `scan_lines`, points: (p, 4), see `scan_points`. only_scan: the camera
+    took no frame then."""
 
     stamp: float
     clock: float
@@ -142,6 +154,7 @@ class TurnFrame:
     detections: TagDetections
     offset: float = 0.0
     lines: FloatArray = dataclasses.field(default_factory=no_lines)
+    points: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
     only_scan: bool = False
 
 
@@ -243,12 +256,18 @@ def reduced(
                 solution, kept, slipped = other, other_kept, True
     scale, kept = scale_of(solution.unit, shared.mean), kept[: len(ids)]
     one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept), floor)
+    X_AB = solution.X_AB / np.array([scale, scale, 1.0])
+    yaw, ahead, left = solution.parameters[SCANNER_YAW : SCANNER_Y + 1]
+    points = [np.empty((0, 4))]
+    for k, frame in zip(node, (*frames, end), strict=True):
+        if len(frame.points):
+            points.append(moved_points(se2.compose(X_AB[k], np.array([ahead, left, yaw])), frame.points))
     return Reduced(
-        keyframe=one,
+        keyframe=replace(one, points=np.vstack(points)),
         sightings=np.append(walls, solution.sightings),
         dropped=int(np.sum(~kept)),
         stamps=stamps,
-        X_AB=solution.X_AB / np.array([scale, scale, 1.0]),
+        X_AB=X_AB,
         sample=_sample(problem, solution, kept) if solution.unit != DISTANCE_SCALE and not slipped else None,
     )
 

@@ -39,6 +39,8 @@ PRIOR = np.array([0.25, 0.4, 0.25, 0.1])
 # direction differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
 GATE = 16.0
 SAME_DIRECTION = 0.9
+# A point is on a wall no farther from it than this, m.
+ON_WALL = 0.1
 OVERLAP = 0.3
 # And where it must be is known better than this, m: else anything may be it.
 MOST_DEVIATION = 0.5
@@ -280,6 +282,18 @@ def named(one: Keyframe, names: Names) -> Keyframe:
     order = np.argsort(names.ids)
     rows = np.append(np.searchsorted(one.ids, names.provisional[order]), np.arange(one.walls, len(one.ids)))
     return replace(of_landmarks(one, rows), ids=np.append(names.ids[order], one.ids[one.walls :]))
+
+
+def beside_walls(one: Keyframe) -> Keyframe:
+    """A keyframe without those of its points that are on its walls: no ray tells twice."""
+    w, free = one.walls, np.ones(len(one.points), dtype=bool)
+    for (angle, distance), anchor, reach in zip(one.y_AL[:w], one.anchor[:w], one.reach[:w], strict=True):
+        n = np.array([math.cos(angle), math.sin(angle)])
+        p = one.points[:, :2] - anchor
+        along = p @ [-n[1], n[0]]
+        on = (np.abs(p @ n - distance) < ON_WALL) & (one.points[:, 2:] @ n < -SAME_DIRECTION)
+        free &= ~(on & (along > reach[0] - ON_WALL) & (along < reach[1] + ON_WALL))
+    return replace(one, points=one.points[free])
 
 
 def identified(

@@ -1,0 +1,228 @@
+"""Pieces of surface tie the poses from which they are seen.
+
+The scan points of all keyframes that are in no wall are put into cells of the map and, within one, together with those
+that look the same way. What is in one cell is taken for a straight piece of surface, and each point to lie on it: its
+offset and slope are eliminated at once, so they are no unknowns, and leave ties between the poses of the keyframes that
+see it. Which points are together, and how much each counts, follows from the values that a solve begins with; the
+cells' origin is another in each, so that no surface lies on a border for good.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tfg_drake.messages import FloatArray, IntArray
+
+# Side of a cell, m. Points of one look the same way where their normals, by direction, follow each other within this,
+# rad, and their mean is no shorter than this.
+CELL = 0.3
+SAME_WAY, COMMON = 0.45, 0.8
+# Deviations of a point, m, of all that one keyframe sees of a piece, m, and of the slope of a piece to the mean of its
+# points' normals.
+POINT, FLOOR, SLOPE = 0.02, 0.01, 0.15
+# What a point on an edge tells, as a share: it is another with each place it is seen from.
+EDGE = 0.25
+# Farther off than this, m, a point counts less and less (Cauchy), by weights that have settled after so many rounds.
+ROBUST, ROUNDS = 0.04, 5
+
+
+class Points(NamedTuple):
+    """p scan points of k keyframes. keyframe: (p,) ascending. p_AP: (p, 4) place, m, and unit normal, in its A."""
+
+    keyframe: IntArray
+    p_AP: FloatArray
+
+
+class Pieces(NamedTuple):
+    """g pieces of surface. Piece i has the looks looks[i]:looks[i + 1], each of one keyframe, keyframe (l,). frame:
+    (g, 4) the place in M, m, from which and the unit normal along which its offset counts. moments: (l, 6) sums of the
+    weights, 1/m^2, of a look's points, times 1, x, y, x^2, xy and y^2 in A.
+    """
+
+    frame: FloatArray
+    looks: IntArray
+    keyframe: IntArray
+    moments: FloatArray
+
+    @property
+    def piece(self) -> IntArray:
+        """(l,) of each look."""
+        return np.repeat(np.arange(len(self.frame)), np.diff(self.looks))
+
+
+def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
+    """The pieces of surface that two keyframes or more see, with these at X_MN (k, 3)."""
+    if not len(points.keyframe):
+        none = np.zeros(0, dtype=np.int64)
+        return Pieces(np.zeros((0, 4)), np.zeros(1, dtype=np.int64), none, np.zeros((0, 6)))
+    rng = np.random.default_rng(seed)
+    # An edge is at one place in both directions.
+    edge = ~points.p_AP[:, 2:].any(axis=1)
+    of_kind = [np.flatnonzero(~edge), np.flatnonzero(edge), np.flatnonzero(edge)]
+    kind, every = np.repeat(np.arange(3), [len(some) for some in of_kind]), np.concatenate(of_kind)
+    points = Points(points.keyframe[every], points.p_AP[every])
+    p_MP = np.asarray(in_map(points.keyframe, points.p_AP, X_MN))
+    p_MP[kind > 0, 2:] = np.eye(2)[kind[kind > 0] - 1]
+    cell = np.floor((p_MP[:, :2] + rng.uniform(0.0, CELL, 2)) / CELL).astype(np.int64)
+    cell -= cell.min(axis=0)
+    of_cell = 3 * (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) + kind
+    # Directions from a random one on.
+    direction = (np.arctan2(p_MP[:, 3], p_MP[:, 2]) - rng.uniform(0.0, 2.0 * math.pi)) % (2.0 * math.pi)
+    order = np.lexsort([direction, of_cell])
+    new = (np.diff(of_cell[order], prepend=-1) != 0) | (np.diff(direction[order], prepend=0.0) > SAME_WAY)
+    piece = np.empty(len(order), dtype=np.int64)
+    piece[order] = np.cumsum(new) - 1
+    rows = np.lexsort([points.keyframe, piece])
+    piece, keyframe = piece[rows], points.keyframe[rows]
+    begin = np.flatnonzero((np.diff(piece, prepend=-1) != 0) | (np.diff(keyframe, prepend=-1) != 0))
+    piece, keyframe, begin = piece[begin], keyframe[begin], np.append(begin, len(rows))
+    looks = np.append(np.flatnonzero(np.diff(piece, prepend=-1) != 0), len(piece))
+    mean = np.add.reduceat(p_MP[rows], begin[looks[:-1]], axis=0) / np.diff(begin[looks])[:, None]
+    length = np.hypot(mean[:, 2], mean[:, 3])
+    mean[:, 2:] /= np.maximum(length, COMMON)[:, None]
+    # Those of one keyframe alone tie nothing, and what looks every way is no surface.
+    kept = (np.diff(looks) > 1) & (length > COMMON)
+    some, moments = np.repeat(kept, np.diff(looks)), np.zeros((len(keyframe), 6))
+    worth = np.where(kind > 0, EDGE, 1.0)
+    _weigh(np.flatnonzero(kept), mean, looks, begin, p_MP[rows], points.p_AP[rows], worth[rows], moments)
+    return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe[some], moments[some])
+
+
+@njit(cache=True)
+def in_map(keyframe: IntArray, p_AP: FloatArray, X_MN: FloatArray) -> FloatArray:
+    """(p, 4) points as they are in M, with keyframes at X_MN (k, 3); arguments as of Points."""
+    p_MP = np.empty_like(p_AP)
+    for i in range(len(keyframe)):
+        X = X_MN[keyframe[i]]
+        c, s = math.cos(X[2]), math.sin(X[2])
+        p_MP[i, 0], p_MP[i, 1] = X[0] + c * p_AP[i, 0] - s * p_AP[i, 1], X[1] + s * p_AP[i, 0] + c * p_AP[i, 1]
+        p_MP[i, 2], p_MP[i, 3] = c * p_AP[i, 2] - s * p_AP[i, 3], s * p_AP[i, 2] + c * p_AP[i, 3]
+    return p_MP
+
+
+@njit(cache=True)
+def _weigh(
+    which: IntArray,
+    frame: FloatArray,
+    looks: IntArray,
+    begin: IntArray,
+    p_MP: FloatArray,
+    p_AP: FloatArray,
+    worth: FloatArray,
+    moments: FloatArray,
+) -> None:
+    """Set the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,)."""
+    for g in which:
+        first, last = begin[looks[g]], begin[looks[g + 1]]
+        m_x, m_y, n_x, n_y = frame[g]
+        weight, offset, slope = np.empty(last - first), 0.0, 0.0
+        for _ in range(ROUNDS):
+            S0, S1, S2, g0, g1 = 0.0, 0.0, 1.0 / SLOPE**2, 0.0, 0.0
+            for j in range(looks[g], looks[g + 1]):
+                of_look = 1.0 / (POINT**2 + (begin[j + 1] - begin[j]) * FLOOR**2)
+                for i in range(begin[j], begin[j + 1]):
+                    d_x, d_y = p_MP[i, 0] - m_x, p_MP[i, 1] - m_y
+                    across, along = n_x * d_x + n_y * d_y, n_x * d_y - n_y * d_x
+                    w = worth[i] * of_look / (1.0 + ((across - offset - slope * along) / ROBUST) ** 2)
+                    weight[i - first] = w
+                    S0, S1, S2 = S0 + w, S1 + w * along, S2 + w * along * along
+                    g0, g1 = g0 + w * across, g1 + w * across * along
+            det = S0 * S2 - S1 * S1
+            offset, slope = (S2 * g0 - S1 * g1) / det, (S0 * g1 - S1 * g0) / det
+        for j in range(looks[g], looks[g + 1]):
+            for i in range(begin[j], begin[j + 1]):
+                w, x, y = weight[i - first], p_AP[i, 0], p_AP[i, 1]
+                of = moments[j]
+                of[0], of[1], of[2] = of[0] + w, of[1] + w * x, of[2] + w * y
+                of[3], of[4], of[5] = of[3] + w * x * x, of[4] + w * x * y, of[5] + w * y * y
+
+
+@njit(cache=True)
+def add_pieces(
+    which: IntArray,
+    frame: FloatArray,
+    looks: IntArray,
+    keyframe: IntArray,
+    moments: FloatArray,
+    X_MN: FloatArray,
+    node_at: IntArray,
+    block: FloatArray,
+    gradient: FloatArray,
+) -> float:
+    """Add Hessian and gradient of some pieces of surface, which (q,), to a block (u, u), if it has rows, and gradient
+    (u,) of unknowns, of which those of the pose of keyframe k are the first at node_at[k], negative for none. Returns
+    twice the cost. frame to moments: as of Pieces.
+    """
+    total = 0.0
+    for g in which:
+        first, m = looks[g], looks[g + 1] - looks[g]
+        m_x, m_y, n_x, n_y = frame[g]
+        # In each look's frame: the normal, what it turns to, and the way along; how far A is across and along.
+        of = np.empty((m, 8))
+        S0, S1, S2, g0, g1 = 0.0, 0.0, 1.0 / SLOPE**2, 0.0, 0.0
+        for k in range(m):
+            X, M = X_MN[keyframe[first + k]], moments[first + k]
+            c, s = math.cos(X[2]), math.sin(X[2])
+            a_x, a_y, d_x, d_y = c * n_x + s * n_y, -s * n_x + c * n_y, X[0] - m_x, X[1] - m_y
+            across, along = n_x * d_x + n_y * d_y, n_x * d_y - n_y * d_x
+            of[k, 0], of[k, 1], of[k, 2], of[k, 3] = a_x, a_y, across, along
+            # Sums of the points' distances across and along, weighted.
+            by_x, by_y = a_x * M[1] + a_y * M[2], a_x * M[2] - a_y * M[1]
+            of_across, of_along = by_x + across * M[0], by_y + along * M[0]
+            xx, xy, yy = M[3], M[4], M[5]
+            both = a_x * a_y * (yy - xx) + (a_x * a_x - a_y * a_y) * xy
+            S0, S1 = S0 + M[0], S1 + of_along
+            S2 += a_x * a_x * yy - 2.0 * a_x * a_y * xy + a_y * a_y * xx + 2.0 * along * by_y + along * along * M[0]
+            g0 += of_across
+            g1 += both + along * by_x + across * by_y + across * along * M[0]
+        det = S0 * S2 - S1 * S1
+        I00, I01, I11 = S2 / det, -S1 / det, S0 / det
+        offset, slope = I00 * g0 + I01 * g1, I01 * g0 + I11 * g1
+        total += (slope / SLOPE) ** 2
+        # A point is off by q . p - offset; the pose moves it by q, and turns it by h . p of its place in A.
+        q_x, q_y = n_x + slope * n_y, n_y - slope * n_x
+        by_piece = np.empty((m, 6))
+        for k in range(m):
+            M, at = moments[first + k], node_at[keyframe[first + k]]
+            a_x, a_y, along = of[k, 0], of[k, 1], of[k, 3]
+            u_x, u_y = a_x + slope * a_y, a_y - slope * a_x
+            h_x, h_y, d = u_y, -u_x, of[k, 2] - slope * along - offset
+            e0 = u_x * M[1] + u_y * M[2] + d * M[0]
+            e_x, e_y = u_x * M[3] + u_y * M[4] + d * M[1], u_x * M[4] + u_y * M[5] + d * M[2]
+            total += u_x * e_x + u_y * e_y + d * e0
+            lever = h_x * M[1] + h_y * M[2]
+            t0 = a_x * M[2] - a_y * M[1] + along * M[0]
+            t_x, t_y = a_x * M[4] - a_y * M[3] + along * M[1], a_x * M[5] - a_y * M[4] + along * M[2]
+            by_piece[k] = -q_x * M[0], -q_y * M[0], -lever, -q_x * t0, -q_y * t0, -(h_x * t_x + h_y * t_y)
+            if at < 0:
+                continue
+            gradient[at] += q_x * e0
+            gradient[at + 1] += q_y * e0
+            gradient[at + 2] += h_x * e_x + h_y * e_y
+            if len(block):
+                turn = h_x * h_x * M[3] + 2.0 * h_x * h_y * M[4] + h_y * h_y * M[5]
+                block[at, at] += q_x * q_x * M[0]
+                block[at, at + 1] += q_x * q_y * M[0]
+                block[at + 1, at] += q_x * q_y * M[0]
+                block[at + 1, at + 1] += q_y * q_y * M[0]
+                block[at, at + 2] += q_x * lever
+                block[at + 2, at] += q_x * lever
+                block[at + 1, at + 2] += q_y * lever
+                block[at + 2, at + 1] += q_y * lever
+                block[at + 2, at + 2] += turn
+        for k in range(m if len(block) else 0):
+            at = node_at[keyframe[first + k]]
+            for q in range(m if at >= 0 else 0):
+                other = node_at[keyframe[first + q]]
+                if other < 0:
+                    continue
+                for a in range(3):
+                    u = by_piece[k, a] * I00 + by_piece[k, 3 + a] * I01
+                    v = by_piece[k, a] * I01 + by_piece[k, 3 + a] * I11
+                    for b in range(3):
+                        block[at + a, other + b] -= u * by_piece[q, b] + v * by_piece[q, 3 + b]
+    return total
