@@ -25,7 +25,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import Factors, Unknowns, Values, assemble, batch_gradient, factors_of
-from tfg_drake.slam.surfaces import add_pieces
+from tfg_drake.slam.surfaces import add_pieces, add_ties
 
 # Keyframes of a front that has no halves, at most.
 LEAF = 32
@@ -312,15 +312,18 @@ class DissectionSolver:
         # A landmark's error is in the keyframes that the landmark is in, and the parameters are in all.
         cut = (variable < n) | ((variable >= 2 * n) & (variable < 2 * n + k))
         pieces = self.factors.pieces
-        piece = pieces.piece
+        ties, count = self.factors.ties, len(pieces.frame)
+        of_ties = count + np.arange(len(ties.first))
+        piece = np.concatenate([pieces.piece, of_ties, of_ties])
+        by = np.concatenate([pieces.keyframe, ties.first, ties.second])
         leaf = leaves(
             graph.X_MN[:-1, :2],
             np.append(variable[cut], 2 * n + k + 1 + piece),
-            np.append(keyframe[cut], pieces.keyframe),
+            np.append(keyframe[cut], by),
         )
-        free = pieces.keyframe > 0
+        free = by > 0
         width = np.repeat([2 * landmarks, 2 * self.factors.has_errors, 3, SHARED], [n, n, k, 1])
-        tied = 2 * n + pieces.keyframe[free] - 1
+        tied = 2 * n + by[free] - 1
         self._dissection = dissected(leaf, variable, keyframe, width, tied, piece[free])
         landmark_at, error_at, node_at, shared_at = np.split(self._dissection.at, [n, 2 * n, 2 * n + k])
         self.unknowns = Unknowns(landmark_at, np.append(-1, node_at), int(shared_at[0]), error_at)
@@ -344,7 +347,10 @@ class DissectionSolver:
             if len(front.keyframes):
                 error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
             if len(front.pieces):
-                error += add_pieces(front.pieces, *factors.pieces, values.X_MN, at.node_at, whole, own)
+                of_ties = front.pieces >= len(factors.pieces.frame)
+                some = front.pieces[~of_ties], front.pieces[of_ties] - len(factors.pieces.frame)
+                error += add_pieces(some[0], *factors.pieces, values.X_MN, at.node_at, whole, own)
+                error += add_ties(some[1], *factors.ties, values.X_MN, at.node_at, whole, own)
             gradient[front.unknowns] += own
             if front is first:
                 whole[at.shared_at : at.shared_at + SHARED, at.shared_at : at.shared_at + SHARED] += factors.information
@@ -371,4 +377,6 @@ class DissectionSolver:
         pieces = self.factors.pieces
         every, none = np.arange(len(pieces.frame)), np.zeros((0, 0))
         error += add_pieces(every, *pieces, values.X_MN, self.unknowns.node_at, none, gradient)
+        ties = self.factors.ties
+        error += add_ties(np.arange(len(ties.first)), *ties, values.X_MN, self.unknowns.node_at, none, gradient)
         return gradient, error + self.factors.priors(values, self.unknowns, gradient)

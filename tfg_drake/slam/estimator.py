@@ -728,6 +728,10 @@ def _with_names(
     if tags.all():
         return seen, source, walls
     names, walls = identified(one, seen.frames, walls, estimate, source.floor)
+    import os
+
+    if os.environ.get("NOWALLS"):
+        names = names.__class__(names.provisional[:0], names.ids[:0])
     one = beside_walls(named(one, names))
     of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls

@@ -19,6 +19,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, way, without_tags
 from tfg_drake.slam.shared import Shared
+from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.table import empty, take
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
@@ -62,6 +63,7 @@ class KeyframeGraph:
     shared: Shared
     tag_error: Annotated[FloatArray, 2]
     solver: str = dataclasses.field(default="dissection", metadata={"kept": False})
+    ties: Ties = dataclasses.field(default_factory=no_ties, metadata={"kept": False})
 
     @property
     def X_MA(self) -> FloatArray:

@@ -31,7 +31,7 @@ ITERATIONS = 4
 # this share of the deviation that it had at the last solve.
 FAR_MOVED = 0.05
 LOOSE_HEADING = 0.1
-MANY_KEYFRAMES = 32
+MANY_KEYFRAMES = 1
 NEAREST = 100
 PARAMETER_MOVED = 1.0
 # Directions of the parameters of which a keyframe says less than this, in prior deviations, are left out.

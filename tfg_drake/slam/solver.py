@@ -16,7 +16,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import gradient_of, hessian, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.surfaces import Pieces, Points, pieces_of
+from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of
 
 # Unknowns of the newest pose and the parameters.
 NEWEST = 3 + SHARED
@@ -75,6 +75,7 @@ class Factors:
     information: FloatArray
     of_errors: FloatArray
     pieces: Pieces
+    ties: Ties
 
     @property
     def has_errors(self) -> bool:
@@ -169,7 +170,7 @@ def factors_of(graph: KeyframeGraph) -> Factors:
         np.vstack([one.points for one in graph.keyframes]),
     )
     pieces = pieces_of(points, graph.X_MN, len(graph.keyframes))
-    return Factors(keyframes, graph.prior.mean, of_prior, errors, pieces)
+    return Factors(keyframes, graph.prior.mean, of_prior, errors, pieces, graph.ties)
 
 
 @njit(cache=True)

@@ -92,6 +92,62 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe[some], moments[some])
 
 
+class Ties(NamedTuple):
+    """t pairs of keyframes, first and second (t,), the second at X_AB (t, 3) of the first, by information (3, 3)."""
+
+    first: IntArray
+    second: IntArray
+    X_AB: FloatArray
+    information: FloatArray
+
+
+def no_ties() -> Ties:
+    """None."""
+    none = np.zeros(0, dtype=np.int64)
+    return Ties(none, none, np.zeros((0, 3)), np.zeros((3, 3)))
+
+
+@njit(cache=True)
+def add_ties(
+    which: IntArray,
+    first: IntArray,
+    second: IntArray,
+    X_AB: FloatArray,
+    information: FloatArray,
+    X_MN: FloatArray,
+    node_at: IntArray,
+    block: FloatArray,
+    gradient: FloatArray,
+) -> float:
+    """As add_pieces, of some ties, which (q,)."""
+    total, J, e, at = 0.0, np.zeros((3, 6)), np.empty(3), np.empty(6, dtype=np.int64)
+    for t in which:
+        A, B = X_MN[first[t]], X_MN[second[t]]
+        c, s, dx, dy = math.cos(A[2]), math.sin(A[2]), B[0] - A[0], B[1] - A[1]
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        e[0], e[1] = x - X_AB[t, 0], y - X_AB[t, 1]
+        turn = B[2] - A[2] - X_AB[t, 2]
+        e[2] = turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+        J[0, 0], J[0, 1], J[0, 2], J[0, 3], J[0, 4] = -c, -s, y, c, s
+        J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4] = s, -c, -x, -s, c
+        J[2, 2], J[2, 5] = -1.0, 1.0
+        weighted = information @ e
+        cost = e @ weighted
+        robust = min(1.0, 18.0 / (9.0 + cost)) ** 2
+        total += robust * cost
+        g, H = robust * (J.T @ weighted), robust * (J.T @ information @ J)
+        for a in range(3):
+            at[a] = node_at[first[t]] + a if node_at[first[t]] >= 0 else -1
+            at[3 + a] = node_at[second[t]] + a if node_at[second[t]] >= 0 else -1
+        for a in range(6):
+            if at[a] >= 0:
+                gradient[at[a]] += g[a]
+                for b in range(6 if len(block) else 0):
+                    if at[b] >= 0:
+                        block[at[a], at[b]] += H[a, b]
+    return total
+
+
 @njit(cache=True)
 def in_map(keyframe: IntArray, p_AP: FloatArray, X_MN: FloatArray) -> FloatArray:
     """(p, 4) points as they are in M, with keyframes at X_MN (k, 3); arguments as of Points."""
