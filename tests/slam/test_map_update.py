@@ -9,7 +9,7 @@ from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.map_update import finished, needs_solve, updated
+from tfg_drake.slam.map_update import distance_to, finished, needs_solve, updated
 from tfg_drake.slam.shared import SHARED, exactly_known
 from tfg_drake.slam.turn import reduced
 
@@ -146,7 +146,10 @@ def test_an_update_by_walls_is_a_dense_solution(new):
     graph, estimate = solve(reckoned([without_tags(one, gone) for one in before]), 0.0, NOTHING)
     graph, estimate, rejected = updated(graph, estimate, last)
     assert not len(rejected)
+    # Before it is finished, too: of a large map the next solve depends on it.
+    off = distance_to(estimate, estimate.X_MD)
     _, estimate = finished(graph, estimate, 1.0, NOTHING)
+    np.testing.assert_array_equal(off, distance_to(estimate, estimate.X_MD))
     X_MN, p_ML, _, P = dense_solution(graph)
     at = np.append(np.arange(8), np.arange(14, 17))
     expected = P[np.ix_(at, at)]

@@ -118,13 +118,19 @@ def no_lines() -> FloatArray:
 
 
 def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The walls among some landmarks: ids (w,), both ends (w, 2, 2) as far as they have been seen, in M, m, and the
-    deviations normal to the wall there (w, 2), m."""
+    """The walls among some landmarks: ids (w,), `wall_ends` (w, 2, 2), m in M, and the deviations normal to the wall
+    there (w, 2), m."""
     walls = ~is_tag(known.ids)
-    wall, reach, covariance = known.p_ML[walls], known.reach[walls], known.landmark_covariance[walls]
+    reach, covariance = known.reach[walls], known.landmark_covariance[walls]
     by = np.stack([-reach, np.ones_like(reach)], axis=2)
     variance = np.einsum("wki,wij,wkj->wk", by, covariance, by)
-    return known.ids[walls], ends_of(wall, known.anchor[walls], reach), np.sqrt(np.maximum(variance, 0.0))
+    return known.ids[walls], wall_ends(known), np.sqrt(np.maximum(variance, 0.0))
+
+
+def wall_ends(known: MapEstimate | KeyframeGraph) -> FloatArray:
+    """Both ends (w, 2, 2), m in M, of the walls among some landmarks, as far as they have been seen."""
+    walls = ~is_tag(known.ids)
+    return ends_of(known.p_ML[walls], known.anchor[walls], known.reach[walls])
 
 
 def ends_of(wall: FloatArray, anchor: FloatArray, reach: FloatArray) -> FloatArray:
