@@ -17,9 +17,6 @@ from tfg_drake.slam.keyframe import gradient_of, hessian, residual, rows_of, wit
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 
-# Unknowns of the newest pose and the parameters.
-NEWEST = 3 + SHARED
-
 
 class Keyframes(NamedTuple):
     """k keyframes in flat arrays.
