@@ -335,7 +335,7 @@ def test_what_is_known_of_a_wall_is_compared_with_what_is_seen_of_it():
     squared, far, overlap = compared(seen, p_AC, seen_reach, R, known, p_MC, reach, entry, X_MD, P)
 
     def error(x, k):
-        """Of the wall known and the pose (5,): angle and distance there by the anchor of what is seen, less these."""
+        """Angle and distance of wall k, x: (5,) its own and the pose, by the anchor seen, less those that are seen."""
         anchor, normal = se2.transform(x[2:], p_AC[k][None])[0], np.array([math.cos(x[0]), math.sin(x[0])])
         turned = se2.wrap_angle(x[0] - x[4] - seen[k, 0])
         return np.array([turned, normal @ (p_MC[k] + x[1] * normal - anchor) - seen[k, 1]])

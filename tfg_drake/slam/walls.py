@@ -349,11 +349,11 @@ def compared(
     X_MD: FloatArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of s walls seen (s, 2) from the newest pose, the first that R is of, and k walls (k, 2) of the map: the squared
-    error (s, k) in deviations and how far off (s, k) m, infinite where they look another way or hardly overlap; and how
-    much they overlap (s, k) m.
+    """Squared errors (s, k) in deviations, distances (s, k) m, both infinite where walls look another way or hardly
+    overlap, and overlaps (s, k) m, of s walls seen (s, 2) from the newest pose and k walls (k, 2) of the map.
 
-    p_AC, p_MC, seen_reach, reach: of both. entry: (k,) among the landmarks known jointly.
+    p_AC, p_MC, seen_reach, reach: of both. R: covariance of those seen, which come first in it. entry: (k,) among the
+    landmarks known jointly.
     """
     s, k, D = len(seen), len(wall), len(covariance) - 3
     squared, far, overlap = np.full((s, k), np.inf), np.full((s, k), np.inf), np.full((s, k), -np.inf)
