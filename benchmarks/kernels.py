@@ -157,11 +157,11 @@ def shapely_inside(points: FloatArray, offsets: FloatArray, vertices: FloatArray
 
 def numpy_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
     """Exploitation (c,), nats, by its definition, without new landmarks: the joint covariance of landmarks and pose."""
-    n = 2 * len(known.p_ML)
+    n = 2 * len(known.p_MT)
     gain = np.zeros(len(points))
     for c, point in enumerate(points):
         rows = known.rows[known.offsets[c] : known.offsets[c + 1]]
-        d = known.p_ML[rows] - point
+        d = known.p_MT[rows] - point
         r = np.hypot(*d.T)
         u = d / r[:, None]
         along = u / np.maximum(noise[0] + noise[1] * r, noise[2])[:, None]

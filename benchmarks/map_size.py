@@ -62,7 +62,8 @@ class Synthetic:
             root[2 * i : 2 * i + 2, -1] = 0.002 * across[i]
         root[-3:, -4:-1] = np.diag([0.002, 0.002, 0.001])
         error = root @ self.rng.standard_normal(2 * n + 4)
-        return of_places(rows, p_AL + error[:-3].reshape(-1, 2), X_AD + error[-3:], root @ root.T)
+        none = np.zeros_like(p_AL)
+        return of_places(rows, p_AL + error[:-3].reshape(-1, 2), none, none, X_AD + error[-3:], root @ root.T)
 
     def way(self, k: int) -> Keyframe:
         """The way from view k - 1 to view k as odometry has it."""
@@ -106,6 +107,8 @@ class Plain(Synthetic):
             X_AV=np.zeros((self.before, 3)),
             ids=ids,
             p_ML=se2.transform(X_MW, self.p_WL[ids]),
+            anchor=np.zeros((len(ids), 2)),
+            reach=np.zeros((len(ids), 2)),
             landmark_covariance=np.tile(0.01 * np.eye(2), (len(ids), 1, 1)),
         )
         return solve(graph, 0.0, no_observation())

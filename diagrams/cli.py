@@ -41,7 +41,7 @@ from tfg_drake.diagrams.commands.command_line import (
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
 from tfg_drake.diagrams.commands.map import map_app
 from tfg_drake.diagrams.commands.ros import ros2_app
-from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.screen import Screen, say
 from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.missions import run_folder
 from tfg_drake.mission.interruption import NAMES
@@ -263,7 +263,7 @@ def explore(
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
         if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":
-            print("There is no tag in this world, so no landmark to map; --tag-spacing places some", flush=True)
+            say("There is no tag in this world, so no landmark to map; --tag-spacing places some")
 
         from tfg_drake.diagrams.missions import run
 

@@ -103,10 +103,17 @@ class WarmUp:
 def _start(folder: Path) -> subprocess.Popen[bytes]:
     """A process that compiles what no other does, and leaves a file in a folder for each. Ctrl-C passes it by.
 
+    It imports the package from where this program did, whatever lies in the folder where that was started: kernels are
+    kept beside their sources.
+
     Raises ChildProcessError where it cannot be started.
     """
-    nothing, command = subprocess.DEVNULL, [sys.executable, "-m", MODULE, str(folder)]
+    nothing, command = subprocess.DEVNULL, [sys.executable, "-P", "-m", MODULE, str(folder)]
+    places = [str(Path(kernels.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     try:
-        return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0)
+        return subprocess.Popen(
+            command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0, env=environment
+        )
     except OSError as error:
         raise ChildProcessError(error.errno, error.strerror, command[0]) from error

@@ -17,7 +17,7 @@ import typer.core
 
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput, not_radians
-from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.screen import Screen, say
 from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.mission.interruption import Interruption
 
@@ -109,7 +109,7 @@ def compiling_beside() -> Iterator[WarmUp | None]:
     warm_up: Any = contextlib.nullcontext()
     try:
         if not kernels.are_compiled():
-            print(f"compiling kernels, once per installation, into {kernels.folder()}", flush=True)
+            say(f"compiling kernels, once per installation, into {kernels.folder()}")
             warm_up = contextlib.closing(WarmUp())
     except ChildProcessError as error:
         bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")

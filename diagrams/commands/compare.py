@@ -13,6 +13,7 @@ from pathlib import Path
 from tfg_drake.comparison.measures import MOVING, TIME
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.commands.screen import say
 from tfg_drake.diagrams.missions.sweep import Task, open_sweep, run_local
 
 
@@ -24,7 +25,7 @@ class Progress:
         self._planned, self._there, self._done, self._since = planned, there, 0, time.monotonic()
         self._show = show
         if there:
-            print(f"{there} of {planned} runs are there already", flush=True)
+            say(f"{there} of {planned} runs are there already")
         show(self.line())
 
     def __call__(self, run: Run) -> None:
@@ -32,7 +33,7 @@ class Progress:
         self._done += 1
         self._show(self.line())
         if not sys.stdout.isatty():
-            print(f"{run.method}, seed {run.seed}: {run.outcome}; {self.line()}", flush=True)
+            say(f"{run.method}, seed {run.seed}: {run.outcome}; {self.line()}")
 
     def line(self) -> str:
         """How many runs are done, and how long the rest will take at the speed so far."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.screen import say
 from tfg_drake.percent import percent
 
 if TYPE_CHECKING:
@@ -213,7 +214,7 @@ def open_meshcat() -> Meshcat:
     with contextlib.suppress(RuntimeError):  # Somebody has set up Drake's log already.
         use_native_cpp_logging()
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    print(f"Meshcat: {meshcat.web_url()}", flush=True)
+    say(f"Meshcat: {meshcat.web_url()}")
     return meshcat
 
 

@@ -135,7 +135,7 @@ def export(
         mask = _write_mask(saved, map_file, out) if name == "map_server" else []
     files = [out, out.with_suffix(BESIDE[name]), *mask] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    walls = (len(saved.graph.ids) - len(saved.ids)) // 2
+    walls = len(saved.graph.ids) - len(saved.ids)
     print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), walls)}, {size / 1e3:.0f} kB")
 
 
@@ -233,7 +233,7 @@ def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
     both = merged(a, b)
     _save(both, out)
     tags = len(a.ids) + len(b.ids) - len(both.ids)
-    walls = (len(a.graph.ids) + len(b.graph.ids) - len(both.graph.ids) - tags) // 2
+    walls = len(a.graph.ids) + len(b.graph.ids) - len(both.graph.ids) - tags
     of_both = landmark_counts(len(both.ids), (len(both.graph.ids) - len(both.ids)) // 2)
     print(f"{out}: {of_both}; in both maps: {landmark_counts(tags, walls)}")
     if disputed := sorted({*both.doubtful.tolist()} - {*a.doubtful.tolist(), *b.doubtful.tolist()}):

@@ -10,6 +10,7 @@ from tfg_drake import kernels
 from tfg_drake.cockpit.page import RECORDED, viewer_script
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.screen import say
 
 MOST_PORT = 65535
 
@@ -29,6 +30,6 @@ def open_page(title: str, host: str, port: int | None, *, preview: bool = False,
     except OSError as error:
         where = host if port is None else f"{host}, port {port}"
         bad_input(f"{where}: the page cannot be served there: {(error.strerror or str(error)).lower()}; name another")
-    print(f"page: {cockpit.address}", flush=True)
+    say(f"page: {cockpit.address}")
     with cockpit:
         yield cockpit

@@ -14,6 +14,12 @@ INTERVAL, LONGEST_INTERVAL, SHARE = 2.0, 60.0, 1.0 / 6.0
 LONG = 1.5
 
 
+def say(line: str) -> None:
+    """Print a line by one write: a line of another thread comes before or after it, not within."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
 class Screen:
     """Shows what is done now: as a live line on a terminal, elsewhere as a line now and then.
 
@@ -77,6 +83,6 @@ class Screen:
                 return
             self._written = now
             try:
-                print(self.line(), flush=True)
+                say(self.line())
             except OSError:
                 self._written = math.inf  # Nobody reads on, or the disk is full; what is done is still wanted.

@@ -42,7 +42,7 @@ def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Rob
         bounded = Bounded(scenario, devices)
         if checked:
             checks = check(devices)
-            print(*checks, sep="\n", flush=True)
+            print("".join(f"{line}\n" for line in checks), end="", flush=True)
             refuse(checks)
         yield RobotOf(scenario, devices, [keyboard.requests]), bounded
 

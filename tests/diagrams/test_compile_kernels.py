@@ -71,3 +71,12 @@ def test_the_time_left_goes_by_what_each_costs(few, tmp_path):
     (tmp_path / "1.made").touch()
     (tmp_path / "2").touch()
     assert compiling.left == pytest.approx(100.0 * 2.0 / 14.0, abs=1.0)
+
+
+def test_they_are_compiled_for_the_package_that_this_program_imports(tmp_path, monkeypatch):
+    """Though there is another where it was started, as in a clone whose package is installed besides."""
+    (tmp_path / "tfg_drake").mkdir()
+    (tmp_path / "tfg_drake" / "__init__.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(warm_up, "MODULE", "tfg_drake.notes")
+    assert warm_up._start(tmp_path).wait(60) == 0

@@ -1,4 +1,4 @@
-"""A map of schema 13, 52 s of `house` with a tag every 4 m, in which walls were pairs of points: read as one of today."""
+"""A map of schema 13, 52 s of `house` with a tag every 4 m, its walls pairs of points: read as one of today."""
 
 from pathlib import Path
 

@@ -78,8 +78,10 @@ def test_gtsam_alone_comes_to_the_same_map(drive):
     assert np.abs((found.map.covariance - expected.map.covariance) / np.outer(deviation, deviation)).max() < 1e-5
 
 
-def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(drive, monkeypatch):
-    monkeypatch.setattr(estimator, "SPREAD", 25)
+@pytest.mark.parametrize("spread", [25, None], ids=["some", "as many as there are"])
+def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(drive, monkeypatch, spread):
+    if spread is not None:
+        monkeypatch.setattr(estimator, "SPREAD", spread)
     monkeypatch.setattr(estimator, "JOINT", 30)
     monkeypatch.setattr(map_update, "NEAREST", 20)
     monkeypatch.setitem(map_solver.solve.__kwdefaults__, "joint", 30)
@@ -88,8 +90,9 @@ def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(d
     for _ in range(TURN):
         for message in robot.step(0.0, 1.0):
             state = feed(state, message)
-    near, spread = (end_turn(state, robot.time, explored=explored).map for explored in (False, True))
-    assert len(near.local) < 55 <= len(spread.local) <= len(spread.ids)
+    near, all_over = (end_turn(state, robot.time, explored=explored).map for explored in (False, True))
+    assert len(near.local) < 55 <= len(all_over.local) <= len(all_over.ids)
+    assert spread is not None or all_over.is_joint
 
 
 def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):

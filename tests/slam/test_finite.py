@@ -8,6 +8,7 @@ from tfg_drake.messages import Odometry, replace
 from tfg_drake.slam import estimator
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_detections, process_odometry
 from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.finite import kept_finite
 
 
 @pytest.fixture
@@ -52,3 +53,11 @@ def test_what_cannot_be_solved_is_told_in_a_line(turned, monkeypatch):
     state = begin_turn(state, robot.time)
     with pytest.raises(EstimateLost, match=r"\(Matrix is not positive definite\)"):
         end_turn(state, robot.time)
+
+
+@pytest.mark.parametrize("field", ["p_ML", "X_MD", "covariance", "shared"])
+def test_a_map_that_is_no_number_is_told(turned, field):
+    _, state = turned
+    spoilt = replace(state, map=replace(state.map, **{field: getattr(state.map, field) * np.nan}))
+    with pytest.raises(EstimateLost, match=r"\(its map is not\)"):
+        kept_finite(lambda _: spoilt)(state)

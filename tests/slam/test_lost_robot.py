@@ -1,19 +1,22 @@
 """A pose from one frame of mapped tags; a part of the map that nothing ties to the rest, put in its place."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.slam.rings import NOTHING, observed, way
+from tests.slam.oracle import NOISE
+from tests.slam.rings import NOTHING, observed, reckoned, ring, way
 from tfg_drake.geometry import se2
 from tfg_drake.messages import MapEstimate, TagDetections, replace
 from tfg_drake.slam.estimator_state import unknown_way
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
-from tfg_drake.slam.lost_robot import Expected, realigned, relocalize
+from tfg_drake.slam.localizer import start_localizer
+from tfg_drake.slam.lost_robot import ELSEWHERE, Expected, mapped_elsewhere, realigned, relocalize
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.shared import exactly_known
@@ -187,3 +190,28 @@ def test_a_misread_id_moves_nothing(kidnapped):
     y_AL = seen.y_AL.copy()
     y_AL[row] += 3.0
     assert realigned(graph, estimate, replace(seen, y_AL=y_AL))[0] is graph
+
+
+def test_a_tag_of_the_far_end_of_the_map_that_is_seen_here_is_elsewhere():
+    """The localiser knows those near by for itself; a far one seen where the map has it is where it should be."""
+    graph, estimate = solve(reckoned(ring(3, views=12, laps=0.5)[0]), 0.0, NOTHING, joint=20)
+    state = SimpleNamespace(graph=graph, map=estimate, noise=SimpleNamespace(now=NOISE))
+    distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
+    far = np.argsort(distance)[-3:]
+    assert not np.isin(far, estimate.local).any()
+    assert distance[far].min() > ELSEWHERE + 3.0
+
+    def count(rows, ranges):
+        seen = sight(estimate, rows, estimate.X_MD)
+        return mapped_elsewhere(state, start_localizer(estimate), dataclasses.replace(seen, range=ranges))
+
+    assert count(far, distance[far]) == 0
+    assert count(far, np.full(3, 2.0)) == 3
+    assert count(far, np.append(distance[far[:2]], 2.0)) == 1
+    assert count(estimate.local[:3], np.full(3, 30.0)) == 0
+    assert (
+        mapped_elsewhere(
+            SimpleNamespace(graph=graph, map=None), start_localizer(estimate), sight(estimate, far, estimate.X_MD)
+        )
+        == 0
+    )

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from tfg_drake.slam.keyframe_graph import fused
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import distance_to
 from tfg_drake.slam.shared import SHARED
+from tfg_drake.slam.solver import Values
 from tfg_drake.slam.turn import reduced
 
 # Standard deviations of the tags' constant errors, m and rad.
@@ -272,3 +275,19 @@ def test_the_covariance_is_that_of_the_map_where_headings_are_hardly_known(sigma
     first = 2 * len(graph.ids) + 3 * (len(graph.keyframes) - 1)
     expected = np.diag(covariance)[first : first + 3]
     np.testing.assert_allclose(np.diag(estimate.covariance)[-3:], expected, rtol=0.02)
+
+
+@pytest.mark.parametrize(("best", "share"), [(1.0, 1.0), (0.6, 1.0), (0.4, 0.5), (0.1, 0.125)])
+def test_a_step_that_raises_the_error_is_halved_until_it_lowers_it(best, share):
+    """The error grows with the square of the distance from a share of the step."""
+    graph = reckoned(ring(1, views=2)[0])
+    start = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros(graph.p_ML.shape))
+    unknowns = map_solver.solver_of(graph).unknowns
+    step = np.ones(unknowns.shared_at + SHARED)
+
+    def gradient(values):
+        return None, float(np.mean(values.p_ML - start.p_ML) - best) ** 2
+
+    there, taken = map_solver._lowered(SimpleNamespace(unknowns=unknowns, gradient=gradient), best**2, start, step)
+    assert taken == share
+    np.testing.assert_allclose(there.p_ML, start.p_ML + share)

@@ -6,11 +6,12 @@ from tests.slam.rings import NOTHING, built, dense_solution, observed, reckoned,
 from tests.slam.test_keyframe import looks_at_walls
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
+from tfg_drake.slam import map_update
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.map_update import finished, needs_solve, updated
-from tfg_drake.slam.shared import SHARED, exactly_known
+from tfg_drake.slam.map_update import distance_to, finished, needs_solve, updated
+from tfg_drake.slam.shared import RANGE_SCALE, SHARED, exactly_known
 from tfg_drake.slam.turn import reduced
 
 
@@ -146,7 +147,10 @@ def test_an_update_by_walls_is_a_dense_solution(new):
     graph, estimate = solve(reckoned([without_tags(one, gone) for one in before]), 0.0, NOTHING)
     graph, estimate, rejected = updated(graph, estimate, last)
     assert not len(rejected)
+    # Before it is finished, too: of a large map the next solve depends on it.
+    off = distance_to(estimate, estimate.X_MD)
     _, estimate = finished(graph, estimate, 1.0, NOTHING)
+    np.testing.assert_array_equal(off, distance_to(estimate, estimate.X_MD))
     X_MN, p_ML, _, P = dense_solution(graph)
     at = np.append(np.arange(8), np.arange(14, 17))
     expected = P[np.ix_(at, at)]
@@ -167,3 +171,50 @@ def test_a_wall_that_contradicts_all_else_is_left_out():
     graph, _, rejected = updated(graph, estimate, replace(last, y_AL=y_AL))
     np.testing.assert_array_equal(rejected, last.ids[1:2])
     np.testing.assert_array_equal(graph.keyframes[-1].ids, last.ids[[0, 2, 3]])
+
+
+@pytest.fixture
+def just_solved():
+    """Graph and map of half a ring, solved."""
+    keyframes, _, _ = ring(9, views=10, laps=0.5)
+    return solve(reckoned(keyframes, PRIOR), 0.0, NOTHING)
+
+
+def with_a_landmark_moved(estimate, _, metres):
+    p_ML = estimate.p_ML.copy()
+    p_ML[3, 1] -= metres
+    return replace(estimate, p_ML=p_ML)
+
+
+def with_a_heading_known_to(estimate, _, radians):
+    covariance = estimate.covariance.copy()
+    covariance[-1, -1] = radians**2
+    return replace(estimate, covariance=covariance)
+
+
+def with_a_parameter_moved(estimate, shared, deviations):
+    return replace(estimate, shared=shared.mean - deviations * shared.sigma * np.eye(SHARED)[RANGE_SCALE])
+
+
+@pytest.mark.parametrize(
+    ("changed", "little", "much"),
+    [
+        (with_a_landmark_moved, 0.04, 0.06),
+        (with_a_heading_known_to, 0.09, 0.11),
+        (with_a_parameter_moved, 0.9, 1.1),
+    ],
+)
+def test_any_one_thing_that_has_changed_so_far_has_the_graph_solved(just_solved, changed, little, much):
+    graph, estimate = just_solved
+    assert not needs_solve(graph, graph, estimate)
+    assert not needs_solve(graph, graph, changed(estimate, graph.shared, little))
+    assert needs_solve(graph, graph, changed(estimate, graph.shared, much))
+
+
+def test_the_landmarks_nearest_to_the_robot_are_to_be_known_jointly(just_solved, monkeypatch):
+    graph, _ = just_solved
+    monkeypatch.setattr(map_update, "NEAREST", 20)
+    for joint, enough in ((15, False), (25, True)):
+        graph, estimate = solve(graph, 0.0, NOTHING, joint=joint)
+        assert len(estimate.local) == joint < len(graph.ids)
+        assert needs_solve(graph, graph, estimate) != enough

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import Odometry, TagDetections
+from tfg_drake.messages import Odometry, TagDetections, replace
 from tfg_drake.slam.estimator import (
+    _found_meanwhile,
     begin_turn,
     close_piece,
     end_turn,
+    finished_map,
     pose_estimate,
     process_detections,
     process_odometry,
 )
-from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened
 
 TURN = 201
 LEG = 150
@@ -143,6 +145,40 @@ def test_a_moved_tag_is_mapped_anew(drive, caplog):
     assert tour.map_rmse() < 0.05
 
 
+def test_what_the_whole_map_contradicts_is_taken_back_at_the_end(drive, caplog):
+    """The newest keyframe has the farthest tag that four have seen 1.1 m from where it is."""
+    tour = Tour(drive, 4)
+    for _ in range(4):
+        tour.turn_round()
+        tour.leg(60)
+    state, newest = tour.state, tour.state.graph.keyframes[-1]
+    seen = [one.ids for one in state.graph.keyframes]
+    often = [sum(tag in ids for ids in seen) > 3 for tag in newest.ids]
+    tag = int(newest.ids[np.argmax(often * np.hypot(*newest.y_AL.T))])
+    y_AL = newest.y_AL + 0.8 * (newest.ids == tag)[:, None]
+    spoilt = replace(state.graph, keyframes=(*state.graph.keyframes[:-1], replace(newest, y_AL=y_AL)))
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        tour.state = finished_map(replace(state, graph=spoilt))
+    assert f"taken back, for the map contradicts it: a sighting of tag {tag}" in caplog.text
+    assert tag not in tour.state.graph.keyframes[-1].ids
+    np.testing.assert_array_equal(tour.state.map.doubtful, [tag])
+    assert tour.map_rmse() < 0.05
+
+
+def test_a_tag_that_frames_fail_to_show_is_doubtful_after_the_next_view(drive, caplog):
+    tour = Tour(drive, 3)
+    tour.turn_round()
+    tag, watch = int(tour.state.map.ids[5]), tour.state.watch
+    failed = np.where(watch.ids == tag, 1000, 0)
+    tour.state = replace(tour.state, watch=replace(watch, failed=failed, all_expected=1000, all_seen=990))
+    tour.leg()
+    with caplog.at_level(logging.WARNING, "tfg_drake.slam"):
+        tour.turn_round()
+    assert f"not seen where the map has them: tags {tag}" in caplog.text
+    assert tag in tour.state.map.doubtful
+    assert not tour.state.watch.failed.any()
+
+
 @pytest.mark.parametrize("frames", [1, 2, 6])
 def test_an_id_misread_before_its_tag_is_seen_puts_it_nowhere_wrong(drive, caplog, frames):
     """In one frame it is not believed; in six it is, until the tag itself has been seen."""
@@ -237,3 +273,22 @@ def test_no_piece_can_be_closed_where_none_is_open(drive):
     tour = Tour(drive, 5)
     with pytest.raises(ValueError, match="No piece of the way is open"):
         close_piece(tour.state, 1.0)
+
+
+def test_a_piece_that_began_nobody_knows_where_begins_where_the_robot_has_found_itself_since(drive):
+    """As long as it is not lost, and that tells more."""
+    tour = Tour(drive, 5, period=np.inf)
+    for _ in range(4):
+        tour.leg(64)
+        tour.state = close_piece(tour.state, tour.robot.time)
+    began, begun = tour.robot.X_MB, opened(tour.state)
+    guess = replace(begun, X_MB=begun.X_MB + np.array([4.0, -3.0, 1.0]), sigma=KIDNAPPED)
+    tour.leg(64)
+    found = _found_meanwhile(tour.state, guess)
+    off = se2.between(began, found.X_MB)
+    assert np.abs(off).max() < 0.1
+    assert (found.sigma < 0.2).all()
+    assert found.begin is guess.begin
+    assert _found_meanwhile(replace(tour.state, lost=True), guess) is guess
+    surer = replace(guess, sigma=np.full(3, 1e-4))
+    assert _found_meanwhile(tour.state, surer) is surer

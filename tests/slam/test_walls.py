@@ -35,6 +35,8 @@ from tfg_drake.slam.turn import TAGS, TurnFrame, no_detections, reduced, solved_
 from tfg_drake.slam.turn import _ties as ties_of
 from tfg_drake.slam.walls import (
     FLOOR,
+    LEAST_LENGTH,
+    LEAST_LOOKS,
     OVERLAP,
     PROVISIONAL,
     Names,
@@ -333,7 +335,7 @@ def test_what_is_known_of_a_wall_is_compared_with_what_is_seen_of_it():
     squared, far, overlap = compared(seen, p_AC, seen_reach, R, known, p_MC, reach, entry, X_MD, P)
 
     def error(x, k):
-        """Of the wall known and the pose (5,): angle and distance there by the anchor of what is seen, less these."""
+        """Angle and distance of wall k, x: (5,) its own and the pose, by the anchor seen, less those that are seen."""
         anchor, normal = se2.transform(x[2:], p_AC[k][None])[0], np.array([math.cos(x[0]), math.sin(x[0])])
         turned = se2.wrap_angle(x[0] - x[4] - seen[k, 0])
         return np.array([turned, normal @ (p_MC[k] + x[1] * normal - anchor) - seen[k, 1]])
@@ -398,6 +400,77 @@ def test_a_wall_beside_a_known_one_waits():
         names, _ = identified(solution.keyframe, solution.sightings, walls, map_of(one, covariance=1e-8, moved=moved))
         assert len(names.ids)
         assert np.isin(names.ids, one.ids).all() == found
+
+
+def test_what_may_be_either_of_two_walls_is_neither():
+    """But of two that lie within a hand of each other it is one, whichever."""
+    begin, frames, end = turn()
+    solution = reduced(NOISE, begin, frames, end, SHEET)
+    names, walls = identified(solution.keyframe, solution.sightings, no_walls(), empty_map(SHEET))
+    once = map_of(named(solution.keyframe, names), covariance=0.05**2)
+    n = len(once.ids)
+    for apart, found in ((0.03, True), (0.15, False)):
+        twice = replace(
+            once,
+            ids=np.append(once.ids - n, once.ids),
+            p_ML=np.vstack([once.p_ML + np.array([0.0, apart]), once.p_ML]),
+            anchor=np.tile(once.anchor, (2, 1)),
+            reach=np.tile(once.reach, (2, 1)),
+            local=np.arange(2 * n),
+            covariance=np.diag(np.append(np.full(4 * n, 0.05**2), np.zeros(3))),
+            landmark_covariance=np.tile(once.landmark_covariance, (2, 1, 1)),
+            with_shared=np.zeros((4 * n + 3 + SHARED, SHARED)),
+        )
+        names, _ = identified(solution.keyframe, solution.sightings, walls, twice)
+        assert bool(len(names.ids)) == found
+        assert np.isin(names.ids, twice.ids).all()
+
+
+def test_a_new_wall_is_long_and_has_been_looked_at_often():
+    begin, frames, end = turn()
+    solution = reduced(NOISE, begin, frames, end, SHEET)
+    one, looks = solution.keyframe, solution.sightings
+    all_of_them = set(identified(one, looks, no_walls(), empty_map(SHEET))[0].provisional)
+    assert all_of_them == set(one.ids)
+    for k in (0, one.walls - 1):
+        for few, enough in ((LEAST_LOOKS - 1, False), (LEAST_LOOKS, True)):
+            counts = np.where(np.arange(one.walls) == k, few, looks)
+            new = identified(one, counts, no_walls(), empty_map(SHEET))[0].provisional
+            assert set(new) == all_of_them - (set() if enough else {one.ids[k]})
+        for length, enough in ((0.9 * LEAST_LENGTH, False), (1.1 * LEAST_LENGTH, True)):
+            reach = one.reach.copy()
+            reach[k] = [-0.5 * length, 0.5 * length]
+            new = identified(replace(one, reach=reach), looks, no_walls(), empty_map(SHEET))[0].provisional
+            assert set(new) == all_of_them - (set() if enough else {one.ids[k]})
+
+
+def test_a_wall_seen_again_after_a_turn_round_is_one_landmark():
+    """By odometry, which turns two per cent too far, it stands elsewhere by then."""
+    counts = []
+    for share in (1.0, 1.02):
+        begin, frames, end = turn(steps=135)
+        frames = tuple(replace(one, X_OB=share * one.X_OB) for one in frames)
+        one = reduced(NOISE, begin, frames, replace(end, X_OB=share * end.X_OB), SHEET).keyframe
+        assert end.X_OB[2] > 2.0 * np.pi + 1.0
+        assert one.y_AD[2] == pytest.approx(se2.wrap_angle(end.X_OB[2]), abs=5e-3)
+        counts.append(one.walls)
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.parametrize("sides", [4, 60])
+def test_where_hardly_anything_is_straight_the_operator_is_told_once(sides, caplog):
+    """In a room as good as round; a square one is as good as any."""
+    a = 2.0 * np.pi * np.arange(sides + 1) / sides
+    corners = 3.0 * np.column_stack([np.cos(a), np.sin(a)])
+    room, rng, state = np.hstack([corners[:-1], corners[1:]]), np.random.default_rng(5), initial_state(OdometryConfig())
+    state = begin_turn(process_odometry(state, Odometry(0.0, np.zeros(3), np.zeros(2))), 0.0)
+    for i in range(1, 401):
+        stamp, X = 0.1 * i, np.array([0.0, 0.0, 0.06 * i])
+        state = process_scan(state, scan(room, X, stamp, ANGLES, rng.normal(size=len(ANGLES)), CONFIG))
+        state = process_odometry(state, Odometry(stamp, X, np.array([0.0, 0.6])))
+        state = end_turn(state, stamp) if i == 120 else state
+    told = [record for record in caplog.records if "walls are not straight" in record.getMessage()]
+    assert len(told) == (sides == 60)
 
 
 def drive(state, seed, noise, legs, spoil=lambda scanned: scanned):

@@ -21,7 +21,7 @@ def g2o_text(saved: SavedMap) -> str:
 
 
 def landmark_base(saved: SavedMap) -> int:
-    """What is added to a tag's id to make the number of its vertex: a power of ten beyond all poses and walls."""
+    """Offset from a tag's id to the number of its vertex: a power of ten beyond all poses and walls."""
     walls = WALLS_BELOW - int(np.min(saved.graph.ids, initial=WALLS_BELOW))
     least = len(saved.graph.X_MN) + walls - min(int(np.min(saved.ids, initial=0)), 0)
     base = 10

@@ -15,7 +15,7 @@ from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, is_tag, replace
 from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
-from tfg_drake.slam.walls import ends_of
+from tfg_drake.slam.walls import wall_ends
 from tfg_drake.table import concat, put, take
 from tfg_drake.tfg.near import radius_of, within
 
@@ -41,8 +41,7 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     here = estimate.X_MA[-1, :2]
     far = radius + sight
     tags = is_tag(estimate.ids)
-    ends = ends_of(estimate.p_ML[~tags], estimate.anchor[~tags], estimate.reach[~tags])
-    walls = within(ends.reshape(-1, 2), here, far).reshape(-1, 2).any(axis=1)
+    walls = within(wall_ends(estimate).reshape(-1, 2), here, far).reshape(-1, 2).any(axis=1)
     landmarks = np.append(walls, within(estimate.p_ML[tags], here, far))
     near = {
         "m": clearance(tfg.segments, np.tile(here, 2)[None], np.inf) <= far,

@@ -18,7 +18,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Obs
 from tfg_drake.slam.keyframe import Keyframe, placed, residual, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
-from tfg_drake.slam.walls import known_walls
+from tfg_drake.slam.walls import wall_ends
 
 # Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
 # misread, has been moved or is tied to the wrong place. What comes of that, `evidence` says.
@@ -64,7 +64,7 @@ class _Update:
 def distance_to(known: MapEstimate | KeyframeGraph, X: FloatArray) -> FloatArray:
     """Distances (n,), m, of landmarks from a pose X_MX (3,); of a wall that of what has been seen of it."""
     off = known.p_ML - X[:2]
-    _, ends, _ = known_walls(known)
+    ends = wall_ends(known)
     along = ends[:, 1] - ends[:, 0]
     share = -np.sum((ends[:, 0] - X[:2]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
     off[: len(along)] = ends[:, 0] + np.clip(share, 0.0, 1.0)[:, None] * along - X[:2]

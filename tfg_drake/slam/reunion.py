@@ -20,7 +20,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
 from tfg_drake.slam.lost_robot import PLACED, adrift, is_unknown, seen_by
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.wall_search import LEAST_SINE, find_place, matched
-from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, known_walls
+from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, wall_ends
 
 Ways = tuple[tuple[Sighted, Source | None], ...]
 
@@ -42,7 +42,7 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    X = _place(ends_seen(view, graph.shared.mean), known_walls(estimate)[1][known], at)
+    X = _place(ends_seen(view, graph.shared.mean), wall_ends(estimate)[known], at)
     if X is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)

@@ -18,9 +18,6 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of
 
-# Unknowns of the newest pose and the parameters.
-NEWEST = 3 + SHARED
-
 
 class Keyframes(NamedTuple):
     """k keyframes in flat arrays.

@@ -120,13 +120,19 @@ def no_lines() -> FloatArray:
 
 
 def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The walls among some landmarks: ids (w,), both ends (w, 2, 2) as far as they have been seen, in M, m, and the
-    deviations normal to the wall there (w, 2), m."""
+    """The walls among some landmarks: ids (w,), `wall_ends` (w, 2, 2), m in M, and the deviations normal to the wall
+    there (w, 2), m."""
     walls = ~is_tag(known.ids)
-    wall, reach, covariance = known.p_ML[walls], known.reach[walls], known.landmark_covariance[walls]
+    reach, covariance = known.reach[walls], known.landmark_covariance[walls]
     by = np.stack([-reach, np.ones_like(reach)], axis=2)
     variance = np.einsum("wki,wij,wkj->wk", by, covariance, by)
-    return known.ids[walls], ends_of(wall, known.anchor[walls], reach), np.sqrt(np.maximum(variance, 0.0))
+    return known.ids[walls], wall_ends(known), np.sqrt(np.maximum(variance, 0.0))
+
+
+def wall_ends(known: MapEstimate | KeyframeGraph) -> FloatArray:
+    """Both ends (w, 2, 2), m in M, of the walls among some landmarks, as far as they have been seen."""
+    walls = ~is_tag(known.ids)
+    return ends_of(known.p_ML[walls], known.anchor[walls], known.reach[walls])
 
 
 def ends_of(wall: FloatArray, anchor: FloatArray, reach: FloatArray) -> FloatArray:
@@ -357,11 +363,11 @@ def compared(
     X_MD: FloatArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of s walls seen (s, 2) from the newest pose, the first that R is of, and k walls (k, 2) of the map: the squared
-    error (s, k) in deviations and how far off (s, k) m, infinite where they look another way or hardly overlap; and how
-    much they overlap (s, k) m.
+    """Squared errors (s, k) in deviations, distances (s, k) m, both infinite where walls look another way or hardly
+    overlap, and overlaps (s, k) m, of s walls seen (s, 2) from the newest pose and k walls (k, 2) of the map.
 
-    p_AC, p_MC, seen_reach, reach: of both. entry: (k,) among the landmarks known jointly.
+    p_AC, p_MC, seen_reach, reach: of both. R: covariance of those seen, which come first in it. entry: (k,) among the
+    landmarks known jointly.
     """
     s, k, D = len(seen), len(wall), len(covariance) - 3
     squared, far, overlap = np.full((s, k), np.inf), np.full((s, k), np.inf), np.full((s, k), -np.inf)

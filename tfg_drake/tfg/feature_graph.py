@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, message, replace
-from tfg_drake.slam.walls import known_walls
+from tfg_drake.slam.walls import wall_ends
 from tfg_drake.table import concat, take
 from tfg_drake.tfg.frontier import FrontierPoints, place_points
 from tfg_drake.tfg.near import within
@@ -94,7 +94,7 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
     part = take(graph, **rows)
     anchors = np.concatenate([part.tag_ids, part.surfaces.ids.ravel(), estimate.observation.ids])
     landmarks = near(estimate.places) | np.isin(estimate.ids, anchors)
-    _, ends, _ = known_walls(estimate)
+    ends = wall_ends(estimate)
     landmarks[: len(ends)] |= near(ends[:, 0]) | near(ends[:, 1])
     return Part(rows, part, estimate.of_landmarks(landmarks))
 

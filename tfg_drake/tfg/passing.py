@@ -20,7 +20,7 @@ from tfg_drake.geometry.distance import point_distance, point_segment_distance
 from tfg_drake.geometry.se2 import inverse, transform, wrap_angle
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag, replace
-from tfg_drake.slam.walls import known_walls
+from tfg_drake.slam.walls import wall_ends
 from tfg_drake.table import taken
 from tfg_drake.tfg.drift import NEIGHBOURHOOD, drift_from_robot, known_jointly
 from tfg_drake.tfg.panorama import Panorama
@@ -153,7 +153,7 @@ def _well_known(places: FloatArray, estimate: MapEstimate) -> BoolArray:
     (n,)."""
     (xx, xy), (_, yy) = drift_from_robot(estimate, estimate.local).transpose(1, 2, 0)
     badly = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy) > WELL_KNOWN**2
-    p_ML, tags, walls = estimate.local_p_ML, is_tag(estimate.ids[estimate.local]), known_walls(estimate)[1]
+    p_ML, tags, walls = estimate.local_p_ML, is_tag(estimate.ids[estimate.local]), wall_ends(estimate)
     near, well = np.zeros((2, len(places)), dtype=np.bool_)
     well[:] = True
     for segments, unsure, reach in (

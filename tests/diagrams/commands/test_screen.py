@@ -32,6 +32,14 @@ def test_what_takes_long_is_said_again(capsys, monkeypatch):
     assert capsys.readouterr().out == ""
 
 
+def test_a_line_is_written_whole(monkeypatch):
+    """Two writes a line, as print has them, let a line of another thread in."""
+    written = []
+    monkeypatch.setattr(screen.sys, "stdout", type("Stream", (), {"write": written.append, "flush": lambda: None}))
+    screen.say("page: here")
+    assert written == ["page: here\n"]
+
+
 def test_what_is_soon_done_is_not_said(capsys, monkeypatch):
     monkeypatch.setattr(screen, "INTERVAL", 1e6)
     with screen.Screen() as show:
