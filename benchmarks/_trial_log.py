@@ -25,24 +25,30 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.messages import replace
 import os
 LOOPS=int(os.environ.get("LOOPS","1")); SEARCH=[ls.LoopSearch()]; NL=[0]; TS=[0.]
+ls.VERB=bool(os.environ.get("VERB"))
 def close_loops(state):
     t=time.process_time()
     g=replace(state.graph,p_ML=state.map.p_ML)
-    C=state.map.covariance; sig=np.array([math.sqrt(C[-3,-3]+C[-2,-2]),math.sqrt(C[-1,-1])])
-    SEARCH[0],loops=ls.searched(SEARCH[0],g.keyframes,g.X_MN,g.shared.mean,sig)
+    C=state.map.covariance; m=2*len(state.map.local) if hasattr(state.map,"local") else len(C)-19+0
+    sig=np.array([math.sqrt(C[-3,-3]+C[-2,-2]),math.sqrt(C[-1,-1])])
+    SEARCH[0],new=ls.searched(SEARCH[0],g,sig)
     TS[0]+=time.process_time()-t
-    if not loops: return state
-    info=np.diag(np.array([.05,.05,.01])**-2.)
-    ties=Ties(np.array([l.old for l in loops]),np.array([l.newest for l in loops]),np.array([l.X_AB for l in loops]),info)
+    if not new: return state
+    known={(l.old,l.newest) for l in SEARCH[0].closed}
+    new=tuple(l for l in new if (l.old,l.newest) not in known)
     before=g.X_MN[-1].copy()
-    g1,_=solve(replace(g,ties=ties),state.map.stamp,state.map.observation)
-    g2,est=solve(replace(g1,ties=no_ties()),state.map.stamp,state.map.observation)
-    off=[np.abs(se2.between(l.X_AB,se2.between(g2.X_MN[l.old],g2.X_MN[l.newest]))) for l in loops]
+    far=[ls.still_open(g,l) for l in new]
+    if any(far):
+        g=ls.bent(g,SEARCH[0].closed,new)
+        for _ in range(2): g,est=solve(g,state.map.stamp,state.map.observation)
+        opened=[ls.still_open(g,l) for l in new]
+        print(f"  loop {new[-1].old}-{new[-1].newest} n {len(new)} off {new[-1].off:.2f} rival {new[-1].rival:.2f} moved {np.hypot(*(g.X_MN[-1]-before)[:2]):.2f} open {opened}",flush=True)
+        if any(opened):
+            SEARCH[0]=replace(SEARCH[0],candidates=()); return state
     NL[0]+=1
-    moved=np.hypot(*(g2.X_MN[-1]-before)[:2])
-    if moved>.1: print(f"  loop {loops[-1].old}-{loops[-1].newest} way {loops[-1].way:.0f} n {len(loops)} off {loops[-1].off:.2f} rival {loops[-1].rival:.2f} moved {moved:.2f} left {off[-1].round(3)} sig {sig.round(3)}",flush=True)
-    SEARCH[0]=replace(SEARCH[0],candidates=())
-    return replace(state,graph=g2,solved=g2,map=est,published=est.of_tags,localizer=start_localizer(est,state.walls))
+    SEARCH[0]=replace(SEARCH[0],closed=(*SEARCH[0].closed,*new),tied=new[-1].newest)
+    if not any(far): return state
+    return replace(state,graph=g,solved=g,map=est,published=est.of_tags,localizer=start_localizer(est,state.walls))
 scans=iter(log.scans); scan=next(scans,None); last=None; length=0.; n=0; stamps=[]; t0=time.process_time(); pieces=0; begin=None
 for odo in log.odometry:
     while scan is not None and scan.stamp<=odo.stamp:
@@ -74,4 +80,4 @@ t2=time.process_time()
 X2=errors(state,"final")
 print("loops",NL,TS,"CPU", t1-t0, t2-t1, len(state.graph.keyframes), sum(len(k.points) for k in state.graph.keyframes) if hasattr(state.graph.keyframes[0],"points") else 0)
 np.savez(f"/tmp/log_{name}.npz", X=X2, at=np.array([s.stamp for s in log.scans]))
-import pickle; pickle.dump(state, open(f"/tmp/log_{name}_{Path.cwd().name}.pkl","wb"))
+import pickle; pickle.dump((state, stamps), open(f"/tmp/log_{name}_{os.environ.get(chr(84)+chr(65)+chr(71),chr(120))}.pkl","wb"))

@@ -15,7 +15,11 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message, replace
-from tfg_drake.slam.keyframe import Keyframe, moved_points
+from tfg_drake.slam.dissection import DissectionSolver
+from tfg_drake.slam.keyframe import Keyframe, moved_points, rows_of, way
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, moved_part
+from tfg_drake.slam.map_solver import solved
+from tfg_drake.slam.surfaces import Ties
 from tfg_drake.slam.walls import ends_seen
 
 # Way, m, that counts as lately, and after which a place is an old one; way of old keyframes that are searched at once.
@@ -31,29 +35,35 @@ RESOLUTION, BLUR, STEP, TURN, SPACING = 0.1, 0.15, 0.25, 0.03, 0.1
 # The coarse search: least share of points on old ones; the fit: gates, m, and the share within ON of old surfaces.
 LEAST_SCORE, GATES, ON, LEAST_SHARE = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), 0.1, 0.5
 # Loops agree, m and rad, and a share of the way between; along so much way.
+LEAST_POINTS = 30
+VERB = False
+BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
+
+
+LAST = [0.0, 0.0]
 
 
 @message
 class Loop:
-    """A keyframe, newest, that lies at X_AB (3,) of an old one, at way, m, of the newest. rival: how well the second
-    best place does, as a share. off: m, from where the graph had it."""
+    """A view, newest, that lies at X_AB (3,) of an old one, as it was found. rival: how well the second best place
+    does, as a share. off: m, from where the graph had it."""
 
     old: int
     newest: int
     X_AB: FloatArray
-    way: float
     rival: float
     off: float
 
 
 @message
 class LoopSearch:
-    """The candidates of late, and the way, m, at the last search."""
+    """The candidates of late, the loops that are closed, and the newest views of the last search and the last loop."""
 
     candidates: tuple[Loop, ...] = ()
-    searched: float = -math.inf
-    tied: float = 0.0
+    closed: tuple[Loop, ...] = ()
+    searched: int = 0
+    tied: int = 0
 
 
 def seen_by(one: Keyframe, shared: FloatArray) -> FloatArray:
@@ -69,63 +79,103 @@ def seen_by(one: Keyframe, shared: FloatArray) -> FloatArray:
     return np.vstack(parts)
 
 
-def searched(
-    search: LoopSearch,
-    keyframes: tuple[Keyframe, ...],
-    X_MN: FloatArray,
-    shared: FloatArray,
-    sigma: FloatArray,
-) -> tuple[LoopSearch, tuple[Loop, ...]]:
-    """The search with the newest keyframe, and the loops that are believed with it. X_MN: (k + 1, 3); sigma: (2,)
-    standard deviations of the newest pose, m and rad."""
-    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(X_MN[:, :2], axis=0).T)))
-    newest = len(keyframes) - 1
-    if way[newest] < search.searched + EVERY:
+def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tuple[LoopSearch, tuple[Loop, ...]]:
+    """The search at a graph's newest view, and the loops that are believed with it. sigma: (2,) standard deviations of
+    the newest pose, m and rad."""
+    X = graph.X_MA
+    newest, way = len(X) - 1, _way(X)
+    if way[newest] < way[search.searched] + EVERY:
         return search, ()
-    since = way[newest] - max(search.tied, 0.0)
+    since = way[newest] - way[search.tied]
     window = np.minimum(LEAST_WINDOW + DEVIATIONS * sigma + DRIFT * since, MOST_WINDOW)
-    old = np.flatnonzero(way[:newest] < way[newest] - LONG_AGO)
-    apart = np.hypot(*(X_MN[old, :2] - X_MN[newest, :2]).T)
-    old = old[apart < WITHIN + window[0]]
+    old = np.flatnonzero(way < way[newest] - LONG_AGO)
+    apart = np.hypot(*(X[old, :2] - X[newest, :2]).T)
+    near = apart < WITHIN + window[0]
+    old, apart = old[near], apart[near]
     if not len(old):
         return search, ()
-    nearest = old[np.argmin(np.hypot(*(X_MN[old, :2] - X_MN[newest, :2]).T))]
+    search = replace(search, searched=newest)
+    nearest = old[np.argmin(apart)]
     group = old[np.abs(way[old] - way[nearest]) < AT_ONCE]
-    recent = np.flatnonzero(way[: newest + 1] > way[newest] - LATELY)
-    before = np.vstack([moved_points(X_MN[j], seen_by(keyframes[j], shared)) for j in group])
-    here = [moved_points(se2.between(X_MN[newest], X_MN[j]), seen_by(keyframes[j], shared)) for j in recent]
-    query = np.vstack(here)
-    search = replace(search, searched=float(way[newest]))
-    if min(len(before), len(query)) < 30:
+    before = _seen_from(graph, group, np.zeros(3))
+    query = _seen_from(graph, np.flatnonzero(way > way[newest] - LATELY), X[newest])
+    if min(len(before), len(query)) < LEAST_POINTS:
         return search, ()
     query = query[np.random.default_rng(newest).permutation(len(query))[:QUERY]]
-    found = _placed(before, query, X_MN[newest], window)
+    found = _placed(before, query, X[newest], window)
+    if VERB: print(f'    S {newest} way {way[newest]:.0f} near {nearest} d {apart.min():.2f} group {len(group)} window {window[0]:.2f} {window[1]:.2f} since {since:.0f} sig {sigma[0]:.3f} {sigma[1]:.3f} pts {len(before)} {len(query)}', 'off %.2f %.3f rival %.2f' % (*(lambda d: (math.hypot(d[0],d[1]),d[2]))(se2.between(X[newest],found[0])), found[1]) if found else None, LAST)
     if found is None:
         return search, ()
-    X, rival = found
-    loop = Loop(
-        int(nearest),
-        newest,
-        se2.between(X_MN[nearest], X),
-        float(way[newest]),
-        rival,
-        math.dist(X[:2], X_MN[newest, :2]),
-    )
-    agree = tuple(other for other in search.candidates if _agree(loop, other, X_MN))
-    late = tuple(other for other in search.candidates if other.way > way[newest] - ALONG)
-    search = replace(search, candidates=(*late, loop))
+    there, rival = found
+    off = math.dist(there[:2], X[newest, :2])
+    loop = Loop(int(nearest), newest, se2.between(X[nearest], there), rival, off)
+    agree = tuple(other for other in search.candidates if _agree(loop, other, X, way))
+    late = tuple(other for other in search.candidates if way[other.newest] > way[newest] - ALONG)
     if len(agree) < (2 if loop.off > 0.3 or rival > 0.9 else 1):
-        return search, ()
-    return replace(search, tied=float(way[newest])), (*agree, loop)
+        return replace(search, candidates=(*late, loop)), ()
+    return replace(search, candidates=(*late, loop)), (*agree, loop)
 
 
-def _agree(one: Loop, other: Loop, X_MN: FloatArray) -> bool:
+def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) -> KeyframeGraph:
+    """A graph whose way is bent, as little as may be, so that new loops close and those closed before stay so; its
+    landmarks are moved with the keyframes that saw them last."""
+    X_MN, X_MA = graph.X_MN, graph.X_MA
+    step = se2.between(X_MN[:-1], X_MN[1:])
+    length, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    variance = np.column_stack([BEND[0] ** 2 * length + 1e-6] * 2 + [BEND[1] ** 2 * (length + turn) + 1e-8])
+    ways = tuple(way(one, np.diag(of)) for one, of in zip(step, variance, strict=True))
+    loops = (*closed, *new)
+    first, second = (np.array([graph.view_keyframe[v] for v in of]) for of in zip(*((l.old, l.newest) for l in loops)))
+    X_AB = [
+        loop.X_AB if loop in new else se2.between(X_MA[loop.old], X_MA[loop.newest]) for loop in loops
+    ]
+    of_view = graph.X_AV
+    X_AB = np.array([
+        se2.compose(se2.compose(of_view[loop.old], X), se2.inverse(of_view[loop.newest]))
+        for loop, X in zip(loops, X_AB, strict=True)
+    ])
+    tie = Ties(first, second, X_AB, np.diag(TIE**-2.0))
+    bare = replace(
+        empty_graph(graph.prior), keyframes=ways, X_MN=X_MN, view_keyframe=graph.view_keyframe, X_AV=of_view, ties=tie
+    )
+    bare, _ = solved(bare, DissectionSolver(bare), np.zeros(0, dtype=np.int64), len(ways))
+    last = np.zeros(len(graph.ids), dtype=np.int64)
+    for k, one in enumerate(graph.keyframes):
+        last[rows_of(one.ids, graph.ids)[0]] = k
+    for k in np.unique(last):
+        move = se2.compose(bare.X_MN[k], se2.inverse(X_MN[k]))
+        graph = moved_part(graph, last == k, move)
+    return replace(graph, X_MN=bare.X_MN)
+
+
+def still_open(graph: KeyframeGraph, loop: Loop) -> bool:
+    """Whether a graph does not agree with a loop."""
+    X = graph.X_MA
+    off = se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest]))
+    return math.hypot(off[0], off[1]) > AGREE[0] or abs(se2.wrap_angle(off[2])) > AGREE[1]
+
+
+def _way(X: FloatArray) -> FloatArray:
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(X[:, :2], axis=0).T)))
+
+
+def _seen_from(graph: KeyframeGraph, views: IntArray, X_MF: FloatArray) -> FloatArray:
+    """(p, 4) points with normals in F, seen by the keyframes of some views."""
+    shared, X_FM = graph.shared.mean, se2.inverse(X_MF)
+    parts = [
+        moved_points(se2.compose(X_FM, graph.X_MN[k]), seen_by(graph.keyframes[k], shared))
+        for k in np.unique(graph.view_keyframe[views])
+    ]
+    return np.vstack(parts)
+
+
+def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
     """Whether two loops close: the way between the new ends, and that between the old ones."""
-    between = one.way - other.way
+    between = way[one.newest] - way[other.newest]
     if between > ALONG:
         return False
-    there = se2.compose(one.X_AB, se2.between(X_MN[one.newest], X_MN[other.newest]))
-    back = se2.compose(se2.between(X_MN[one.old], X_MN[other.old]), other.X_AB)
+    there = se2.compose(one.X_AB, se2.between(X[one.newest], X[other.newest]))
+    back = se2.compose(se2.between(X[one.old], X[other.old]), other.X_AB)
     off = se2.between(back, there)
     return bool(
         math.hypot(off[0], off[1]) < AGREE[0] + AGREE_SHARE[0] * between
@@ -144,6 +194,7 @@ def _placed(
     scores = _scores(field, low, query[:130, :2], X, window)
     best = np.unravel_index(np.argmax(scores), scores.shape)
     score = float(scores[best])
+    LAST[:] = [score, 0.0]
     if score < LEAST_SCORE:
         return None
     turns, steps = scores.shape[0] // 2, scores.shape[1] // 2
@@ -151,6 +202,7 @@ def _placed(
     near = slice(max(0, best[1] - 4), best[1] + 5), slice(max(0, best[2] - 4), best[2] + 5)
     scores[:, near[0], near[1]] = 0.0
     there, share = _fitted(before, query, start)
+    LAST[1] = share
     return (there, float(scores.max()) / score) if share > LEAST_SHARE else None
 
 

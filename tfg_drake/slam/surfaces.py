@@ -133,9 +133,8 @@ def add_ties(
         J[2, 2], J[2, 5] = -1.0, 1.0
         weighted = information @ e
         cost = e @ weighted
-        robust = min(1.0, 18.0 / (9.0 + cost)) ** 2
-        total += robust * cost
-        g, H = robust * (J.T @ weighted), robust * (J.T @ information @ J)
+        total += cost
+        g, H = J.T @ weighted, J.T @ information @ J
         for a in range(3):
             at[a] = node_at[first[t]] + a if node_at[first[t]] >= 0 else -1
             at[3 + a] = node_at[second[t]] + a if node_at[second[t]] >= 0 else -1
