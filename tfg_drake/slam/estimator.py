@@ -71,9 +71,10 @@ from tfg_drake.slam.localizer import (
     start_localizer,
     step_localizer,
 )
+from tfg_drake.slam.loop_search import with_loops_closed
 from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere, realigned
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
-from tfg_drake.slam.map_update import finished, jointly_known, needs_solve, updated
+from tfg_drake.slam.map_update import deviation_of, finished, is_looser, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
     BREAK,
     BREAK_RATE,
@@ -674,6 +675,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         or state.kidnapped
         or before is not state.graph
         or needs_solve(graph, solved, estimate)
+        or is_looser(graph, estimate, state.deviation)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
         graph = fused(replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(replace(state, walls=walls))))
@@ -681,6 +683,9 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, observation)
+    loops, closed, estimate = with_loops_closed(state.loops, graph, estimate, observation)
+    if closed is not graph:
+        graph = solved = closed
     whole = with_doubts(replace(estimate, frame_worth=min(state.noise.now.frame_worth, 1.0)), evidence, graph)
     later = state.offset - float(graph.shared.mean[CLOCK])
     state = replace(
@@ -705,6 +710,8 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
         sources=sources,
+        loops=loops,
+        deviation=deviation_of(estimate) if solved is graph else state.deviation,
     )
     return replace(state, piece=opened(state))
 
@@ -728,10 +735,6 @@ def _with_names(
     if tags.all():
         return seen, source, walls
     names, walls = identified(one, seen.frames, walls, estimate, source.floor)
-    import os
-
-    if os.environ.get("NOWALLS"):
-        names = names.__class__(names.provisional[:0], names.ids[:0])
     one = beside_walls(named(one, names))
     of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls

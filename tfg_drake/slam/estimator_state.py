@@ -22,6 +22,7 @@ from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
+from tfg_drake.slam.loop_search import LoopSearch
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
@@ -95,7 +96,8 @@ class EstimatorState:
     is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
     for a turn or piece. may_be_moved: by something else than its wheels. published: the map without its walls, which
     all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen,
-    nan once it was told that too little is straight.
+    nan once it was told that too little is straight. loops: the search for them. deviation: (2,) of the newest pose at
+    the last solve, m and rad.
     """
 
     noise: LearntNoise
@@ -135,6 +137,8 @@ class EstimatorState:
     may_be_moved: bool = True
     published: MapEstimate | None = None
     straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    loops: LoopSearch = dataclasses.field(default_factory=LoopSearch)
+    deviation: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
 
 def initial_state(

@@ -14,11 +14,12 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray, message, replace
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe import Keyframe, moved_points, rows_of, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, moved_part
-from tfg_drake.slam.map_solver import solved
+from tfg_drake.slam.map_solver import solve, solved
+from tfg_drake.slam.map_update import deviation_of
 from tfg_drake.slam.surfaces import Ties
 from tfg_drake.slam.walls import ends_seen
 
@@ -148,7 +149,28 @@ def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) 
     return replace(graph, X_MN=bare.X_MN)
 
 
-def still_open(graph: KeyframeGraph, loop: Loop) -> bool:
+def with_loops_closed(
+    search: LoopSearch, graph: KeyframeGraph, estimate: MapEstimate, observation: Observation
+) -> tuple[LoopSearch, KeyframeGraph, MapEstimate]:
+    """The search at a graph's newest view, which the estimate is of, and both after the loops that it closes: those
+    with which the solved graph agrees. Where it does not, all stays."""
+    search, loops = searched(search, graph, deviation_of(estimate))
+    known = {(loop.old, loop.newest) for loop in search.closed}
+    new = tuple(loop for loop in loops if (loop.old, loop.newest) not in known)
+    if not new:
+        return search, graph, estimate
+    there, told = graph, estimate
+    if any(_is_open(graph, loop) for loop in new):
+        there = bent(replace(graph, p_ML=estimate.p_ML), search.closed, new)
+        for _ in range(2):  # The pieces of surface are grouped anew where the first has moved them.
+            there, told = solve(there, estimate.stamp, observation)
+    new = tuple(loop for loop in new if not _is_open(there, loop))
+    if 2 * len(new) <= len(loops):
+        return replace(search, candidates=()), graph, estimate
+    return replace(search, closed=(*search.closed, *new), tied=new[-1].newest), there, told
+
+
+def _is_open(graph: KeyframeGraph, loop: Loop) -> bool:
     """Whether a graph does not agree with a loop."""
     X = graph.X_MA
     off = se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest]))

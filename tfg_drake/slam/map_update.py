@@ -31,8 +31,9 @@ ITERATIONS = 4
 # this share of the deviation that it had at the last solve.
 FAR_MOVED = 0.05
 LOOSE_HEADING = 0.1
-MANY_KEYFRAMES = 1
+MANY_KEYFRAMES = 32
 NEAREST = 100
+LOOSER = np.array([0.02, 0.005])
 PARAMETER_MOVED = 1.0
 # Directions of the parameters of which a keyframe says less than this, in prior deviations, are left out.
 LEAST_TOLD = 1e-9
@@ -173,6 +174,18 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
         return False
     distance = distance_to(estimate, estimate.X_MD)
     return not estimate.is_local[np.argpartition(distance, NEAREST)[:NEAREST]].all()
+
+
+def deviation_of(estimate: MapEstimate) -> FloatArray:
+    """(2,) standard deviation of the newest pose, m and rad."""
+    variance = np.diag(estimate.covariance)[-3:]
+    return np.sqrt(np.array([variance[0] + variance[1], variance[2]]))
+
+
+def is_looser(graph: KeyframeGraph, estimate: MapEstimate, before: FloatArray) -> bool:
+    """Whether the newest pose is less well known than (2,) at the last solve, by what scan points tell in the next."""
+    looser = np.square(deviation_of(estimate)) - np.square(before)
+    return bool(len(graph.keyframes[-1].points) and np.any(looser > LOOSER**2))
 
 
 def estimate_of(
