@@ -24,7 +24,7 @@ from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.messages import replace
 import os
-LOOPS=int(os.environ.get("LOOPS","1")); SEARCH=[ls.LoopSearch()]; NL=[0]; TS=[0.]
+LOOPS=0; SEARCH=[ls.LoopSearch()]; NL=[0]; TS=[0.]
 ls.VERB=bool(os.environ.get("VERB"))
 def close_loops(state):
     t=time.process_time()
@@ -49,6 +49,9 @@ def close_loops(state):
     SEARCH[0]=replace(SEARCH[0],closed=(*SEARCH[0].closed,*new),tied=new[-1].newest)
     if not any(far): return state
     return replace(state,graph=g,solved=g,map=est,published=est.of_tags,localizer=start_localizer(est,state.walls))
+import cProfile,pstats
+PR=cProfile.Profile()
+if os.environ.get('PROF'): PR.enable()
 scans=iter(log.scans); scan=next(scans,None); last=None; length=0.; n=0; stamps=[]; t0=time.process_time(); pieces=0; begin=None
 for odo in log.odometry:
     while scan is not None and scan.stamp<=odo.stamp:
@@ -65,6 +68,8 @@ for odo in log.odometry:
         if LOOPS and state.map is not None: state=close_loops(state)
         if pieces%200==0: print(pieces, f"{time.process_time()-t0:.0f} s", len(state.graph.keyframes), len(state.graph.ids), state.map.X_MD.round(2), flush=True)
         if odo.stamp-log.odometry[0].stamp>most: break
+PR.disable()
+if os.environ.get('PROF'): pstats.Stats(PR).sort_stats('tottime').print_stats(32); pstats.Stats(PR).sort_stats('cumtime').print_stats(50)
 b=state.piece.begin.stamp
 t1=time.process_time()
 def errors(state,lab):

@@ -37,7 +37,8 @@ RESOLUTION, BLUR, STEP, TURN, SPACING = 0.1, 0.15, 0.25, 0.03, 0.1
 LEAST_SCORE, GATES, ON, LEAST_SHARE = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), 0.1, 0.5
 # Loops agree, m and rad, and a share of the way between; along so much way.
 LEAST_POINTS = 30
-VERB = False
+import os
+VERB = bool(os.environ.get("VERB"))
 BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
 
@@ -164,6 +165,7 @@ def with_loops_closed(
         there = bent(replace(graph, p_ML=estimate.p_ML), search.closed, new)
         for _ in range(2):  # The pieces of surface are grouped anew where the first has moved them.
             there, told = solve(there, estimate.stamp, observation)
+    if VERB: print(f'  loop {new[-1].old}-{new[-1].newest} n {len(new)} off {new[-1].off:.2f} rival {new[-1].rival:.2f} solved {there is not graph} open', [_is_open(there, loop) for loop in new])
     new = tuple(loop for loop in new if not _is_open(there, loop))
     if 2 * len(new) <= len(loops):
         return replace(search, candidates=()), graph, estimate
