@@ -25,7 +25,7 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.messages import replace
 import os
 LOOPS=0; SEARCH=[ls.LoopSearch()]; NL=[0]; TS=[0.]
-ls.VERB=bool(os.environ.get("VERB"))
+
 def close_loops(state):
     t=time.process_time()
     g=replace(state.graph,p_ML=state.map.p_ML)

@@ -678,7 +678,9 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         or is_looser(graph, estimate, state.deviation)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
     ):
-        graph = fused(replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(replace(state, walls=walls))))
+        graph = fused(
+            replace(anew_graph, p_ML=estimate.p_ML, prior=_prior(replace(state, walls=walls))), len(solved.keyframes)
+        )
         graph, estimate = solve(graph, state.stamp, observation, spread=spread)
         solved = graph
     else:

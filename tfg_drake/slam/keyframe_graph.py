@@ -122,15 +122,16 @@ def moved_part(graph: KeyframeGraph, landmarks: BoolArray, move: FloatArray) -> 
     return replace(graph, p_ML=p_ML, anchor=anchor)
 
 
-def fused(graph: KeyframeGraph) -> KeyframeGraph:
+def fused(graph: KeyframeGraph, tried: int = 0) -> KeyframeGraph:
     """The graph with the poses marginalised out between recent keyframes that share landmarks.
 
     Two become one as long as it has no more than FULL landmarks; the newest UNFUSED stay. Fusing linearises only how
-    the two lie to each other, and that is known to millimetres and milliradians.
+    the two lie to each other, and that is known to millimetres and milliradians. tried: so many of its first keyframes
+    there were when this was last asked.
     """
     keyframes, X_MN = list(graph.keyframes), graph.X_MN
     view_keyframe, X_AV = graph.view_keyframe.copy(), graph.X_AV.copy()
-    j = max(len(keyframes) - RECENT, 0)
+    j = max(len(keyframes) - RECENT, tried - UNFUSED - 2, 0)
     while j < len(keyframes) - UNFUSED - 1:
         first, second = keyframes[j], keyframes[j + 1]
         shared = len(np.intersect1d(first.ids, second.ids))

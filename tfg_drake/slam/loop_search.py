@@ -25,25 +25,25 @@ from tfg_drake.slam.walls import ends_seen
 
 # Way, m, that counts as lately, and after which a place is an old one; way of old keyframes that are searched at once.
 LATELY, LONG_AGO, AT_ONCE = 3.0, 15.0, 6.0
-# A search again after so much way, m. Points of the query, at most.
-EVERY, QUERY = 1.0, 400
-# Old places are asked for within this and the window, m. The window: at least, and in deviations, at most, m and rad.
-WITHIN = 3.0
-LEAST_WINDOW, MOST_WINDOW, DEVIATIONS = np.array([0.4, 0.08]), np.array([6.0, 0.5]), 3.0
-DRIFT = np.array([0.03, 0.003])
-# Cells of the field and its blur, m; steps of the search, m and rad; what a wall is told by, m between points.
-RESOLUTION, BLUR, STEP, TURN, SPACING = 0.1, 0.15, 0.25, 0.03, 0.1
-# The coarse search: least share of points on old ones; the fit: gates, m, and the share within ON of old surfaces.
-LEAST_SCORE, GATES, ON, LEAST_SHARE = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), 0.1, 0.5
-# Loops agree, m and rad, and a share of the way between; along so much way.
-LEAST_POINTS = 30
-import os
-VERB = bool(os.environ.get("VERB"))
-BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
+# A search again after so much way, m. Points of the query in the fit and in the coarse search, at most, and at least.
+EVERY, QUERY, COARSE, LEAST_POINTS = 1.0, 400, 130, 30
+# Old places are asked for within this and the window, m. The window, m and rad: at least, at most, in deviations of the
+# pose, and by way, m, since the last loop.
+WITHIN, DEVIATIONS = 3.0, 3.0
+LEAST_WINDOW, MOST_WINDOW, DRIFT = np.array([0.4, 0.08]), np.array([6.0, 0.5]), np.array([0.03, 0.003])
+# Cells of the field and its blur, m; steps of the search, m and rad; what a wall is told by, m between points. Another
+# place is so many steps off.
+RESOLUTION, BLUR, STEP, TURN, SPACING, APART = 0.1, 0.15, 0.25, 0.03, 0.1, 4
+# The coarse search: least share of points on old ones; the fit: gates, m, how alike normals are (cosine), least scale
+# of Cauchy's weights, m, and the least share of points within ON, m, of old surfaces.
+LEAST_SCORE, GATES, SAME_WAY, ROBUST = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), 0.8, 0.04
+ON, LEAST_SHARE = 0.1, 0.5
+# Loops agree, m and rad, and a share of the way between; along so much way. Two others have to where one moves the
+# robot farther than this, m, or another place does nearly as well.
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
-
-
-LAST = [0.0, 0.0]
+FAR, RIVAL = 0.3, 0.9
+# How far a way is bent, m and rad for the square root of a metre of it, and loops are closed, m, m and rad.
+BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 
 
 @message
@@ -105,7 +105,6 @@ def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tup
         return search, ()
     query = query[np.random.default_rng(newest).permutation(len(query))[:QUERY]]
     found = _placed(before, query, X[newest], window)
-    if VERB: print(f'    S {newest} way {way[newest]:.0f} near {nearest} d {apart.min():.2f} group {len(group)} window {window[0]:.2f} {window[1]:.2f} since {since:.0f} sig {sigma[0]:.3f} {sigma[1]:.3f} pts {len(before)} {len(query)}', 'off %.2f %.3f rival %.2f' % (*(lambda d: (math.hypot(d[0],d[1]),d[2]))(se2.between(X[newest],found[0])), found[1]) if found else None, LAST)
     if found is None:
         return search, ()
     there, rival = found
@@ -113,7 +112,7 @@ def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tup
     loop = Loop(int(nearest), newest, se2.between(X[nearest], there), rival, off)
     agree = tuple(other for other in search.candidates if _agree(loop, other, X, way))
     late = tuple(other for other in search.candidates if way[other.newest] > way[newest] - ALONG)
-    if len(agree) < (2 if loop.off > 0.3 or rival > 0.9 else 1):
+    if len(agree) < (2 if off > FAR or rival > RIVAL else 1):
         return replace(search, candidates=(*late, loop)), ()
     return replace(search, candidates=(*late, loop)), (*agree, loop)
 
@@ -127,26 +126,18 @@ def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) 
     variance = np.column_stack([BEND[0] ** 2 * length + 1e-6] * 2 + [BEND[1] ** 2 * (length + turn) + 1e-8])
     ways = tuple(way(one, np.diag(of)) for one, of in zip(step, variance, strict=True))
     loops = (*closed, *new)
-    first, second = (np.array([graph.view_keyframe[v] for v in of]) for of in zip(*((l.old, l.newest) for l in loops)))
-    X_AB = [
-        loop.X_AB if loop in new else se2.between(X_MA[loop.old], X_MA[loop.newest]) for loop in loops
-    ]
-    of_view = graph.X_AV
-    X_AB = np.array([
-        se2.compose(se2.compose(of_view[loop.old], X), se2.inverse(of_view[loop.newest]))
-        for loop, X in zip(loops, X_AB, strict=True)
-    ])
-    tie = Ties(first, second, X_AB, np.diag(TIE**-2.0))
-    bare = replace(
-        empty_graph(graph.prior), keyframes=ways, X_MN=X_MN, view_keyframe=graph.view_keyframe, X_AV=of_view, ties=tie
-    )
+    old, newest = (np.array([getattr(loop, end) for loop in loops]) for end in ("old", "newest"))
+    X_AB = se2.between(X_MA[old], X_MA[newest])
+    X_AB[len(closed) :] = [loop.X_AB for loop in new]
+    X_AB = se2.compose(se2.compose(graph.X_AV[old], X_AB), se2.inverse(graph.X_AV[newest]))
+    ties = Ties(graph.view_keyframe[old], graph.view_keyframe[newest], X_AB, np.diag(TIE**-2.0))
+    bare = replace(empty_graph(graph.prior), keyframes=ways, X_MN=X_MN, ties=ties)
     bare, _ = solved(bare, DissectionSolver(bare), np.zeros(0, dtype=np.int64), len(ways))
     last = np.zeros(len(graph.ids), dtype=np.int64)
     for k, one in enumerate(graph.keyframes):
         last[rows_of(one.ids, graph.ids)[0]] = k
     for k in np.unique(last):
-        move = se2.compose(bare.X_MN[k], se2.inverse(X_MN[k]))
-        graph = moved_part(graph, last == k, move)
+        graph = moved_part(graph, last == k, se2.compose(bare.X_MN[k], se2.inverse(X_MN[k])))
     return replace(graph, X_MN=bare.X_MN)
 
 
@@ -160,14 +151,13 @@ def with_loops_closed(
     new = tuple(loop for loop in loops if (loop.old, loop.newest) not in known)
     if not new:
         return search, graph, estimate
-    there, told = graph, estimate
+    asked, there, told = len(new), graph, estimate
     if any(_is_open(graph, loop) for loop in new):
         there = bent(replace(graph, p_ML=estimate.p_ML), search.closed, new)
         for _ in range(2):  # The pieces of surface are grouped anew where the first has moved them.
             there, told = solve(there, estimate.stamp, observation)
-    if VERB: print(f'  loop {new[-1].old}-{new[-1].newest} n {len(new)} off {new[-1].off:.2f} rival {new[-1].rival:.2f} solved {there is not graph} open', [_is_open(there, loop) for loop in new])
     new = tuple(loop for loop in new if not _is_open(there, loop))
-    if 2 * len(new) <= len(loops):
+    if 2 * len(new) <= asked:
         return replace(search, candidates=()), graph, estimate
     return replace(search, closed=(*search.closed, *new), tied=new[-1].newest), there, told
 
@@ -176,10 +166,11 @@ def _is_open(graph: KeyframeGraph, loop: Loop) -> bool:
     """Whether a graph does not agree with a loop."""
     X = graph.X_MA
     off = se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest]))
-    return math.hypot(off[0], off[1]) > AGREE[0] or abs(se2.wrap_angle(off[2])) > AGREE[1]
+    return bool(math.hypot(off[0], off[1]) > AGREE[0] or abs(off[2]) > AGREE[1])
 
 
 def _way(X: FloatArray) -> FloatArray:
+    """(n,) way, m, until each of some poses (n, 3)."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(X[:, :2], axis=0).T)))
 
 
@@ -215,18 +206,16 @@ def _placed(
     low = before[:, :2].min(axis=0) - 1.0
     cells = np.ceil((before[:, :2].max(axis=0) + 1.0 - low) / RESOLUTION).astype(np.int64)
     field = _field(before[:, :2], low, cells)
-    scores = _scores(field, low, query[:130, :2], X, window)
+    scores = _scores(field, low, query[:COARSE, :2], X, window)
     best = np.unravel_index(np.argmax(scores), scores.shape)
     score = float(scores[best])
-    LAST[:] = [score, 0.0]
     if score < LEAST_SCORE:
         return None
     turns, steps = scores.shape[0] // 2, scores.shape[1] // 2
     start = X + np.array([(best[2] - steps) * STEP, (best[1] - steps) * STEP, (best[0] - turns) * TURN])
-    near = slice(max(0, best[1] - 4), best[1] + 5), slice(max(0, best[2] - 4), best[2] + 5)
-    scores[:, near[0], near[1]] = 0.0
+    y, x = (slice(max(0, at - APART), at + APART + 1) for at in best[1:])
+    scores[:, y, x] = 0.0
     there, share = _fitted(before, query, start)
-    LAST[1] = share
     return (there, float(scores.max()) / score) if share > LEAST_SHARE else None
 
 
@@ -238,11 +227,11 @@ def _fitted(before: FloatArray, query: FloatArray, X: FloatArray) -> tuple[Float
         _, row = tree.query(p[:, :2], distance_upper_bound=gate)
         met = row < len(before)
         old = before[np.where(met, row, 0)]
-        met &= np.sum(old[:, 2:] * p[:, 2:], axis=1) > 0.8
+        met &= np.sum(old[:, 2:] * p[:, 2:], axis=1) > SAME_WAY
         e = np.sum(old[:, 2:] * (p[:, :2] - old[:, :2]), axis=1)
         lever = p[:, :2] - X[:2]
         J = np.column_stack([old[:, 2:], old[:, 3] * lever[:, 0] - old[:, 2] * lever[:, 1]])
-        w = met / (1.0 + (e / max(gate / 3.0, 0.04)) ** 2)
+        w = met / (1.0 + (e / max(gate / 3.0, ROBUST)) ** 2)
         X = X - np.linalg.solve((w[:, None] * J).T @ J + 1e-3 * np.eye(3), (w * e) @ J)
         share = float(np.mean(met & (np.abs(e) < ON)))
     return X, share
@@ -251,7 +240,7 @@ def _fitted(before: FloatArray, query: FloatArray, X: FloatArray) -> tuple[Float
 @njit(cache=True)
 def _field(points: FloatArray, low: FloatArray, cells: IntArray) -> FloatArray:
     """How near a place is to one of some points (p, 2), 1 at it, in cells from the corner low (2,) on."""
-    field, reach = np.zeros((cells[1], cells[0])), int(math.ceil(3.0 * BLUR / RESOLUTION))
+    field, reach = np.zeros((cells[1], cells[0])), math.ceil(3.0 * BLUR / RESOLUTION)
     for p in points:
         u, v = (p[0] - low[0]) / RESOLUTION, (p[1] - low[1]) / RESOLUTION
         for i in range(max(0, int(v) - reach), min(cells[1], int(v) + reach + 1)):
@@ -264,7 +253,7 @@ def _field(points: FloatArray, low: FloatArray, cells: IntArray) -> FloatArray:
 @njit(cache=True)
 def _scores(field: FloatArray, low: FloatArray, query: FloatArray, X: FloatArray, window: FloatArray) -> FloatArray:
     """(a, s, s) mean of the field at a query's points (p, 2), by turn, y and x round X (3,)."""
-    turns, steps = int(math.ceil(window[1] / TURN)), int(math.ceil(window[0] / STEP))
+    turns, steps = math.ceil(window[1] / TURN), math.ceil(window[0] / STEP)
     scores = np.zeros((2 * turns + 1, 2 * steps + 1, 2 * steps + 1))
     rows, columns = field.shape
     for a in range(len(scores)):
@@ -273,11 +262,11 @@ def _scores(field: FloatArray, low: FloatArray, query: FloatArray, X: FloatArray
         for p in query:
             u, v = X[0] + c * p[0] - s * p[1] - low[0], X[1] + s * p[0] + c * p[1] - low[1]
             for i in range(2 * steps + 1):
-                row = int(math.floor((v + (i - steps) * STEP) / RESOLUTION))
+                row = math.floor((v + (i - steps) * STEP) / RESOLUTION)
                 if row < 0 or row >= rows:
                     continue
                 for j in range(2 * steps + 1):
-                    column = int(math.floor((u + (j - steps) * STEP) / RESOLUTION))
+                    column = math.floor((u + (j - steps) * STEP) / RESOLUTION)
                     if 0 <= column < columns:
                         scores[a, i, j] += field[row, column] / len(query)
     return scores

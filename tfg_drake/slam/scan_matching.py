@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 
@@ -442,19 +441,23 @@ def bridged(
         return None
     near = scans[first : last + 1]
     X, covariance, poses = np.zeros(3), np.zeros((3, 3)), [np.zeros(3)]
-    velocity = X_guess / (end - begin)
-    for before, after in itertools.pairwise(near):
+    velocity, matched = X_guess / (end - begin), [near[0]]
+    for after in near[1:]:
+        before = matched[-1]
         duration = after.stamp - before.stamp
-        one = match(before, after, velocity * duration) if duration < TOO_FAR else None
-        if one is None:
+        if duration >= TOO_FAR:
             return None
+        one = match(before, after, velocity * duration)
+        if one is None:  # The next scan may match this one.
+            continue
+        matched.append(after)
         velocity = one.X / duration
         covariance = _composed(X, covariance, one)
         X = se2.compose(X, one.X)
         poses.append(X)
-    if np.sqrt(np.diagonal(covariance)).max() > 0.15:
+    if matched[-1] is not near[-1] or np.sqrt(np.diagonal(covariance)).max() > 0.15:
         return None
-    known = np.array([one.stamp for one in near])
+    known = np.array([one.stamp for one in matched])
     at = np.concatenate([[begin], known[(known > begin) & (known < end)], [end]])
     heading = np.unwrap([pose[2] for pose in poses])
     values = (np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), heading)

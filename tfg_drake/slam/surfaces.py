@@ -132,8 +132,7 @@ def add_ties(
         J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4] = s, -c, -x, -s, c
         J[2, 2], J[2, 5] = -1.0, 1.0
         weighted = information @ e
-        cost = e @ weighted
-        total += cost
+        total += float(e @ weighted)
         g, H = J.T @ weighted, J.T @ information @ J
         for a in range(3):
             at[a] = node_at[first[t]] + a if node_at[first[t]] >= 0 else -1
