@@ -15,7 +15,7 @@ from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 # A piece of the way is mapped after this length, m, and so many scans at least: some logs have but one a metre.
-PIECE_LENGTH = 0.5
+PIECE_LENGTH = 1.0
 PIECE_SCANS = 2
 # What is said of a recording at its end.
 ENDED = "all of the recording is mapped"

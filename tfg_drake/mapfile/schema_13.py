@@ -33,6 +33,8 @@ def padded(arrays: Arrays) -> tuple[Arrays, IntArray, FloatArray]:
         arrays[name] = np.zeros_like(arrays[like])
         if f"{like}@shape" in arrays:
             arrays[f"{name}@shape"] = arrays[f"{like}@shape"]
+    counts = arrays["graph.keyframes.ids@shape"]
+    arrays["graph.keyframes.points"], arrays["graph.keyframes.points@shape"] = np.zeros(0), 0 * counts + [0, 4]
     _put_errors(arrays)
     return arrays, first, reach
 
