@@ -7,6 +7,7 @@ information times its residual. All unknowns are vectors, so that covariances ar
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import gtsam
 import numpy as np
@@ -18,6 +19,7 @@ from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import Factors, Unknowns, Values, factors_of
+from tfg_drake.slam.surfaces import add_pieces
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
 LEAST_SHARE = 1e-13
@@ -32,8 +34,8 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
     graph.X_MN[j] in which keyframe j - 1 ends and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's
     origin and no variable. S(0), (13,) the parameters that all keyframes share, in the order of
     `tfg_drake.slam.shared`. All are vectors, in the map frame M.
-    Factor 0 is the prior of S(0), factor j + 1 keyframe j: a `CustomFactor`, which GTSAM cannot serialise. Constant
-    errors of tags (graph.tag_error) are in none.
+    Factor 0 is the prior of S(0), factor j + 1 keyframe j, and behind them are the pieces of surface that tie poses:
+    each a `CustomFactor`, which GTSAM cannot serialise. Constant errors of tags (graph.tag_error) are in none.
 
     The values are those of the last solve, and of landmarks that were first seen since. They are the optimum where tags
     have no constant errors; `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
@@ -50,6 +52,9 @@ def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.Nonlinear
         rows = np.searchsorted(graph.ids, one.ids)
         keys = [*(names[row] for row in rows.tolist()), X(j + 1), *([X(j)] if j else []), S(0)]
         factors.add(_factor(one, graph.anchor[rows], keys, from_origin=j == 0))
+    pieces = factors_of(graph).pieces
+    for first, last, frame in zip(pieces.looks[:-1], pieces.looks[1:], pieces.frame, strict=True):
+        factors.add(_piece(frame, pieces.keyframe[first:last], pieces.moments[first:last]))
     values = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
     return factors, _values_of(values, names)
 
@@ -92,6 +97,36 @@ def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bo
         return np.asarray(R @ e + d)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(d)), keys, error)
+
+
+def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.CustomFactor:
+    """A piece of surface, see `surfaces.Pieces`: a square root of the Hessian H on the poses that it ties, its offset
+    and slope eliminated, and r with H^(1/2) r = g, the gradient; what the cost has beyond |r|^2 is one more error."""
+    free, m = keyframe > 0, len(keyframe)
+    keys = [X(k) for k in keyframe[free].tolist()]
+    node_at = np.where(free, 3 * (np.cumsum(free) - 1), -1)
+    size = 3 * len(keys)
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
+        X_MN, H, g = np.zeros((m, 3)), np.zeros((size, size)), np.zeros(size)
+        X_MN[free] = [values.atVector(key) for key in keys]
+        cost = add_pieces(
+            np.zeros(1, np.int64), frame[None], np.array([0, m]), np.arange(m), moments, X_MN, node_at, H, g
+        )
+        value, direction = np.linalg.eigh(H)
+        some = value > LEAST_SHARE * value[-1]
+        root = np.sqrt(value[some])
+        r = np.zeros(size + 1)
+        r[:size][some] = direction[:, some].T @ g / root
+        r[size] = math.sqrt(max(cost - r @ r, 0.0))
+        if jacobians is not None:
+            R = np.zeros((size + 1, size))
+            R[:size][some] = root[:, None] * direction[:, some].T
+            for i in range(len(keys)):
+                jacobians[i] = R[:, 3 * i : 3 * i + 3]
+        return r
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(size + 1), keys, error)
 
 
 @dataclasses.dataclass(frozen=True)
