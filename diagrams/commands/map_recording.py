@@ -115,7 +115,8 @@ def map_recording(
         of_online = poses_between(recording, online_stamps + start, online)
         figures = dict(zip(_AGAINST_TRUTH, (*off, _rmse(X_WB, X_MB), _rmse(X_WB, of_online)), strict=True))
     if told is not None:
-        X_MS = se2.compose(X_MB, recording.X_BS)
+        # Where the scanner is estimated to sit, on what its log takes for its place.
+        X_MS = se2.compose(se2.compose(X_MB, X_BS), recording.X_BS)
         figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))
     thickness = wall_thickness(met)
