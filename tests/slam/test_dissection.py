@@ -5,6 +5,9 @@ import scipy.linalg
 from tfg_drake.slam.dissection import dissected, eliminated, leaves
 
 
+NOTHING = np.empty(0, dtype=np.int64)
+
+
 def system(seed, keyframes=40, landmarks=60, omitted=(), most=6):
     """A graph on a strip, each keyframe with those of its 2-vectors that are near and a 3-vector of its own; what each
     says of its unknowns; and the whole information, dense."""
@@ -18,7 +21,7 @@ def system(seed, keyframes=40, landmarks=60, omitted=(), most=6):
     variable = np.concatenate([variable, own, after])
     width = np.repeat([2, 3], [landmarks, keyframes])
     width[list(omitted)] = 0
-    dissection = dissected(leaves(points, variable, keyframe, most), variable, keyframe, width)
+    dissection = dissected(leaves(points, variable, keyframe, most), variable, keyframe, width, NOTHING, NOTHING)
     of_each, whole = [], np.zeros((dissection.size, dissection.size))
     for k in range(keyframes):
         mine = [v for v in variable[keyframe == k] if width[v]]
@@ -54,7 +57,8 @@ def test_is_a_dense_solution(omitted, most):
 
 
 def test_what_no_keyframe_has_needs_damping():
-    dissection = dissected(np.array([0, 1]), np.array([0, 1]), np.array([0, 1]), np.array([2, 2, 2]))
+    leaf = np.array([0, 1])
+    dissection = dissected(leaf, leaf, leaf, np.array([2, 2, 2]), NOTHING, NOTHING)
 
     def block(front):
         return np.diag(np.where(front.unknowns < dissection.at[2], 4.0, 0.0)[: len(front.unknowns)])

@@ -461,9 +461,8 @@ def _step(
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
     looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
-    open_ = turn if (turn := state.turn) is not None else state.piece
-    here = points if looks and _is_elsewhere(open_, X_OB) else _NO_POINTS
-    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, here, only_scan)
+    here = points if looks and _is_elsewhere(piece if turn is None else turn, X_OB) else _NO_POINTS
+    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan, here)
     more = (taken,) if looks or not only_scan else ()
     if turn is not None:
         turn = replace(turn, frames=(*turn.frames, *more))

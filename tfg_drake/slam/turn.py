@@ -154,8 +154,8 @@ class TurnFrame:
     detections: TagDetections
     offset: float = 0.0
     lines: FloatArray = dataclasses.field(default_factory=no_lines)
-    points: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
     only_scan: bool = False
+    points: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
 
 
 def no_detections(stamp: float) -> TagDetections:
