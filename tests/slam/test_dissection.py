@@ -4,7 +4,6 @@ import scipy.linalg
 
 from tfg_drake.slam.dissection import dissected, eliminated, leaves
 
-
 NOTHING = np.empty(0, dtype=np.int64)
 
 
