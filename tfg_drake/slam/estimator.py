@@ -121,7 +121,8 @@ SAME_PLACE = 0.004
 NEARLY_THERE = 0.05
 # Scans kept to be compared with the frames of their instant.
 SCANS = 4
-# A turn or piece is solved with the lines of a scan so often, s: what they tell in between is below their floor.
+# A turn or piece is solved with the lines of a scan so often, s: what they tell in between is below their floor. In a
+# recording, of which each scan's pose is wanted, with those of each.
 LINES_EVERY = 0.2
 # And the points of a scan once the robot has moved so far, m or rad.
 POINTS_WAY, POINTS_TURN = 0.3, 0.3
@@ -460,7 +461,8 @@ def _step(
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
     turn, piece = state.turn, state.piece
-    looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + LINES_EVERY - SAME_INSTANT
+    every = 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
+    looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
     here = points if looks and _is_elsewhere(piece if turn is None else turn, X_OB) else _NO_POINTS
     taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan, here)
     more = (taken,) if looks or not only_scan else ()
