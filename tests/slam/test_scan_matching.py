@@ -343,6 +343,19 @@ def test_scans_bridge_a_gap(begin, end):
         assert (np.abs(error(x, se2.between(pose(begin), pose(t)))) < [0.05, 0.05, 0.03]).all()
 
 
+def test_a_scan_that_does_not_match_is_passed_over():
+    """Somebody stands before the scanner: the scans before and after it match."""
+    _, scans = drive(seed=4)
+    truth = se2.between(pose(5.0), pose(6.5))
+    amid = [k for k, one in enumerate(scans) if 5.2 < one.stamp < 6.3][3]
+    hidden = [replace(one, ranges=np.full_like(one.ranges, 0.3)) if k == amid else one for k, one in enumerate(scans)]
+    stamps, X, _ = bridged(hidden, 5.0, 6.5, truth)
+    assert scans[amid].stamp not in stamps
+    assert (np.abs(error(X[-1], truth)) < [0.04, 0.04, 0.02]).all()
+    last = [replace(one, ranges=np.full_like(one.ranges, 0.3)) if one.stamp > 6.4 else one for one in scans]
+    assert bridged(last, 5.0, 6.5, truth) is None
+
+
 def test_what_scans_do_not_tell_is_not_bridged():
     _, scans = drive(seed=4)
     guess = np.zeros(3)
