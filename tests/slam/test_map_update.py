@@ -10,7 +10,7 @@ from tfg_drake.slam import map_update
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.map_update import distance_to, finished, needs_solve, updated
+from tfg_drake.slam.map_update import LOOSER, deviation_of, distance_to, finished, is_looser, needs_solve, updated
 from tfg_drake.slam.shared import RANGE_SCALE, SHARED, exactly_known
 from tfg_drake.slam.turn import reduced
 
@@ -209,6 +209,21 @@ def test_any_one_thing_that_has_changed_so_far_has_the_graph_solved(just_solved,
     assert not needs_solve(graph, graph, estimate)
     assert not needs_solve(graph, graph, changed(estimate, graph.shared, little))
     assert needs_solve(graph, graph, changed(estimate, graph.shared, much))
+
+
+def test_a_pose_that_scan_points_may_tell_better_has_the_graph_solved(just_solved):
+    graph, estimate = just_solved
+    points = np.array([[2.0, 1.0, -1.0, 0.0]])
+    seen = replace(graph, keyframes=(*graph.keyframes[:-1], replace(graph.keyframes[-1], points=points)))
+    now = deviation_of(estimate)
+    looser = np.sqrt(np.square(now) + np.diag(np.square(1.1 * LOOSER)))
+    assert not is_looser(seen, estimate, now)
+    covariance = estimate.covariance.copy()
+    covariance[-3, -3] += (1.1 * LOOSER[0]) ** 2
+    less_known = replace(estimate, covariance=covariance)
+    np.testing.assert_allclose(deviation_of(less_known), [looser[0, 0], now[1]])
+    assert is_looser(seen, less_known, now)
+    assert not is_looser(graph, less_known, now)
 
 
 def test_the_landmarks_nearest_to_the_robot_are_to_be_known_jointly(just_solved, monkeypatch):
