@@ -118,7 +118,7 @@ def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.
         root = np.sqrt(value[some])
         r = np.zeros(size + 1)
         r[:size][some] = direction[:, some].T @ g / root
-        r[size] = math.sqrt(max(cost - r @ r, 0.0))
+        r[size] = math.sqrt(max(cost - float(r @ r), 0.0))
         if jacobians is not None:
             R = np.zeros((size + 1, size))
             R[:size][some] = root[:, None] * direction[:, some].T

@@ -179,7 +179,7 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
 def deviation_of(estimate: MapEstimate) -> FloatArray:
     """(2,) standard deviation of the newest pose, m and rad."""
     variance = np.diag(estimate.covariance)[-3:]
-    return np.sqrt(np.array([variance[0] + variance[1], variance[2]]))
+    return np.array([math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])])
 
 
 def is_looser(graph: KeyframeGraph, estimate: MapEstimate, before: FloatArray) -> bool:
