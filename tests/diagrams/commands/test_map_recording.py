@@ -142,7 +142,7 @@ def test_a_way_that_is_unknown_costs_nothing_among_known_walls(room, tmp_path, j
 
 
 def test_a_jump_that_is_believed_bends_the_map(room, tmp_path):
-    told = broken(room, 120, np.array([0.4, 0.15, 0.3]))
+    told = broken(room, 120, np.array([1.2, 0.9, 0.8]))
     told = dataclasses.replace(told, odometry=tuple(replace(one, breaks=0) for one in told.odometry))
     assert map_recording(told, room.name, tmp_path / "run").summary["robot_rmse_m"] > 0.05
 
