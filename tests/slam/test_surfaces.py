@@ -158,6 +158,8 @@ def test_an_edge_counts_both_ways():
         weight = pieces.moments[:, 0].reshape(-1, 2)[order]
         one, two = 1.0 / (POINT**2 + FLOOR**2), 2.0 / (POINT**2 + 2.0 * FLOOR**2)
         np.testing.assert_allclose(weight, [[one, one], [EDGE * one, EDGE * two], [EDGE * one, EDGE * two]])
+        # A normal along an axis is no edge.
+        assert len(found([surface, surface], np.zeros((2, 3)), seed).frame) == 1
         # A surface beside the edge is another piece.
         beside = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
         assert len(found([np.vstack([edge, beside])] * 2, PAIR, seed).frame) == 4
