@@ -25,6 +25,9 @@ SEEDS = 20
 DOOR, JAMB = 0.9, 0.15
 # Room for the robot to pass between furniture, m.
 PASSAGE = 0.8
+# Side of a table's leg, as a share of the table's. What stands in corners.
+LEG = 0.05
+CORNERS = ("bay", "round corner")
 
 # x0, y0, x1, y1, m: a room, or a wall.
 Box = tuple[float, float, float, float]
@@ -32,7 +35,8 @@ Box = tuple[float, float, float, float]
 
 def plan(seed: int) -> tuple[list[list[float]], list[float]]:
     """Walls (x0, y0, x1, y1), m, of a building of 12 x 8 to 36 x 22 m: a corridor, rooms of all sizes that have a door
-    each, more doors here and there, furniture and pillars in the rooms; and a start (x, y, yaw) in the corridor."""
+    each, more doors here and there, furniture and pillars in the rooms, in every second plan
+    legs and curved walls, too; and a start (x, y, yaw) in the corridor."""
     rng = np.random.default_rng([seed, 57])
     width, depth = rng.uniform(12.0, 36.0), rng.uniform(8.0, 22.0)
     corridor = rng.uniform(1.6, 2.6)
@@ -47,7 +51,7 @@ def plan(seed: int) -> tuple[list[list[float]], list[float]]:
     for i, room in enumerate(rooms):
         walls += _room_walls(room, half, [gap for a, gap in gaps if a == i])
         if i:
-            walls += _furniture(room, half, [gap for a, gap in gaps if a == i], rng)
+            walls += _furniture(room, half, [gap for a, gap in gaps if a == i], rng, curved=seed % 2 == 1)
     start = [rng.uniform(1.0, width - 1.0), y + 0.5 * corridor, rng.uniform(-math.pi, math.pi)]
     return [[round(float(value), 3) for value in wall] for wall in walls], [round(value, 3) for value in start]
 
@@ -109,21 +113,21 @@ def _room_walls(room: Box, half: float, gaps: list[Box]) -> list[list[float]]:
     return walls
 
 
-def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator) -> list[list[float]]:
+def _furniture(
+    room: Box, half: float, gaps: list[Box], rng: np.random.Generator, *, curved: bool
+) -> list[list[float]]:
     """Closed outlines of cupboards and desks at the walls, of tables at any angle, and of round pillars, where a robot
-    can pass between them."""
+    can pass between them. curved: of tables' legs, round corners and bays, too."""
     low, high = np.array(room[:2]) + half, np.array(room[2:]) - half
     placed = [(0.5 * np.array([gap[0] + gap[2], gap[1] + gap[3]]), 0.7) for gap in gaps]
     walls = []
+    kinds, likely = (("wall", "table", "pillar"), [0.6, 0.3, 0.1])
+    if curved:
+        kinds, likely = ((*kinds, "legs", "bay", "round corner"), [0.25, 0.1, 0.2, 0.25, 0.1, 0.1])
     for _ in range(rng.poisson(float(np.prod(high - low)) / 3.0)):
-        kind = rng.choice(["wall", "table", "pillar"], p=[0.6, 0.3, 0.1])
-        size = rng.uniform([0.4, 0.3], [2.0, 0.9])
-        if kind == "pillar":
-            angles = np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
-            outline = rng.uniform(0.15, 0.4) * np.column_stack([np.cos(angles), np.sin(angles)])
-        else:
-            outline = 0.5 * size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        turned = rng.uniform(0.0, math.pi) if kind == "table" else 0.5 * math.pi * rng.integers(2)
+        kind = rng.choice(kinds, p=likely)
+        outline = _outline(kind, rng)
+        turned = rng.uniform(0.0, math.pi) if kind in ("table", "legs") else 0.5 * math.pi * rng.integers(4 if kind in CORNERS else 2)
         c, s = math.cos(turned), math.sin(turned)
         outline = outline @ np.array([[c, s], [-s, c]])
         reach = outline.max(axis=0)
@@ -133,6 +137,8 @@ def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator
         if kind == "wall":
             axis, end = rng.integers(2), rng.integers(2)
             middle[axis] = (low + reach)[axis] if end == 0 else (high - reach)[axis]
+        elif kind in CORNERS:
+            middle = np.where(outline[0] < 0.0, low + reach, high - reach)
         radius = float(np.hypot(*reach)) if kind != "pillar" else float(reach[0])
         from_wall = np.minimum(middle - reach - low, high - reach - middle)
         if np.any((from_wall > 1e-6) & (from_wall < PASSAGE)):
@@ -140,9 +146,25 @@ def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator
         if any(np.hypot(*(middle - other)) < radius + beside + PASSAGE for other, beside in placed):
             continue
         placed.append((middle, radius))
-        corners = middle + outline
-        walls += [[*a, *b] for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+        closed = [middle + outline]
+        if kind == "legs":
+            closed = [middle + (1.0 - LEG) * corner + LEG * outline for corner in outline]
+        for corners in closed:
+            walls += [[*a, *b] for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     return walls
+
+
+def _outline(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """(n, 2) corners of a piece of furniture round its middle, m; of what stands in a corner the first is that."""
+    size = rng.uniform([0.4, 0.3], [2.0, 0.9])
+    if kind == "pillar":
+        angles = np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
+        return rng.uniform(0.15, 0.4) * np.column_stack([np.cos(angles), np.sin(angles)])
+    if kind in CORNERS:
+        radius, quarter = rng.uniform(0.4, 1.5), np.linspace(0.0, 0.5 * math.pi, 20)
+        arc = np.column_stack([np.cos(quarter), np.sin(quarter)]) - 0.5
+        return radius * np.vstack([[-0.5, -0.5], arc if kind == "bay" else -arc])
+    return 0.5 * size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 def write(seed: int, path: Path) -> None:

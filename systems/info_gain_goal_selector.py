@@ -137,7 +137,7 @@ class InfoGainGoalSelector(LeafSystem):
                 return goal
         roadmap = self._inputs(context, "roadmap")
         now = self._frontiers(Situation(landmarks, tfg, roadmap, parameters, is_large))
-        return choose(now, previous, recalled=recalled)
+        return choose(now, previous, recalled=recalled, kept=promise.kept)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
         """The state with another goal, where somebody has sent the robot there."""

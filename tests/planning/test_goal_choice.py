@@ -198,6 +198,8 @@ def test_where_nothing_is_open_the_robot_looks_again_where_a_tag_is_known_badly(
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     time = 10.0 + (2.0 * np.pi - sensor.field_of_view) / explorer.turn_rate + 1.0
     np.testing.assert_allclose(choice.value, 0.99 * (100.0 + time) / time, rtol=2e-3)
+    # Looks that have given none of it are no longer believed.
+    assert choose(now, empty_choice(), kept=0.1).verdict != "goal"
     # What is open comes first.
     assert place_of(choose(alcoves({-4.0: 1.0, 3.0: 0.0, 5.0: 0.0}), empty_choice()).node, now) == -4.0
 

@@ -54,8 +54,6 @@ def test_a_look_from_elsewhere_breaks_nothing_and_a_goal_without_gain_promises_n
     ended = replace(empty_choice(), verdict="complete")
     after = promised(ended, seen_from((0.0, 0.0), 0.0), Promise(broken=2), 10.0)
     assert (after.gain, after.broken) == (0.0, 2)
-    again = replace(goal(20.0), explored=3.0)
-    assert promised(again, seen_from((0.0, 0.0), 0.0), Promise(), 10.0).gain == 0.0
     assert promised(goal(9.0), seen_from((0.0, 0.0), 0.0), Promise(), 10.0).gain == 0.0
 
 
@@ -64,3 +62,13 @@ def test_the_reason_says_so():
         "complete",
         "No frontier is left and places give less than 10% of what they promise, 3 times in a row.",
     )
+
+
+def test_looks_after_exploring_are_worth_what_they_have_given():
+    """Each as much as all before it, whatever they promise, and they break no promise of other goals."""
+    again, promise = replace(goal(4.0), explored=3.0), Promise(broken=1)
+    for gained, kept in ((1.0, 0.625), (0.0, 0.3125), (9.0, 0.65625)):
+        promise = promised(again, seen_from((0.0, 0.0), 0.0), promise, 10.0)
+        promise = judged(promise, seen_from((1.0, 2.0), -gained), PRIOR)
+        assert (promise.broken, promise.kept) == (1, kept)
+    assert went(promise, 1.0).kept == promise.kept

@@ -39,9 +39,9 @@ def empty_choice() -> GoalChoice:
     return empty(GoalChoice, node=-1, verdict="goal")
 
 
-def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False) -> GoalChoice:
+def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept: float = 1.0) -> GoalChoice:
     """The choice at one stage; previous is the choice before it. recalled: the robot was called back, so that no place
-    is worth going to but home.
+    is worth going to but home. kept: as of `promises.Promise`.
 
     Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
@@ -60,7 +60,7 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False) -> G
     open_left, _ = frontier_in_sight(roadmap, now.tfg, sensor)
     looks_again = explorer.revisit and explorer.goal == "tour" and not recalled
     if looks_again and not open_left:
-        again = _second_look(now, previous)
+        again = _second_look(now, previous, kept)
         if again is not None:
             return again
     ranked = _ranked(now, previous, recalled=recalled)
@@ -73,7 +73,7 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False) -> G
         node, verdict, reason, looked = _last(now, bool(len(ranked.candidates.nodes)), ranked.budget, looked)
         explored = min(previous.explored, estimate.stamp) if verdict == "complete" else math.inf
         if verdict == "complete" and looks_again and open_left and now.is_large:
-            again = _second_look(now, previous)
+            again = _second_look(now, previous, kept)
             if again is not None:
                 return again
     if verdict != "goal" and explorer.return_home:
@@ -238,7 +238,7 @@ def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
     return int(roadmap.node_ids(np.array([node]))[0]), roadmap.points[node]
 
 
-def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
+def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoice | None:
     """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
     In a large map the robot first looks round where it stands: after that it is known what places bring.
 
@@ -256,7 +256,7 @@ def _second_look(now: Situation, previous: GoalChoice) -> GoalChoice | None:
         reason = "All is explored: it looks round once while it works out where the map can grow more accurate."
         looked = replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason, explored=explored)
         return replace(looked, looked_again=previous.looked_again)
-    value = worth_revisiting(nodes, now) * affordable
+    value = kept * worth_revisiting(nodes, now) * affordable
     best = pick(value, value > 1.0, roadmap.travel_time[nodes])
     if best < 0:
         return None

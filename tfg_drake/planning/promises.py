@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.messages import GoalChoice, MapEstimate, message
+from tfg_drake.messages import GoalChoice, MapEstimate, message, replace
 
 # A promise is broken where less than this share of the nats was gained; after so many in a row no other is believed.
 LEAST_KEPT, MOST_BROKEN = 0.1, 3
@@ -17,13 +17,16 @@ AT_GOAL = 0.3
 @message
 class Promise:
     """The newest choice's: gain (nats), 0 for none, place p_MG (2,), m in M, and number and entropy (nats) of the
-    landmarks then. broken: how many in a row were."""
+    landmarks then. broken: how many in a row were. is_again: it is of a look after
+    exploring; kept: the share of what these promised that they gave, the newest as much as all before it."""
 
     gain: float = 0.0
     p_MG: tuple[float, float] = (0.0, 0.0)
     landmarks: int = 0
     entropy: float = 0.0
     broken: int = 0
+    is_again: bool = False
+    kept: float = 1.0
 
     @property
     def believed(self) -> bool:
@@ -40,14 +43,25 @@ def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promi
         return promise
     new = len(estimate.ids) - promise.landmarks
     gained = promise.entropy - estimate.entropy + new * math.log(2.0 * math.pi * math.e * prior_sigma**2)
+    if promise.is_again:
+        kept = 0.5 * (promise.kept + min(max(gained / promise.gain, 0.0), 1.0))
+        return Promise(broken=promise.broken, kept=kept)
     broken = promise.broken + 1 if gained < LEAST_KEPT * promise.gain else 0
-    return Promise(broken=broken)
+    return Promise(broken=broken, kept=promise.kept)
 
 
 def promised(goal: GoalChoice, estimate: MapEstimate, before: Promise, stop_gain: float) -> Promise:
-    """The promise of a goal, if it is more than stop_gain, nats; before: what became of the one before."""
-    row = np.flatnonzero(goal.candidates == goal.node)
-    if goal.verdict != "goal" or goal.is_explored or not len(row) or goal.gain[row[0]] <= stop_gain:
-        return Promise(broken=before.broken)
+    """The promise of a goal, if it is more than stop_gain, nats, or of a look after exploring; before: what became of
+    the one before."""
+    row, again = np.flatnonzero(goal.candidates == goal.node), goal.is_explored
+    if goal.verdict != "goal" or not len(row) or goal.gain[row[0]] <= (0.0 if again else stop_gain):
+        return Promise(broken=before.broken, kept=before.kept)
     x, y = goal.p_MG.tolist()
-    return Promise(float(goal.gain[row[0]]), (x, y), len(estimate.ids), estimate.entropy, before.broken)
+    return replace(
+        before,
+        gain=float(goal.gain[row[0]]),
+        p_MG=(x, y),
+        landmarks=len(estimate.ids),
+        entropy=estimate.entropy,
+        is_again=again,
+    )
