@@ -113,9 +113,7 @@ def _room_walls(room: Box, half: float, gaps: list[Box]) -> list[list[float]]:
     return walls
 
 
-def _furniture(
-    room: Box, half: float, gaps: list[Box], rng: np.random.Generator, *, curved: bool
-) -> list[list[float]]:
+def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator, *, curved: bool) -> list[list[float]]:
     """Closed outlines of cupboards and desks at the walls, of tables at any angle, and of round pillars, where a robot
     can pass between them. curved: of tables' legs, round corners and bays, too."""
     low, high = np.array(room[:2]) + half, np.array(room[2:]) - half
@@ -127,7 +125,11 @@ def _furniture(
     for _ in range(rng.poisson(float(np.prod(high - low)) / 3.0)):
         kind = rng.choice(kinds, p=likely)
         outline = _outline(kind, rng)
-        turned = rng.uniform(0.0, math.pi) if kind in ("table", "legs") else 0.5 * math.pi * rng.integers(4 if kind in CORNERS else 2)
+        turned = (
+            rng.uniform(0.0, math.pi)
+            if kind in ("table", "legs")
+            else 0.5 * math.pi * rng.integers(4 if kind in CORNERS else 2)
+        )
         c, s = math.cos(turned), math.sin(turned)
         outline = outline @ np.array([[c, s], [-s, c]])
         reach = outline.max(axis=0)

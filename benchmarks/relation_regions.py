@@ -21,9 +21,9 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from tfg_drake.datasets.relations import Relations, read_relations
+from tfg_drake.datasets.relations import off_relations, read_relations
 from tfg_drake.geometry import se2
-from tfg_drake.hardware.recordings import load_dataset
+from tfg_drake.hardware.recordings import load_laser_recording
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.dissection import DissectionSolver
@@ -47,29 +47,43 @@ def run_of(data: Path, runs: Path, name: str) -> Path:
 
 def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, rows: IntArray) -> FloatArray:
     """(k, 3, 3) covariances of the poses in rows[:, 1] of a trajectory (n, 3) as seen from those in rows[:, 0]. starts:
-    (g,) the row at which each view begins."""
+    (g,) the row at which each view begins. Between the nodes of a keyframe the way is a Brownian bridge."""
     graph = saved.graph
     solver = DissectionSolver(graph)
     system = solver.linearised(Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros(graph.p_ML.shape)), 0.0)
     nodes = solver.unknowns.node_at
     joint = np.zeros((3 * len(nodes), 3 * len(nodes)))
     joint[3:, 3:] = system.covariance((nodes[1:, None] + np.arange(3)).ravel())
-    view = np.searchsorted(starts, rows, side="right") - 1
-    node = graph.view_keyframe[np.maximum(view, 0)]
+    keyframes, first = np.unique(graph.view_keyframe, return_index=True)
+    begin = np.append(starts[first], len(X_MB))
+    at = np.clip(np.searchsorted(begin, rows, side="right") - 1, 0, len(keyframes) - 1)
+    node, share = keyframes[at], np.clip((rows - begin[at]) / (begin[at + 1] - begin[at]), 0.0, 1.0)
+
+    def moves(row: int, k: int) -> FloatArray:
+        """(3, 3) how the pose in a row moves with a node."""
+        x, y = X_MB[row, :2] - graph.X_MN[k, :2]
+        return np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+
+    def relative(a: int, b: int) -> FloatArray:
+        """(3, 6) how the pose in row b as seen from that in row a moves with both."""
+        c, s, (x, y) = math.cos(X_MB[a, 2]), math.sin(X_MB[a, 2]), X_MB[b, :2] - X_MB[a, :2]
+        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        return R @ np.hstack([-np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]]), np.eye(3)])
+
     covariances = np.empty((len(rows), 3, 3))
-    for i, ((first, second), (a, b)) in enumerate(zip(node, rows, strict=True)):
-        at = np.concatenate([3 * first + np.arange(3), 3 * second + np.arange(3)])
-        # The robot moves with its keyframe's frame, and turns about that.
-        J = np.zeros((3, 6))
-        R = np.array([[math.cos(X_MB[a, 2]), math.sin(X_MB[a, 2])], [-math.sin(X_MB[a, 2]), math.cos(X_MB[a, 2])]])
-        for column, k, row, sign in ((0, first, a, -1.0), (3, second, b, 1.0)):
-            arm = X_MB[row, :2] - graph.X_MN[k, :2]
-            J[:2, column : column + 2] = sign * R
-            J[:2, column + 2] = sign * R @ [-arm[1], arm[0]]
-            J[2, column + 2] = sign
-        way = X_MB[b, :2] - X_MB[a, :2]
-        J[:2, 2] -= R @ [-way[1], way[0]]
-        covariances[i] = J @ joint[np.ix_(at, at)] @ J.T
+    for i, (ends, of, s) in enumerate(zip(rows, node, share, strict=True)):
+        G, J, Q = relative(*ends), np.zeros((3, 3 * len(nodes))), np.zeros((6, 6))
+        for j, (row, k) in enumerate(zip(ends, of, strict=True)):
+            some = slice(3 * j, 3 * j + 3)
+            A, D = moves(row, k), moves(row, k + 1)
+            J[:, 3 * k : 3 * k + 3] += (1.0 - s[j]) * G[:, some] @ A
+            J[:, 3 * k + 3 : 3 * k + 6] += s[j] * G[:, some] @ D
+            both = np.hstack([-A, D])
+            way = both @ joint[3 * k : 3 * k + 6, 3 * k : 3 * k + 6] @ both.T
+            Q[some, some] = s[j] * (1.0 - s[j]) * way
+        if of[0] == of[1]:
+            Q[:3, 3:] = Q[3:, :3] = min(s) * (1.0 - max(s)) * way
+        covariances[i] = J @ joint @ J.T + G @ Q @ G.T
     return covariances
 
 
@@ -77,15 +91,14 @@ def held(name: str, data: Path, runs: Path) -> str:
     """What is printed of a log."""
     folder = run_of(data, runs, name)
     saved, relations = load_map(folder), read_relations(data / f"{name}.relations.gz")
-    recording = load_dataset(data / f"{name}.clf.bz2")
+    recording = load_laser_recording(data / f"{name}.clf.bz2")
     stamps, X_MB = read_tum(folder / "trajectory.tum")
-    rows = _rows(recording.told_stamps, stamps, relations)
     far = se2.between(X_MB[None], saved.X_MA[:, None])
     starts = np.argmin(np.hypot(far[..., 0], far[..., 1]) + np.abs(far[..., 2]), axis=1)
     X_BS = saved.graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     X_MS = se2.compose(se2.compose(X_MB, X_BS), recording.X_BS)
-    error = relations.X_12 - se2.between(X_MS[rows[:, 0]], X_MS[rows[:, 1]])
-    error[:, 2] = se2.wrap_angle(error[:, 2])
+    times, error = off_relations(stamps, X_MS, relations, recording.told_stamps)
+    rows = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
     covariance = stated(saved, starts, X_MB, rows)
     fitted, judged = slice(0, None, 2), slice(1, None, 2)
 
@@ -106,16 +119,6 @@ def held(name: str, data: Path, runs: Path) -> str:
         f"{name:<8}own {TOLD.get(name, sigma[0]):.4f} m, {sigma[1]:.4f} rad; stated {deviation:.4f} m; "
         f"{np.mean(squared < chi2.ppf(SHARE, 3)):.3f} of {len(squared)} within their region"
     )
-
-
-def _rows(told_stamps: FloatArray | None, stamps: FloatArray, relations: Relations) -> IntArray:
-    """(k, 2) rows of a trajectory that are nearest to the relations' times."""
-    times = relations.times
-    if told_stamps is not None and len(told_stamps):
-        told, here = told_stamps[np.argsort(told_stamps[:, 0], kind="stable")].T
-        times = here[np.clip(np.searchsorted(told, times - 1e-3), 0, len(told) - 1)]
-    after = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
-    return np.asarray(after - (times - stamps[after - 1] < stamps[after] - times))
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray, IntArray, Observation
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
+from tfg_drake.slam.surface_fit import poses_by_surfaces
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.trajectory import write_tum
 
@@ -107,7 +108,9 @@ def map_recording(
     at, truth = np.array([scan.stamp for scan in recording.scans]), recording.truth
     stamps, X_MB, X_BS = way.poses(mission)
     online_stamps, online = mission.estimated_poses()
-    X_MB = poses_between(recording, stamps + start, X_MB)
+    X_MB, state = poses_between(recording, stamps + start, X_MB), mission.estimator_state()
+    if state is not None and state.map is not None:
+        X_MB = poses_by_surfaces(state.graph, recording.scans, X_MB)
     figures = dict.fromkeys(_AGAINST_TRUTH)
     if truth is not None:
         X_WB = truth_at(truth, at)
@@ -120,7 +123,6 @@ def map_recording(
         figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))
     thickness = wall_thickness(met)
-    state = mission.estimator_state()
     walls = np.empty((0, 2, 2))
     if state is not None and state.map is not None:
         _, walls, _ = known_walls(state.map)

@@ -97,14 +97,6 @@ def test_the_field_and_its_scores_are_those_of_the_nearest_points():
         assert scores[a, i, j] == pytest.approx(field[cell[inside, 1], cell[inside, 0]].sum() / len(query))
 
 
-def test_a_query_is_fitted_to_old_surfaces():
-    seen, X = surfaces(), np.array([-9.0, -5.0, 0.3])
-    query = moved_points(se2.inverse(X), seen[np.hypot(*(seen[:, :2] - X[:2]).T) < 4.0])
-    found, share = loop_search._fitted(seen, query, X + np.array([0.15, -0.1, 0.06]))
-    np.testing.assert_allclose(found, X, atol=5e-3)
-    assert share > 0.9
-
-
 def test_a_loop_is_found_after_coming_back_and_believed_once_another_agrees():
     graph, truth = driven(ROUND, drift=0.001)
     search, first, believed = LoopSearch(), None, ()

@@ -62,6 +62,19 @@ def relation_errors(
     Raises:
         DatasetError: a relation's time is farther from all poses than half of their usual distance in time.
     """
+    _, error = off_relations(stamps, X_W, relations, told_stamps)
+    return {
+        "count": len(error),
+        "translation_m": _figures(np.hypot(error[:, 0], error[:, 1])),
+        "rotation_deg": _figures(np.degrees(np.abs(error[:, 2]))),
+    }
+
+
+def off_relations(
+    stamps: FloatArray, X_W: FloatArray, relations: Relations, told_stamps: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """The relations' times (k, 2), s, by the stamps, and where each has its second pose, as seen from where the
+    trajectory has it, (k, 3). Arguments and what is raised as of `relation_errors`."""
     times = relations.times
     if told_stamps is not None and len(told_stamps):
         told, here = told_stamps[np.argsort(told_stamps[:, 0], kind="stable")].T
@@ -73,12 +86,7 @@ def relation_errors(
     step = X_W[after] - X_W[after - 1]
     step[..., 2] = se2.wrap_angle(step[..., 2])
     X_W1, X_W2 = np.moveaxis(X_W[after - 1] + share[..., None] * step, 1, 0)
-    error = se2.between(se2.between(X_W1, X_W2), relations.X_12)
-    return {
-        "count": len(error),
-        "translation_m": _figures(np.hypot(error[:, 0], error[:, 1])),
-        "rotation_deg": _figures(np.degrees(np.abs(se2.wrap_angle(error[:, 2])))),
-    }
+    return times, se2.between(se2.between(X_W1, X_W2), relations.X_12)
 
 
 def _nearest(stamps: FloatArray, times: FloatArray, relations: Relations) -> IntArray:

@@ -11,17 +11,16 @@ import math
 
 import numpy as np
 from numba import njit
-from scipy.spatial import cKDTree
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.dissection import DissectionSolver
-from tfg_drake.slam.keyframe import Keyframe, moved_points, rows_of, way
+from tfg_drake.slam.keyframe import moved_points, rows_of, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, moved_part
 from tfg_drake.slam.map_solver import solve, solved
 from tfg_drake.slam.map_update import deviation_of
+from tfg_drake.slam.surface_fit import Surfaces, surface_points
 from tfg_drake.slam.surfaces import Ties
-from tfg_drake.slam.walls import ends_seen
 
 # Way, m, that counts as lately, and after which a place is an old one; way of old keyframes that are searched at once.
 LATELY, LONG_AGO, AT_ONCE = 3.0, 15.0, 6.0
@@ -31,13 +30,11 @@ EVERY, QUERY, COARSE, LEAST_POINTS = 1.0, 400, 130, 30
 # pose, and by way, m, since the last loop.
 WITHIN, DEVIATIONS = 3.0, 3.0
 LEAST_WINDOW, MOST_WINDOW, DRIFT = np.array([0.4, 0.08]), np.array([6.0, 0.5]), np.array([0.03, 0.003])
-# Cells of the field and its blur, m; steps of the search, m and rad; what a wall is told by, m between points. Another
-# place is so many steps off.
-RESOLUTION, BLUR, STEP, TURN, SPACING, APART = 0.1, 0.15, 0.25, 0.03, 0.1, 4
-# The coarse search: least share of points on old ones; the fit: gates, m, how alike normals are (cosine), least scale
-# of Cauchy's weights, m, and the least share of points within ON, m, of old surfaces.
-LEAST_SCORE, GATES, SAME_WAY, ROBUST = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), 0.8, 0.04
-ON, LEAST_SHARE = 0.1, 0.5
+# Cells of the field and its blur, m; steps of the search, m and rad. Another place is so many steps off.
+RESOLUTION, BLUR, STEP, TURN, APART = 0.1, 0.15, 0.25, 0.03, 4
+# The coarse search: least share of points on old ones; the fit: gates, m, as good as no information on the pose, and
+# the least share of points on old surfaces.
+LEAST_SCORE, GATES, UNTIED, LEAST_SHARE = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3), 0.5
 # Loops agree, m and rad, and a share of the way between; along so much way. Two others have to where one moves the
 # robot farther than this, m, or another place does nearly as well.
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
@@ -66,19 +63,6 @@ class LoopSearch:
     closed: tuple[Loop, ...] = ()
     searched: int = 0
     tied: int = 0
-
-
-def seen_by(one: Keyframe, shared: FloatArray) -> FloatArray:
-    """(p, 4) points with normals of all that a keyframe sees in A, its walls by points along them."""
-    parts = [one.points[one.points[:, 2:].any(axis=1)]]
-    for first, last in ends_seen(one, shared):
-        along = last - first
-        length = math.hypot(*along)
-        if length > 0.0:
-            along = along / length
-            p = first + np.arange(0.0, length, SPACING)[:, None] * along
-            parts.append(np.column_stack([p, np.tile([-along[1], along[0]], (len(p), 1))]))
-    return np.vstack(parts)
 
 
 def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tuple[LoopSearch, tuple[Loop, ...]]:
@@ -178,7 +162,7 @@ def _seen_from(graph: KeyframeGraph, views: IntArray, X_MF: FloatArray) -> Float
     """(p, 4) points with normals in F, seen by the keyframes of some views."""
     shared, X_FM = graph.shared.mean, se2.inverse(X_MF)
     parts = [
-        moved_points(se2.compose(X_FM, graph.X_MN[k]), seen_by(graph.keyframes[k], shared))
+        moved_points(se2.compose(X_FM, graph.X_MN[k]), surface_points(graph.keyframes[k], shared))
         for k in np.unique(graph.view_keyframe[views])
     ]
     return np.vstack(parts)
@@ -215,26 +199,8 @@ def _placed(
     start = X + np.array([(best[2] - steps) * STEP, (best[1] - steps) * STEP, (best[0] - turns) * TURN])
     y, x = (slice(max(0, at - APART), at + APART + 1) for at in best[1:])
     scores[:, y, x] = 0.0
-    there, share = _fitted(before, query, start)
+    there, share = Surfaces(before).fitted(query, start, UNTIED, GATES)
     return (there, float(scores.max()) / score) if share > LEAST_SHARE else None
-
-
-def _fitted(before: FloatArray, query: FloatArray, X: FloatArray) -> tuple[FloatArray, float]:
-    """X (3,) moved so that the query's points lie on the old surfaces, and the share of them that do."""
-    tree, share = cKDTree(before[:, :2]), 0.0
-    for gate in GATES:
-        p = moved_points(X, query)
-        _, row = tree.query(p[:, :2], distance_upper_bound=gate)
-        met = row < len(before)
-        old = before[np.where(met, row, 0)]
-        met &= np.sum(old[:, 2:] * p[:, 2:], axis=1) > SAME_WAY
-        e = np.sum(old[:, 2:] * (p[:, :2] - old[:, :2]), axis=1)
-        lever = p[:, :2] - X[:2]
-        J = np.column_stack([old[:, 2:], old[:, 3] * lever[:, 0] - old[:, 2] * lever[:, 1]])
-        w = met / (1.0 + (e / max(gate / 3.0, ROBUST)) ** 2)
-        X = X - np.linalg.solve((w[:, None] * J).T @ J + 1e-3 * np.eye(3), (w * e) @ J)
-        share = float(np.mean(met & (np.abs(e) < ON)))
-    return X, share
 
 
 @njit(cache=True)

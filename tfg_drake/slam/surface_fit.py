@@ -1,0 +1,110 @@
+"""Fits what is seen from one place to surfaces of the map: each of its points lies on those that look the same way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, LaserScan
+from tfg_drake.slam.keyframe import Keyframe, moved_points
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.scan_points import scan_points
+from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
+from tfg_drake.slam.surfaces import POINT
+from tfg_drake.slam.walls import ends_seen
+
+# The map's points are put together in cells of this side, m, and DIRECTIONS of their normals, from three on, twice:
+# what a border divides the first time is whole the second.
+CELL, DIRECTIONS, LEAST = 0.2, 12, 3
+# A point lies on so many surfaces, at most, no farther off than this, m, whose normals are alike (cosine).
+MOST, NEAR, SAME_WAY = 4, 0.3, 0.85
+# Least scale of Cauchy's weights, m, for gates, m, that are three times as wide. Points of one scan have errors in
+# common: they count as so many times fewer.
+ROBUST, ALIKE = 0.04, 5.0
+# Walls are told by points so far apart, m.
+SPACING = 0.1
+# A point is on the surfaces within this, m.
+ON = 0.1
+# Deviations of a scan's pose by those of keyframes before and after it, m, m, rad; gates, m; points that it is fitted
+# by, at most.
+BETWEEN, GATES, QUERY = np.array([0.03, 0.03, 0.01]), (0.3, 0.2, 0.15, 0.1), 200
+
+
+class Surfaces:
+    """Surfaces by points with normals, (p, 4), in M."""
+
+    def __init__(self, points: FloatArray) -> None:
+        self.points = np.vstack([_cells(points, 0.0), _cells(points, 0.5 * CELL)])
+        self.tree = cKDTree(self.points[:, :2])
+
+    def fitted(
+        self, query: FloatArray, X: FloatArray, information: FloatArray, gates: Sequence[float]
+    ) -> tuple[FloatArray, float]:
+        """Where (3,) in M the frame of a query (q, 4) lies, and the share of its points that are on the surfaces.
+
+        X: (3,) where it is thought to lie, by information (3, 3). gates: m, a step each.
+        """
+        there, share = X, 0.0
+        for gate in gates if len(self.points) else ():
+            p = moved_points(there, query)
+            _, row = self.tree.query(p[:, :2], k=MOST, distance_upper_bound=max(NEAR, gate))
+            met = row < len(self.points)
+            of = self.points[np.where(met, row, 0)]
+            n, lever = of[..., 2:], p[:, :2] - there[:2]
+            met &= np.einsum("qki,qi->qk", n, p[:, 2:]) > SAME_WAY
+            e = np.einsum("qki,qki->qk", n, p[:, None, :2] - of[..., :2])
+            w = met / (1.0 + (e / max(gate / 3.0, ROBUST)) ** 2)
+            w /= ALIKE * POINT**2 * np.maximum(w.sum(axis=1), 1.0)[:, None]
+            J = np.concatenate([n, (n[..., 1] * lever[:, None, 0] - n[..., 0] * lever[:, None, 1])[..., None]], axis=2)
+            weighted = (w[..., None] * J).reshape(-1, 3).T
+            off = np.append(there[:2] - X[:2], se2.wrap_angle(there[2] - X[2]))
+            H, g = weighted @ J.reshape(-1, 3) + information, weighted @ e.ravel() + information @ off
+            there = there - np.linalg.solve(H, g)
+            share = float(np.mean(np.any(met & (np.abs(e) < ON), axis=1)))
+        return there, share
+
+
+def _cells(points: FloatArray, offset: float) -> FloatArray:
+    """(m, 4) the mean of points (p, 4) of each cell that look the same way."""
+    turned = np.arctan2(points[:, 3], points[:, 2]) * (DIRECTIONS / (2.0 * math.pi)) + offset / CELL
+    cell = np.floor((points[:, :2] + offset) / CELL).astype(np.int64)
+    key = np.column_stack([cell, np.floor(turned).astype(np.int64) % DIRECTIONS])
+    _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    mean = np.zeros((len(count), 4))
+    np.add.at(mean, of.ravel(), points)
+    mean = mean[count >= LEAST] / count[count >= LEAST, None]
+    mean[:, 2:] /= np.hypot(mean[:, 2], mean[:, 3])[:, None]
+    return np.asarray(mean)
+
+
+def surface_points(one: Keyframe, shared: FloatArray) -> FloatArray:
+    """(p, 4) points with normals of all that a keyframe sees in A, its walls by points along them."""
+    parts = [one.points[one.points[:, 2:].any(axis=1)]]
+    for first, last in ends_seen(one, shared):
+        along = last - first
+        length = math.hypot(*along)
+        if length > 0.0:
+            along = along / length
+            p = first + np.arange(0.0, length, SPACING)[:, None] * along
+            parts.append(np.column_stack([p, np.tile([-along[1], along[0]], (len(p), 1))]))
+    return np.vstack(parts)
+
+
+def poses_by_surfaces(graph: KeyframeGraph, scans: Sequence[LaserScan], X_MB: FloatArray) -> FloatArray:
+    """(n, 3) poses of the body at n scans, known by keyframes before and after, X_MB (n, 3), as the surfaces that the
+    keyframes have seen have them."""
+    shared = graph.shared.mean
+    X_BS = shared[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
+    seen = zip(graph.X_MN, graph.keyframes, strict=False)
+    surfaces = Surfaces(np.vstack([moved_points(X_MN, surface_points(one, shared)) for X_MN, one in seen]))
+    information, poses = np.diag(BETWEEN**-2.0), X_MB.copy()
+    for k, scan in enumerate(scans):
+        points = scan_points(scan)
+        points = points[points[:, 2:].any(axis=1)]
+        points = moved_points(X_BS, points[:: 1 + len(points) // QUERY])
+        poses[k], _ = surfaces.fitted(points, X_MB[k], information, GATES)
+    return poses
