@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import scipy.linalg
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
@@ -29,6 +30,7 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.solver import Values
+from tfg_drake.slam.surface_fit import poses_by_surfaces
 from tfg_drake.storage.trajectory import read_tum
 
 SHARE = 0.9
@@ -45,9 +47,10 @@ def run_of(data: Path, runs: Path, name: str) -> Path:
     return folder
 
 
-def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, rows: IntArray) -> FloatArray:
+def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, own: FloatArray, rows: IntArray) -> FloatArray:
     """(k, 3, 3) covariances of the poses in rows[:, 1] of a trajectory (n, 3) as seen from those in rows[:, 0]. starts:
-    (g,) the row at which each view begins. Between the nodes of a keyframe the way is a Brownian bridge."""
+    (g,) the row at which each view begins. own: (n, 3, 3) covariances of the poses given the keyframes' on either side.
+    """
     graph = saved.graph
     solver = DissectionSolver(graph)
     system = solver.linearised(Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros(graph.p_ML.shape)), 0.0)
@@ -72,18 +75,14 @@ def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, rows: IntArray) 
 
     covariances = np.empty((len(rows), 3, 3))
     for i, (ends, of, s) in enumerate(zip(rows, node, share, strict=True)):
-        G, J, Q = relative(*ends), np.zeros((3, 3 * len(nodes))), np.zeros((6, 6))
+        G, J = relative(*ends), np.zeros((3, 3 * len(nodes)))
         for j, (row, k) in enumerate(zip(ends, of, strict=True)):
             some = slice(3 * j, 3 * j + 3)
             A, D = moves(row, k), moves(row, k + 1)
             J[:, 3 * k : 3 * k + 3] += (1.0 - s[j]) * G[:, some] @ A
             J[:, 3 * k + 3 : 3 * k + 6] += s[j] * G[:, some] @ D
-            both = np.hstack([-A, D])
-            way = both @ joint[3 * k : 3 * k + 6, 3 * k : 3 * k + 6] @ both.T
-            Q[some, some] = s[j] * (1.0 - s[j]) * way
-        if of[0] == of[1]:
-            Q[:3, 3:] = Q[3:, :3] = min(s) * (1.0 - max(s)) * way
-        covariances[i] = J @ joint @ J.T + G @ Q @ G.T
+        of_scans = scipy.linalg.block_diag(*own[ends])
+        covariances[i] = J @ joint @ J.T + G @ of_scans @ G.T
     return covariances
 
 
@@ -99,7 +98,9 @@ def held(name: str, data: Path, runs: Path) -> str:
     X_MS = se2.compose(se2.compose(X_MB, X_BS), recording.X_BS)
     times, error = off_relations(stamps, X_MS, relations, recording.told_stamps)
     rows = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
-    covariance = stated(saved, starts, X_MB, rows)
+    some, own_of = np.unique(rows), np.zeros((len(X_MB), 3, 3))
+    _, own_of[some] = poses_by_surfaces(saved.graph, [recording.scans[row] for row in some], X_MB[some])
+    covariance = stated(saved, starts, X_MB, own_of, rows)
     fitted, judged = slice(0, None, 2), slice(1, None, 2)
 
     def unlikely(logarithms: FloatArray) -> float:

@@ -110,7 +110,7 @@ def map_recording(
     online_stamps, online = mission.estimated_poses()
     X_MB, state = poses_between(recording, stamps + start, X_MB), mission.estimator_state()
     if state is not None and state.map is not None:
-        X_MB = poses_by_surfaces(state.graph, recording.scans, X_MB)
+        X_MB, _ = poses_by_surfaces(state.graph, recording.scans, X_MB)
     figures = dict.fromkeys(_AGAINST_TRUTH)
     if truth is not None:
         X_WB = truth_at(truth, at)

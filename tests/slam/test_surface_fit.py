@@ -24,7 +24,7 @@ def seen_from(X, noise=0.0):
 
 @pytest.mark.parametrize("off", [[0.15, -0.1, 0.06], [-0.1, 0.12, -0.04], [0.0, 0.0, 0.0]])
 def test_a_query_is_fitted_to_surfaces_and_lies_on_them(off):
-    found, share = Surfaces(surfaces()).fitted(seen_from(WHERE, 0.01), WHERE + off, 0.01 * LOOSE, 2 * GATES)
+    found, _, share = Surfaces(surfaces()).fitted(seen_from(WHERE, 0.01), WHERE + off, 0.01 * LOOSE, 2 * GATES)
     np.testing.assert_allclose(found, WHERE, atol=5e-3)
     assert share > 0.9
 
@@ -33,10 +33,11 @@ def test_along_a_bare_wall_and_where_nothing_is_what_was_known_before_stays():
     x = np.arange(-3.0, 3.0, 0.02)
     wall = np.column_stack([x, np.full(len(x), 1.0), 0.0 * x, np.full(len(x), -1.0)])
     start = np.array([0.07, 0.05, 0.02])
-    found, _ = Surfaces(wall).fitted(wall[np.abs(wall[:, 0]) < 2.0], start, LOOSE, 2 * GATES)
+    found, *_ = Surfaces(wall).fitted(wall[np.abs(wall[:, 0]) < 2.0], start, LOOSE, 2 * GATES)
     np.testing.assert_allclose(found, [0.07, 0.0, 0.0], atol=2e-3)
-    nothing, share = Surfaces(np.empty((0, 4))).fitted(wall, start, LOOSE, GATES)
-    assert np.array_equal(nothing, start) and share == 0.0
+    nothing, _, share = Surfaces(np.empty((0, 4))).fitted(wall, start, LOOSE, GATES)
+    assert np.array_equal(nothing, start)
+    assert share == 0.0
 
 
 def test_what_looks_the_other_way_is_another_surface():
@@ -65,6 +66,9 @@ def test_poses_of_scans_are_better_than_those_between_keyframes():
     off = np.random.default_rng(3).normal(0.0, [0.03, 0.03, 0.01], (5, 3))
     true = truth[2:12:2]
     scans = [scan_from(se2.compose(true_way(1)[0], X)) for X in true]
-    found = poses_by_surfaces(graph, scans, true + off)
+    found, covariance = poses_by_surfaces(graph, scans, true + off)
     error = np.abs(found - true)
     assert np.all(error.mean(axis=0) < 0.4 * np.abs(off).mean(axis=0))
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    assert np.all(variance < [9e-4, 9e-4, 1e-4])
+    assert np.all(np.mean(error**2 / variance, axis=0) < 4.0)

@@ -199,7 +199,7 @@ def _placed(
     start = X + np.array([(best[2] - steps) * STEP, (best[1] - steps) * STEP, (best[0] - turns) * TURN])
     y, x = (slice(max(0, at - APART), at + APART + 1) for at in best[1:])
     scores[:, y, x] = 0.0
-    there, share = Surfaces(before).fitted(query, start, UNTIED, GATES)
+    there, _, share = Surfaces(before).fitted(query, start, UNTIED, GATES)
     return (there, float(scores.max()) / score) if share > LEAST_SHARE else None
 
 

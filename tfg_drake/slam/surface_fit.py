@@ -43,12 +43,13 @@ class Surfaces:
 
     def fitted(
         self, query: FloatArray, X: FloatArray, information: FloatArray, gates: Sequence[float]
-    ) -> tuple[FloatArray, float]:
-        """Where (3,) in M the frame of a query (q, 4) lies, and the share of its points that are on the surfaces.
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Where (3,) in M the frame of a query (q, 4) lies, by what information (3, 3), and the share of its points
+        that are on the surfaces.
 
         X: (3,) where it is thought to lie, by information (3, 3). gates: m, a step each.
         """
-        there, share = X, 0.0
+        there, total, share = X, information, 0.0
         for gate in gates if len(self.points) else ():
             p = moved_points(there, query)
             _, row = self.tree.query(p[:, :2], k=MOST, distance_upper_bound=max(NEAR, gate))
@@ -62,10 +63,10 @@ class Surfaces:
             J = np.concatenate([n, (n[..., 1] * lever[:, None, 0] - n[..., 0] * lever[:, None, 1])[..., None]], axis=2)
             weighted = (w[..., None] * J).reshape(-1, 3).T
             off = np.append(there[:2] - X[:2], se2.wrap_angle(there[2] - X[2]))
-            H, g = weighted @ J.reshape(-1, 3) + information, weighted @ e.ravel() + information @ off
-            there = there - np.linalg.solve(H, g)
+            total = weighted @ J.reshape(-1, 3) + information
+            there = there - np.linalg.solve(total, weighted @ e.ravel() + information @ off)
             share = float(np.mean(np.any(met & (np.abs(e) < ON), axis=1)))
-        return there, share
+        return there, total, share
 
 
 def _cells(points: FloatArray, offset: float) -> FloatArray:
@@ -94,17 +95,19 @@ def surface_points(one: Keyframe, shared: FloatArray) -> FloatArray:
     return np.vstack(parts)
 
 
-def poses_by_surfaces(graph: KeyframeGraph, scans: Sequence[LaserScan], X_MB: FloatArray) -> FloatArray:
+def poses_by_surfaces(
+    graph: KeyframeGraph, scans: Sequence[LaserScan], X_MB: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """(n, 3) poses of the body at n scans, known by keyframes before and after, X_MB (n, 3), as the surfaces that the
-    keyframes have seen have them."""
+    keyframes have seen have them, and the covariances (n, 3, 3) that they have given these."""
     shared = graph.shared.mean
     X_BS = shared[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     seen = zip(graph.X_MN, graph.keyframes, strict=False)
     surfaces = Surfaces(np.vstack([moved_points(X_MN, surface_points(one, shared)) for X_MN, one in seen]))
-    information, poses = np.diag(BETWEEN**-2.0), X_MB.copy()
+    before, poses, total = np.diag(BETWEEN**-2.0), X_MB.copy(), np.empty((len(scans), 3, 3))
     for k, scan in enumerate(scans):
         points = scan_points(scan)
         points = points[points[:, 2:].any(axis=1)]
         points = moved_points(X_BS, points[:: 1 + len(points) // QUERY])
-        poses[k], _ = surfaces.fitted(points, X_MB[k], information, GATES)
-    return poses
+        poses[k], total[k], _ = surfaces.fitted(points, X_MB[k], before, GATES)
+    return poses, np.linalg.inv(total)
