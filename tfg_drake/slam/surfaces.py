@@ -21,6 +21,8 @@ from tfg_drake.messages import FloatArray, IntArray
 # rad, and their mean is no shorter than this.
 CELL = 0.3
 SAME_WAY, COMMON = 0.45, 0.8
+# Directions are put in order by so many parts of a turn.
+TURNS = 4096
 # Deviations of a point, m, of all that one keyframe sees of a piece, m, and of the slope of a piece to the mean of its
 # points' normals.
 POINT, FLOOR, SLOPE = 0.02, 0.01, 0.15
@@ -72,11 +74,12 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
     of_cell = 3 * (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) + kind
     # Directions from a random one on.
     direction = (np.arctan2(p_MP[:, 3], p_MP[:, 2]) - rng.uniform(0.0, 2.0 * math.pi)) % (2.0 * math.pi)
-    order = np.lexsort([direction, of_cell])
+    turn = np.minimum((direction * (TURNS / (2.0 * math.pi))).astype(np.int64), TURNS - 1)
+    order = _order(of_cell * TURNS + turn)
     new = (np.diff(of_cell[order], prepend=-1) != 0) | (np.diff(direction[order], prepend=0.0) > SAME_WAY)
     piece = np.empty(len(order), dtype=np.int64)
     piece[order] = np.cumsum(new) - 1
-    rows = np.lexsort([points.keyframe, piece])
+    rows = _order(piece)  # Keyframes are in order before.
     piece, keyframe = piece[rows], points.keyframe[rows]
     begin = np.flatnonzero((np.diff(piece, prepend=-1) != 0) | (np.diff(keyframe, prepend=-1) != 0))
     piece, keyframe, begin = piece[begin], keyframe[begin], np.append(begin, len(rows))
@@ -90,6 +93,12 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
     worth = np.where(kind > 0, EDGE, 1.0)
     _weigh(np.flatnonzero(kept), mean, looks, begin, p_MP[rows], points.p_AP[rows], worth[rows], moments)
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe[some], moments[some])
+
+
+def _order(keys: IntArray) -> IntArray:
+    """(n,) rows of integers (n,) in their order, equal ones as they come: of numbers that all differ any sort will do,
+    and the fastest is five times as fast as a stable one."""
+    return np.asarray(np.argsort(keys * len(keys) + np.arange(len(keys))))
 
 
 class Ties(NamedTuple):
