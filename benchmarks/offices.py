@@ -5,7 +5,8 @@
     python benchmarks/offices.py draw 7 plan.yaml
 
 Camera, wheels and scanner are those of `paper_real`, which the explorer does not know of. Columns and --out are as of
-consistency.py. `draw` writes one plan, which `tfg-drake explore paper_real --world plan.yaml --tag-spacing none` takes.
+consistency.py; in the second row there are people, a tenth of the rays meets glass and the others' errors are
+correlated. `draw` writes one plan, which `tfg-drake explore paper_real --world plan.yaml --tag-spacing none` takes.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ import reality
 import yaml
 
 PLANS = Path("runs/offices")
+# What half of the plans are told anew with: people, rays that meet nothing, errors of rays that are no white noise.
+WORSE = ("reality.people=3", "reality.scan.dropout_probability=0.1", "reality.scan.correlation_angle=0.05")
 SEEDS = 20
 # Least width of a door, and of what is left of a wall beside it, m.
 DOOR, JAMB = 0.9, 0.15
@@ -183,4 +186,9 @@ if __name__ == "__main__":
     for one in range(SEEDS):
         write(one, PLANS / f"{one}.yaml")
     arguments = ["paper_real", "--world", str(PLANS / "{seed}.yaml"), "--tag-spacing", "none"]
-    consistency.main(__doc__, {"offices": (arguments, reality.BELIEVED, SEEDS)}, Path("runs/offices.jsonl"))
+    worse = [word for setting in WORSE for word in ("--set", setting)]
+    rows: consistency.Rows = {
+        "offices": (arguments, reality.BELIEVED, SEEDS),
+        "people, glass": (arguments + worse, reality.BELIEVED, SEEDS // 2),
+    }
+    consistency.main(__doc__, rows, Path("runs/offices.jsonl"))

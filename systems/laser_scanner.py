@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from tfg_drake.config import ScanConfig, ScanRealityConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import replace
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt, swept
+from tfg_drake.simulation.laser_scanner import along_rays, no_scan, ray_angles, scan, spoilt, swept
 from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.people import people_at
@@ -61,6 +61,8 @@ class LaserScanner(LeafSystem):
     def _Scan(self, context: Context, state: State) -> None:
         robot, sweep_time = self._pose.Eval(context), self._reality.sweep_time
         noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
+        if self._reality.correlation_angle > 0.0:
+            noise = along_rays(noise, self._angles, self._reality.correlation_angle)
         walls = world_now(self._changing, context, self._world).walls
         discs = people_at(self._people, context)
         sheets = (stamp, self._towards, noise, self._config, self._stated, discs)

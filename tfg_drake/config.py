@@ -339,6 +339,8 @@ class ScanRealityConfig:
     """What the simulated scanner does where its data sheet, ScanConfig, says otherwise; None: as that says."""
 
     noise: float | None = None
+    # Errors of two rays fall to 1/e of their correlation over this angle between them, rad; 0: white.
+    correlation_angle: float = 0.0
     # Probability that a ray meets nothing (glass, black walls), and that it tells a range between the surface that it
     # passes the edge of and the one behind.
     dropout_probability: float = 0.0

@@ -6,7 +6,7 @@ import pytest
 from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import compose, inverse
-from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan, spoilt, swept
+from tfg_drake.simulation.laser_scanner import along_rays, no_scan, ray_angles, scan, spoilt, swept
 
 CONFIG = ScanConfig()
 WALL = np.array([[4.0, -100.0, 4.0, 100.0]])
@@ -109,3 +109,12 @@ def test_a_wall_seen_aslant_is_not_mixed_with_itself():
     steps = np.abs(np.diff(whole.ranges[np.isfinite(whole.ranges)]))
     assert np.count_nonzero(steps > 0.1) > 5
     assert len(changed) <= 1
+
+
+def test_errors_of_rays_are_correlated_over_an_angle():
+    angles = np.linspace(0.0, 0.1 * 4000, 4001)
+    white = np.random.default_rng(5).normal(size=4001)
+    errors = along_rays(white, angles, 0.5)
+    assert abs(errors.std() - 1.0) < 0.06
+    for steps in (1, 5, 10):
+        assert abs(np.mean(errors[steps:] * errors[:-steps]) - np.exp(-0.2 * steps)) < 0.08

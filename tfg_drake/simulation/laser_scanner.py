@@ -82,6 +82,15 @@ def swept(
     return LaserScan(stamp - sweep_time, angles, ranges, config.range, (stated or config).noise)
 
 
+def along_rays(white: FloatArray, angles: FloatArray, correlation_angle: float) -> FloatArray:
+    """Standard normal numbers (m,) whose correlation falls to 1/e over an angle (rad) between rays, from white ones
+    (m,): an autoregression of first order along the rays at angles (m,), rad."""
+    correlated = white.copy()
+    for k, kept in enumerate(np.exp(-np.diff(angles) / correlation_angle).tolist(), 1):
+        correlated[k] = kept * correlated[k - 1] + math.sqrt(1.0 - kept * kept) * white[k]
+    return correlated
+
+
 def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> LaserScan:
     """The scan with what glass, black walls and edges make of its rays, by one number (m,) between 0 and 1 for each:
     rays that meet nothing, and ranges between two surfaces one behind the other (mixed pixels)."""
