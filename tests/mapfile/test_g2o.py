@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.mapfile.test_merge import in_room
-from tests.slam.test_wall_search import ROOM
+from tests.slam.test_place_search import ROOM
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.g2o import g2o_text, landmark_base
 from tfg_drake.messages import WALLS_BELOW

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 import tfg_drake
 from tests.slam.rings import NOTHING, reckoned, ring
-from tests.slam.test_wall_search import ROOM
+from tests.slam.test_place_search import ROOM
 from tests.walls import known_at_their_ends, walls_between
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.metrics import landmark_nees, landmark_rmse_aligned

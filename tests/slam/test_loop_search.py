@@ -10,7 +10,7 @@ from tfg_drake.messages import replace
 from tfg_drake.slam import loop_search
 from tfg_drake.slam.keyframe import moved_points, way
 from tfg_drake.slam.keyframe_graph import empty_graph, no_observation
-from tfg_drake.slam.loop_search import BLUR, RESOLUTION, STEP, TURN, LoopSearch, bent, searched, with_loops_closed
+from tfg_drake.slam.loop_search import LoopSearch, bent, searched, with_loops_closed
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import exactly_known
 
@@ -76,25 +76,6 @@ ROUND = 2 * (42 + 22) + 8
 def back():
     """A robot that has come round, its way bent by drift."""
     return driven(ROUND)
-
-
-def test_the_field_and_its_scores_are_those_of_the_nearest_points():
-    rng = np.random.default_rng(0)
-    points, query = rng.uniform(0.5, 3.5, (12, 2)), rng.uniform(0.5, 3.5, (7, 4))
-    low, cells = np.zeros(2), np.array([40, 40])
-    field = loop_search._field(points, low, cells)
-    at = (np.arange(40) + 0.5) * RESOLUTION
-    apart = np.hypot(at[None, :, None] - points[:, 0], at[:, None, None] - points[:, 1]).min(axis=2)
-    near = apart < 2.5 * BLUR
-    np.testing.assert_allclose(field[near], np.exp(-0.5 * (apart[near] / BLUR) ** 2))
-    X = np.array([0.3, -0.2, 0.1])
-    scores = loop_search._scores(field, low, query[:, :2], X, np.array([0.5, 0.06]))
-    assert scores.shape == (5, 5, 5)
-    for a, i, j in ((0, 0, 0), (2, 2, 2), (4, 1, 3)):
-        p = se2.transform(X + np.array([(j - 2) * STEP, (i - 2) * STEP, (a - 2) * TURN]), query[:, :2])
-        cell = np.floor(p / RESOLUTION).astype(int)
-        inside = ((cell >= 0) & (cell < 40)).all(axis=1)
-        assert scores[a, i, j] == pytest.approx(field[cell[inside, 1], cell[inside, 0]].sum() / len(query))
 
 
 def test_a_loop_is_found_after_coming_back_and_believed_once_another_agrees():

@@ -15,8 +15,9 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, replace
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.lost_robot import Expected, relocalize
-from tfg_drake.slam.wall_search import SAME, find_place, refined
-from tfg_drake.slam.walls import LEAST_LENGTH, directions
+from tfg_drake.slam.place_search import LOOSELY, SAME, UNTIED, find_place
+from tfg_drake.slam.surface_fit import Surfaces, points_along
+from tfg_drake.slam.walls import directions
 from tfg_drake.tfg.polyline import sample
 
 # A pose that says nothing of where to look.
@@ -101,33 +102,28 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
         X_AB = X_AB[~alike]
     if len(places) != 1 or places[0][1] < LEAST_VIEWS:
         return None
-    X = refined(places[0][0], _walls(in_B), _walls(in_A))
+    seen = points_along(in_B.segments.reshape(-1, 2, 2))
+    X, _, _ = Surfaces(points_along(in_A.segments.reshape(-1, 2, 2))).fitted(seen, places[0][0], UNTIED, LOOSELY)
     return Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))
 
 
 def _found(in_A: Standing, in_B: Standing) -> FloatArray:
     """Poses X_AB (q, 3) at which a robot that stands at some view of B has found itself in A by its walls."""
-    walls = _walls(in_A)
+    before = points_along(in_A.segments.reshape(-1, 2, 2))
     views = in_B.X_MV[:: max(len(in_B.X_MV) // VIEWS, 1)]
-    found = [(find_place(_seen_from(X, in_B), walls, np.zeros(3), anywhere=True)[0], X) for X in views]
+    found = [(find_place(before, _seen_from(X, in_B), np.zeros(3), anywhere=True)[0], X) for X in views]
     return np.array([se2.compose(X_AV, se2.inverse(X)) for X_AV, X in found if X_AV is not None]).reshape(-1, 3)
 
 
-def _walls(of: Standing) -> FloatArray:
-    """The walls (w, 2, 2) among what stands, as `find_place` takes them."""
-    walls = of.segments.reshape(-1, 2, 2)
-    return walls[directions(walls)[2] >= LEAST_LENGTH]
-
-
 def _seen_from(X_BV: FloatArray, in_B: Standing) -> FloatArray:
-    """The walls (s, 2, 2) that a robot at a pose (3,) sees, in its frame, as far as it sees."""
+    """Points with normals (p, 4) of what a robot at a pose (3,) sees, in its frame, as far as it sees."""
     pairs = se2.transform(se2.inverse(X_BV), in_B.segments.reshape(-1, 2)).reshape(-1, 2, 2)
     along, normal, length = directions(pairs)
     distance, nearest = np.sum(pairs[:, 0] * normal, axis=1), -np.sum(pairs[:, 0] * along, axis=1)
     half = np.sqrt(np.maximum(SIGHT**2 - distance**2, 0.0))
     reach = np.clip(np.column_stack([nearest - half, nearest + half]), 0.0, length[:, None])
     ends = pairs[:, :1] + reach[:, :, None] * along[:, None]
-    return np.asarray(ends[(distance > 0.0) & (reach[:, 1] - reach[:, 0] >= LEAST_LENGTH)])
+    return points_along(ends[(distance > 0.0) & (reach[:, 1] > reach[:, 0])])
 
 
 def _amid(of: Standing, X: FloatArray, other: Standing) -> float:

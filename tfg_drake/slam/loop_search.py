@@ -1,8 +1,7 @@
 """Loops: places that the robot has come back to, found by how what it saw lately lies on what it saw long ago.
 
-A coarse search over a window of what the pose is known to, by the share of recent points that lie on old ones, then a
-fit of points to the surfaces of old ones. What one search finds may be a look-alike: a loop is believed once others
-along the way agree with it.
+A search (`place_search`) over a window of what the pose is known to. What one search finds may be a look-alike: a loop
+is believed once others along the way agree with it.
 """
 
 from __future__ import annotations
@@ -10,31 +9,28 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, message, replace
+from tfg_drake.messages import FloatArray, MapEstimate, Observation, message, replace
 from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe import moved_points, rows_of, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, moved_part
 from tfg_drake.slam.map_solver import solve, solved
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.surface_fit import Surfaces, surface_points
+from tfg_drake.slam.place_search import COARSE, LOOSELY, QUERY, UNTIED, peaks
+from tfg_drake.slam.surface_fit import Surfaces, map_points
 from tfg_drake.slam.surfaces import Ties
 
 # Way, m, that counts as lately, and after which a place is an old one; way of old keyframes that are searched at once.
 LATELY, LONG_AGO, AT_ONCE = 3.0, 15.0, 6.0
-# A search again after so much way, m. Points of the query in the fit and in the coarse search, at most, and at least.
-EVERY, QUERY, COARSE, LEAST_POINTS = 1.0, 400, 130, 30
+# A search again after so much way, m. Points of the query and of old surfaces, at least.
+EVERY, LEAST_POINTS = 1.0, 30
 # Old places are asked for within this and the window, m. The window, m and rad: at least, at most, in deviations of the
 # pose, and by way, m, since the last loop.
 WITHIN, DEVIATIONS = 3.0, 3.0
 LEAST_WINDOW, MOST_WINDOW, DRIFT = np.array([0.4, 0.08]), np.array([6.0, 0.5]), np.array([0.03, 0.003])
-# Cells of the field and its blur, m; steps of the search, m and rad. Another place is so many steps off.
-RESOLUTION, BLUR, STEP, TURN, APART = 0.1, 0.15, 0.25, 0.03, 4
-# The coarse search: least share of points on old ones; the fit: gates, m, as good as no information on the pose, and
-# the least share of points on old surfaces.
-LEAST_SCORE, GATES, UNTIED, LEAST_SHARE = 0.35, (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3), 0.5
+# Least share of points on old ones in the coarse search, and on old surfaces after the fit.
+LEAST_SCORE, LEAST_SHARE = 0.35, 0.5
 # Loops agree, m and rad, and a share of the way between; along so much way. Two others have to where one moves the
 # robot farther than this, m, or another place does nearly as well.
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
@@ -83,22 +79,26 @@ def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tup
     search = replace(search, searched=newest)
     nearest = old[np.argmin(apart)]
     group = old[np.abs(way[old] - way[nearest]) < AT_ONCE]
-    before = _seen_from(graph, group, np.zeros(3))
-    query = _seen_from(graph, np.flatnonzero(way > way[newest] - LATELY), X[newest])
+    before = map_points(graph, np.unique(graph.view_keyframe[group]))
+    late = np.unique(graph.view_keyframe[way > way[newest] - LATELY])
+    query = moved_points(se2.inverse(X[newest]), map_points(graph, late))
     if min(len(before), len(query)) < LEAST_POINTS:
         return search, ()
     query = query[np.random.default_rng(newest).permutation(len(query))[:QUERY]]
-    found = _placed(before, query, X[newest], window)
-    if found is None:
+    scores, starts = peaks(before[:, :2], query[:COARSE, :2], X[newest], window[[0, 0, 1]])
+    if not len(scores) or scores[0] < LEAST_SCORE:
         return search, ()
-    there, rival = found
+    there, _, share = Surfaces(before).fitted(query, starts[0], UNTIED, LOOSELY)
+    if share < LEAST_SHARE:
+        return search, ()
+    rival = float(scores[1] / scores[0]) if len(scores) > 1 else 0.0
     off = math.dist(there[:2], X[newest, :2])
     loop = Loop(int(nearest), newest, se2.between(X[nearest], there), rival, off)
     agree = tuple(other for other in search.candidates if _agree(loop, other, X, way))
-    late = tuple(other for other in search.candidates if way[other.newest] > way[newest] - ALONG)
+    kept = tuple(other for other in search.candidates if way[other.newest] > way[newest] - ALONG)
     if len(agree) < (2 if off > FAR or rival > RIVAL else 1):
-        return replace(search, candidates=(*late, loop)), ()
-    return replace(search, candidates=(*late, loop)), (*agree, loop)
+        return replace(search, candidates=(*kept, loop)), ()
+    return replace(search, candidates=(*kept, loop)), (*agree, loop)
 
 
 def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) -> KeyframeGraph:
@@ -158,16 +158,6 @@ def _way(X: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(X[:, :2], axis=0).T)))
 
 
-def _seen_from(graph: KeyframeGraph, views: IntArray, X_MF: FloatArray) -> FloatArray:
-    """(p, 4) points with normals in F, seen by the keyframes of some views."""
-    shared, X_FM = graph.shared.mean, se2.inverse(X_MF)
-    parts = [
-        moved_points(se2.compose(X_FM, graph.X_MN[k]), surface_points(graph.keyframes[k], shared))
-        for k in np.unique(graph.view_keyframe[views])
-    ]
-    return np.vstack(parts)
-
-
 def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
     """Whether two loops close: the way between the new ends, and that between the old ones."""
     between = way[one.newest] - way[other.newest]
@@ -180,59 +170,3 @@ def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
         math.hypot(off[0], off[1]) < AGREE[0] + AGREE_SHARE[0] * between
         and abs(se2.wrap_angle(off[2])) < AGREE[1] + AGREE_SHARE[1] * between
     )
-
-
-def _placed(
-    before: FloatArray, query: FloatArray, X: FloatArray, window: FloatArray
-) -> tuple[FloatArray, float] | None:
-    """Where (3,) in M the frame of a query (p, 4) lies by old points (q, 4) in M, in a window (2,), m and rad, round X
-    (3,), and how well another place does, over that; None where there is no such."""
-    low = before[:, :2].min(axis=0) - 1.0
-    cells = np.ceil((before[:, :2].max(axis=0) + 1.0 - low) / RESOLUTION).astype(np.int64)
-    field = _field(before[:, :2], low, cells)
-    scores = _scores(field, low, query[:COARSE, :2], X, window)
-    best = np.unravel_index(np.argmax(scores), scores.shape)
-    score = float(scores[best])
-    if score < LEAST_SCORE:
-        return None
-    turns, steps = scores.shape[0] // 2, scores.shape[1] // 2
-    start = X + np.array([(best[2] - steps) * STEP, (best[1] - steps) * STEP, (best[0] - turns) * TURN])
-    y, x = (slice(max(0, at - APART), at + APART + 1) for at in best[1:])
-    scores[:, y, x] = 0.0
-    there, _, share = Surfaces(before).fitted(query, start, UNTIED, GATES)
-    return (there, float(scores.max()) / score) if share > LEAST_SHARE else None
-
-
-@njit(cache=True)
-def _field(points: FloatArray, low: FloatArray, cells: IntArray) -> FloatArray:
-    """How near a place is to one of some points (p, 2), 1 at it, in cells from the corner low (2,) on."""
-    field, reach = np.zeros((cells[1], cells[0])), math.ceil(3.0 * BLUR / RESOLUTION)
-    for p in points:
-        u, v = (p[0] - low[0]) / RESOLUTION, (p[1] - low[1]) / RESOLUTION
-        for i in range(max(0, int(v) - reach), min(cells[1], int(v) + reach + 1)):
-            for j in range(max(0, int(u) - reach), min(cells[0], int(u) + reach + 1)):
-                square = ((j + 0.5 - u) ** 2 + (i + 0.5 - v) ** 2) * (RESOLUTION / BLUR) ** 2
-                field[i, j] = max(field[i, j], math.exp(-0.5 * square))
-    return field
-
-
-@njit(cache=True)
-def _scores(field: FloatArray, low: FloatArray, query: FloatArray, X: FloatArray, window: FloatArray) -> FloatArray:
-    """(a, s, s) mean of the field at a query's points (p, 2), by turn, y and x round X (3,)."""
-    turns, steps = math.ceil(window[1] / TURN), math.ceil(window[0] / STEP)
-    scores = np.zeros((2 * turns + 1, 2 * steps + 1, 2 * steps + 1))
-    rows, columns = field.shape
-    for a in range(len(scores)):
-        theta = X[2] + (a - turns) * TURN
-        c, s = math.cos(theta), math.sin(theta)
-        for p in query:
-            u, v = X[0] + c * p[0] - s * p[1] - low[0], X[1] + s * p[0] + c * p[1] - low[1]
-            for i in range(2 * steps + 1):
-                row = math.floor((v + (i - steps) * STEP) / RESOLUTION)
-                if row < 0 or row >= rows:
-                    continue
-                for j in range(2 * steps + 1):
-                    column = math.floor((u + (j - steps) * STEP) / RESOLUTION)
-                    if 0 <= column < columns:
-                        scores[a, i, j] += field[row, column] / len(query)
-    return scores

@@ -32,10 +32,11 @@ from tfg_drake.slam.keyframe import Keyframe, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.place_search import find_place, tells_place
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
+from tfg_drake.slam.surface_fit import map_points, surface_points
 from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.wall_search import find_place, tells_place
-from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, known_walls, no_lines
+from tfg_drake.slam.walls import no_lines
 from tfg_drake.table import take
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -173,7 +174,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
 def _found_among_walls(
     state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, stamp: float, *, at_last: bool
 ) -> EstimatorState:
-    """The state after a search for the pose by the walls seen since the first contradiction, once a second and at
+    """The state after a search for the pose by the surfaces seen since the first contradiction, once a second and at
     last."""
     looks = sum(len(frame.lines) > 0 for frame in suspect.frames)
     if looks % LOOKS and not at_last:
@@ -182,15 +183,12 @@ def _found_among_walls(
     # Not what was seen while the robot was being moved.
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
     one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
-    seen = ends_seen(one, shared.mean)
-    seen = seen[directions(seen)[2] >= LEAST_LENGTH]
-    _, walls, deviation = known_walls(estimate)
-    if not len(walls) or not tells_place(seen):
+    seen = surface_points(one, shared.mean)
+    if not tells_place(seen):
         return state
-    walls = walls[deviation.max(axis=1) < LOOSE]
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     anywhere = math.isnan(state.placed)
-    X_MA, here = find_place(seen, walls, expected, anywhere=anywhere)
+    X_MA, here = find_place(known_points(state.graph), seen, expected, anywhere=anywhere)
     if here > LEAST_LIKE and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
     if X_MA is None:
@@ -426,6 +424,12 @@ def is_unknown(one: Keyframe) -> bool:
 def adrift(graph: KeyframeGraph) -> int:
     """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
     return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
+
+
+def known_points(graph: KeyframeGraph) -> FloatArray:
+    """(p, 4) points with normals, in M, of all that is not adrift."""
+    j = adrift(graph)
+    return map_points(graph, range(j) if j >= 0 else None)
 
 
 def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe) -> tuple[KeyframeGraph, MapEstimate]:

@@ -1,8 +1,8 @@
-"""Ties what follows an unknown way to the map before, by the walls that are seen on both sides.
+"""Ties what follows an unknown way to the map before, by the surfaces that are seen on both sides.
 
 A robot that seemed to be elsewhere maps on, perhaps before it has found itself. All that follows is known to metres for
 ever then, however long it looks: walls are recognised where it is known where they must be. So as long as the newest
-part of the map is adrift each view is asked where it is, as a robot finds itself (`tfg_drake.slam.wall_search`).
+part of the map is adrift each view is asked where it is, as a robot finds itself (`tfg_drake.slam.place_search`).
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import logging
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, MapEstimate, is_tag, replace
+from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.slam.estimator_state import EstimatorState, Source, unknown_way
 from tfg_drake.slam.evidence import Sighted
 from tfg_drake.slam.keyframe import Keyframe
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
-from tfg_drake.slam.lost_robot import PLACED, adrift, is_unknown, seen_by
+from tfg_drake.slam.lost_robot import PLACED, adrift, is_unknown, known_points, seen_by
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.wall_search import LEAST_SINE, find_place, matched
-from tfg_drake.slam.walls import LEAST_LENGTH, directions, ends_seen, wall_ends
+from tfg_drake.slam.place_search import find_place
+from tfg_drake.slam.surface_fit import surface_points
 
 Ways = tuple[tuple[Sighted, Source | None], ...]
 
@@ -38,11 +38,10 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     before = before if j >= 0 else since
     if not lost and (before & since).any():
         return graph, estimate, way
-    known = before[~is_tag(graph.ids)]
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    X = _place(ends_seen(view, graph.shared.mean), wall_ends(estimate)[known], at)
+    X, _ = find_place(known_points(graph), surface_points(view, graph.shared.mean), at)
     if X is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)
@@ -54,14 +53,3 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, move)
     return *solve(graph, estimate.stamp, estimate.observation), way
-
-
-def _place(seen: FloatArray, walls: FloatArray, expected: FloatArray) -> FloatArray | None:
-    """As of `find_place`; none where what is seen stands one way only, so that it tells nothing of the way along."""
-    seen = seen[directions(seen)[2] >= LEAST_LENGTH]
-    X, _ = find_place(seen, walls, expected)
-    if X is None:
-        return None
-    along = directions(seen[matched(X, seen, walls) >= 0])[0]
-    across = along[:, :1] * along[:, 1] - along[:, 1:] * along[:, 0]
-    return X if np.abs(across).max() > LEAST_SINE else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,9 +17,9 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.surfaces import POINT
 from tfg_drake.slam.walls import ends_seen
 
-# The map's points are put together in cells of this side, m, and DIRECTIONS of their normals, from three on, twice:
+# The map's points are put together in cells of this side, m, and DIRECTIONS of their normals, from two on, twice:
 # what a border divides the first time is whole the second.
-CELL, DIRECTIONS, LEAST = 0.2, 12, 3
+CELL, DIRECTIONS, ENOUGH = 0.2, 12, 2
 # A point lies on so many surfaces, at most, no farther off than this, m, whose normals are alike (cosine).
 MOST, NEAR, SAME_WAY = 4, 0.3, 0.85
 # Least scale of Cauchy's weights, m, for gates, m, that are three times as wide. Points of one scan have errors in
@@ -71,28 +71,42 @@ class Surfaces:
 
 def _cells(points: FloatArray, offset: float) -> FloatArray:
     """(m, 4) the mean of points (p, 4) of each cell that look the same way."""
+    if not len(points):
+        return points
     turned = np.arctan2(points[:, 3], points[:, 2]) * (DIRECTIONS / (2.0 * math.pi)) + offset / CELL
     cell = np.floor((points[:, :2] + offset) / CELL).astype(np.int64)
     key = np.column_stack([cell, np.floor(turned).astype(np.int64) % DIRECTIONS])
-    _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    x, y, turn = (key - key.min(axis=0)).T
+    _, of, count = np.unique((x * (y.max() + 1) + y) * DIRECTIONS + turn, return_inverse=True, return_counts=True)
     mean = np.zeros((len(count), 4))
     np.add.at(mean, of.ravel(), points)
-    mean = mean[count >= LEAST] / count[count >= LEAST, None]
+    mean = mean[count >= ENOUGH] / count[count >= ENOUGH, None]
     mean[:, 2:] /= np.hypot(mean[:, 2], mean[:, 3])[:, None]
     return np.asarray(mean)
 
 
 def surface_points(one: Keyframe, shared: FloatArray) -> FloatArray:
     """(p, 4) points with normals of all that a keyframe sees in A, its walls by points along them."""
-    parts = [one.points[one.points[:, 2:].any(axis=1)]]
-    for first, last in ends_seen(one, shared):
-        along = last - first
-        length = math.hypot(*along)
+    return np.vstack([one.points[one.points[:, 2:].any(axis=1)], points_along(ends_seen(one, shared))])
+
+
+def points_along(walls: FloatArray) -> FloatArray:
+    """(p, 4) points with normals, to the left, of walls (s, 2, 2)."""
+    parts = [np.empty((0, 4))]
+    for first, last in walls:
+        length = math.dist(first, last)
         if length > 0.0:
-            along = along / length
+            along = (last - first) / length
             p = first + np.arange(0.0, length, SPACING)[:, None] * along
             parts.append(np.column_stack([p, np.tile([-along[1], along[0]], (len(p), 1))]))
     return np.vstack(parts)
+
+
+def map_points(graph: KeyframeGraph, keyframes: Iterable[int] | None = None) -> FloatArray:
+    """(p, 4) the same in M of some keyframes of a graph, of all if none are named."""
+    shared, which = graph.shared.mean, range(len(graph.keyframes)) if keyframes is None else keyframes
+    parts = [moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], shared)) for k in which]
+    return np.vstack([np.empty((0, 4)), *parts])
 
 
 def poses_by_surfaces(
@@ -102,8 +116,7 @@ def poses_by_surfaces(
     keyframes have seen have them, and the covariances (n, 3, 3) that they have given these."""
     shared = graph.shared.mean
     X_BS = shared[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
-    seen = zip(graph.X_MN, graph.keyframes, strict=False)
-    surfaces = Surfaces(np.vstack([moved_points(X_MN, surface_points(one, shared)) for X_MN, one in seen]))
+    surfaces = Surfaces(map_points(graph))
     before, poses, total = np.diag(BETWEEN**-2.0), X_MB.copy(), np.empty((len(scans), 3, 3))
     for k, scan in enumerate(scans):
         points = scan_points(scan)
