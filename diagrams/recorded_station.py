@@ -23,8 +23,6 @@ from tfg_drake.systems.port_player import PortPlayer
 
 # Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
 PATIENCE = 10.0
-# Walls of buildings that are lived in are off a plane by this, m, see ScanConfig.
-UNEVENNESS = 0.03
 # A new wall needs one look for so many scans a metre of way, as many as in a mission at most.
 SCANS_PER_LOOK = 3.0
 
@@ -62,8 +60,7 @@ def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
     way = float(np.hypot(*np.diff([one.X_OB[:2] for one in recording.odometry], axis=0).T).sum())
     looks = min(result.scan.least_looks, int(len(recording.scans) / max(way, 1.0) / SCANS_PER_LOOK))
     reach = max(scan.range_max for scan in recording.scans)
-    scanner = dataclasses.replace(recording.scanner, range=reach, unevenness=UNEVENNESS)
-    result.scan = dataclasses.replace(scanner, least_looks=max(looks, 1))
+    result.scan = dataclasses.replace(recording.scanner, range=reach, least_looks=max(looks, 1))
     result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
     result.explorer.landmarks = "walls"
     return result

@@ -94,7 +94,7 @@ class SlamEstimator(LeafSystem):
             prior,
             explorer.solver,
             explorer.landmarks,
-            no_walls(scanner.unevenness, scanner.least_looks),
+            no_walls(scanner.least_looks),
             may_be_moved=not recorded,
         )
         if explorer.known_map:

@@ -117,9 +117,7 @@ class ScanConfig:
     mount_deviation: float = 0.005
     clock_deviation: float = 0.02
     sweep_deviation: float = 0.02
-    # How far walls are off a plane beside the noise of the rays, m: buildings that are lived in have 0.03. And looks
-    # that a new wall needs; of a recording with few scans a metre one may have to do.
-    unevenness: float = 0.0
+    # Looks that a new wall needs; of a recording with few scans a metre one may have to do.
     least_looks: int = 3
 
 

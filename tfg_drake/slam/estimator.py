@@ -86,7 +86,7 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.reunion import found_again
-from tfg_drake.slam.scan_lines import scan_lines, surface_seen
+from tfg_drake.slam.scan_lines import scan_lines, surface_seen, unevenness_after
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
@@ -402,7 +402,9 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
             first, pending = pending[0], pending[1:]
         lines, points = no_lines(), np.empty((0, 4))
         if scan <= frame + SAME_INSTANT:
-            lines, points = scan_lines(state.unread[0], state.walls.unevenness), scan_points(state.unread[0])
+            unevenness = unevenness_after(state.unread[0], state.walls.unevenness)
+            lines, points = scan_lines(state.unread[0], unevenness), scan_points(state.unread[0])
+            state = replace(state, walls=replace(state.walls, unevenness=unevenness))
             state = _with_straightness(state, state.unread[0], lines)
             state = replace(state, unread=state.unread[1:])
         if first.stamp >= state.stamp:

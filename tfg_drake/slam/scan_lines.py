@@ -32,6 +32,9 @@ NORMAL = 0.6745
 LEAST_SIGMA = 0.002
 # Over this length, m, an uneven wall is off its plane one way.
 STRETCH = 0.5
+# Rays of half a stretch, at most, and rays that tell it, at least. Its variance changes by such a share of itself a
+# scan, or of that of so much, m.
+MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN = 24, 30, 0.05, 0.004
 
 
 def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
@@ -46,12 +49,14 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     ranges are longer by a length a radian of bearing, makes of both, over that length. Chords of curves are none: what
     is seen of a curve from elsewhere looks another way.
 
-    unevenness: m, of real walls, by which neighbouring half metres are off a plane independently: single looks, each at
-    other stretches of one, agree no better.
+    unevenness: m, as of `unevenness_after`, by which neighbouring half metres are off a plane independently: single
+    looks, each at other stretches of one, agree no better.
     """
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
-    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
+    together = math.hypot(sigma, unevenness)
+    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, together))
+    lines[:, 5:7] *= sigma / together
     if unevenness:
         # The mean, and the slope, of n such stretches.
         length = lines[:, 3] - lines[:, 2]
@@ -59,6 +64,54 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
         lines[:, 5] = np.hypot(lines[:, 5], math.sqrt(12.0) * off / length)
         lines[:, 6] = np.hypot(lines[:, 6], off)
     return lines
+
+
+def unevenness_after(scan: LaserScan, unevenness: float) -> float:
+    """How far, m, walls and the errors that rays beside each other have in common are off a plane over STRETCH, the
+    median of all scans so far, from what it was before this one.
+
+    The middle of a stretch is off what its ends say by more than a ray is off the two beside it. What is less than half
+    of the variance of these is noise.
+    """
+    near, far = _off_planes(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, LEAST_SIGMA))
+    if not math.isfinite(far):
+        return unevenness
+    step = SLOWLY * max(unevenness**2, LEAST_UNEVEN**2)
+    return math.sqrt(max(unevenness**2 + math.copysign(step, far - 1.5 * near - unevenness**2), 0.0))
+
+
+@njit(cache=True)
+def _off_planes(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> tuple[float, float]:
+    """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, both of rays on one
+    surface; nan where these are few."""
+    n, count = len(ranges), 0
+    off = np.empty((n, 2))
+    for i in range(1, n - 1):
+        if not (0.0 < ranges[i] < range_max - 3.0 * sigma):
+            continue
+        half = round(0.5 * STRETCH / (ranges[i] * (angles[i + 1] - angles[i])))
+        half = max(2, min(half, MOST_RAYS))
+        first, last = i - half, i + half
+        if first < 0 or last >= n or not (0.0 < ranges[last] < range_max - 3.0 * sigma):
+            continue
+        whole = True
+        for j in range(first, last):
+            a, b = ranges[j], ranges[j + 1]
+            most = min(a, b) * (angles[j + 1] - angles[j]) / SLANT + 4.0 * sigma + STEP
+            if not (0.0 < a < range_max - 3.0 * sigma) or not abs(a - b) < most:
+                whole = False
+                break
+        if not whole:
+            continue
+        for column, m in enumerate((1, half)):
+            left, right, turn = ranges[i - m], ranges[i + m], 0.5 * (angles[i + m] - angles[i - m])
+            off[count, column] = abs(ranges[i] - 2.0 * math.cos(turn) * left * right / (left + right))
+        count += 1
+    if count < LEAST_RAYS:
+        return np.nan, np.nan
+    # A ray, and half of each of two others.
+    near, far = np.median(off[:count, 0]) / NORMAL, np.median(off[:count, 1]) / NORMAL
+    return near * near / 1.5, far * far / 1.5
 
 
 def surface_seen(scan: LaserScan) -> float:

@@ -89,7 +89,7 @@ class Looks(NamedTuple):
 class Walls:
     """How well walls agree. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
     of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the noise
-    of their rays, as of `scan_lines`. least_looks: that a new wall needs."""
+    of their rays, as of `scan_lines.unevenness_after`. least_looks: that a new wall needs."""
 
     by_floor: Annotated[FloatArray, 4]
     floor: float = 1.0
@@ -109,9 +109,9 @@ class Walls:
         return replace(self, by_floor=by_floor, floor=float(np.exp2(np.log2(FLOORS) @ weight / weight.sum())))
 
 
-def no_walls(unevenness: float = 0.0, least_looks: int = LEAST_LOOKS) -> Walls:
+def no_walls(least_looks: int = LEAST_LOOKS) -> Walls:
     """None yet."""
-    return Walls(np.zeros(len(FLOORS)), unevenness=unevenness, least_looks=least_looks)
+    return Walls(np.zeros(len(FLOORS)), least_looks=least_looks)
 
 
 def no_lines() -> FloatArray:
