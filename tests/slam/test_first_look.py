@@ -12,7 +12,7 @@ from tfg_drake.slam.first_look import (
     remedies,
     turns_of_tags,
 )
-from tfg_drake.slam.scan_matching import Verdict
+from tfg_drake.slam.scan_matching import Verdict, compare, judged
 
 # A room that looks another from each side, and tags in it.
 WALLS = np.array([[4.0, -3.0, 4.0, 5.0], [4.0, 5.0, -6.0, 5.0], [-6.0, 5.0, -6.0, -3.0], [-6.0, -3.0, 4.0, -3.0]])
@@ -112,6 +112,25 @@ def test_odometry_that_turns_by_another_measure_is_told(turned):
 def test_odometry_that_does_not_turn_with_the_scans_is_told():
     _, scans = held_against_odometry(messages(turned=0.0))
     assert scans.refusal.startswith("the odometry stands while the scans move")
+
+
+def test_somebody_who_walks_by_is_no_fault_of_the_odometry():
+    """In a corridor nothing but people tells how far the robot travels: of scans that turn with it, it does not."""
+    rng, corridor = np.random.default_rng(4), np.array([[-30.0, 1.0, 30.0, 1.0], [30.0, -1.0, -30.0, -1.0]])
+    seen = [one for one in messages() if isinstance(one, Odometry)]
+    for t in np.arange(0.03, 17.0, 0.1):
+        people = []
+        for x, y in ((-4.0, 0.5), (-1.0, -0.4), (3.0, 0.3), (-7.0, -0.2)):
+            ring = np.linspace(0.0, 2.0 * np.pi, 13)
+            p = np.column_stack([(x + 0.5 * t + 9.0) % 18.0 - 9.0 + 0.25 * np.cos(ring), y + 0.25 * np.sin(ring)])
+            people.append(np.hstack([p[:-1], p[1:]]))
+        ranges = cast_rays(np.vstack([corridor, *people]), np.zeros(2), NARROW + float(heading(t)), 10.0)
+        seen.append(LaserScan(t, NARROW, ranges + 0.015 * rng.normal(size=len(NARROW)), 10.0, 0.015))
+    found = compare(
+        [one for one in seen if isinstance(one, Odometry)], [one for one in seen if isinstance(one, LaserScan)], True
+    )
+    assert judged(found, 0.05).refusal.startswith("scans and odometry contradict each other")
+    assert held_against_odometry(seen)[1].refusal == ""
 
 
 def test_where_nothing_is_told_nothing_is_wrong():

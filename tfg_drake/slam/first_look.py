@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.slam.evidence import sanitized
-from tfg_drake.slam.scan_matching import Verdict, compare, judged
+from tfg_drake.slam.scan_matching import EXPLAINED, TELL, Verdict, compare, judged
 
 # Clocks are compared up to so much before or after each other, in steps of so much, s.
 MOST_OFFSET, OFFSET_STEP = 1.0, 0.02
@@ -60,8 +60,12 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
     frames = [sanitized(one)[0] for one in messages if isinstance(one, TagDetections)]
     scans = [one for one in messages if isinstance(one, LaserScan) and len(one.angles)]
     by_tags = turns_of_tags(frames) - [known, known, 0.0]
-    scan = judged(compare(odometry, scans, mount_known=True), LEAST_OFFSET)
-    return agreement(by_tags, stamps, heading), scan
+    found = compare(odometry, scans, mount_known=True)
+    turning, explained = found.turning
+    if explained >= max(TELL, EXPLAINED * turning):
+        # The robot turns on the spot: what travels is somebody who walks by.
+        found = replace(found, travelling=np.zeros(2))
+    return agreement(by_tags, stamps, heading), judged(found, LEAST_OFFSET)
 
 
 def remedies(tags: Agreement, scan: Verdict) -> list[str]:

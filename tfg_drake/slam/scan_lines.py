@@ -33,8 +33,9 @@ LEAST_SIGMA = 0.002
 # Over this length, m, an uneven wall is off its plane one way.
 STRETCH = 0.5
 # Rays of half a stretch, at most, and rays that tell it, at least. Its variance changes by such a share of itself a
-# scan, or of that of so much, m.
-MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN = 24, 30, 0.05, 0.004
+# scan, or of that of so much, m; it is no greater than that of walls in buildings that are lived in, m: what is more is
+# no wall.
+MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN, MOST_UNEVEN = 24, 30, 0.05, 0.004, 0.03
 
 
 def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
@@ -54,9 +55,7 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     """
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
-    together = math.hypot(sigma, unevenness)
-    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, together))
-    lines[:, 5:7] *= sigma / together
+    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
     if unevenness:
         # The mean, and the slope, of n such stretches.
         length = lines[:, 3] - lines[:, 2]
@@ -77,7 +76,8 @@ def unevenness_after(scan: LaserScan, unevenness: float) -> float:
     if not math.isfinite(far):
         return unevenness
     step = SLOWLY * max(unevenness**2, LEAST_UNEVEN**2)
-    return math.sqrt(max(unevenness**2 + math.copysign(step, far - 1.5 * near - unevenness**2), 0.0))
+    changed = unevenness**2 + math.copysign(step, far - 1.5 * near - unevenness**2)
+    return min(math.sqrt(max(changed, 0.0)), MOST_UNEVEN)
 
 
 @njit(cache=True)

@@ -123,4 +123,4 @@ def poses_by_surfaces(
         points = points[points[:, 2:].any(axis=1)]
         points = moved_points(X_BS, points[:: 1 + len(points) // QUERY])
         poses[k], total[k], _ = surfaces.fitted(points, X_MB[k], before, GATES)
-    return poses, np.linalg.inv(total)
+    return poses, np.asarray(np.linalg.inv(total))
