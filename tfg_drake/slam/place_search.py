@@ -38,7 +38,8 @@ def find_place(
     before: FloatArray, query: FloatArray, expected: FloatArray, *, anywhere: bool = False
 ) -> tuple[FloatArray | None, float]:
     """The pose X_MA (3,) of the frame A in which points (q, 4) were seen, None where that is not known; and the share
-    of them that lies on the map's surfaces from the best pose no farther than SAME from the expected one (3,).
+    of them that lies on the map's surfaces from the best pose no farther than SAME from the expected one (3,), 0 where
+    another place explains nearly all, and MARGIN more.
 
     before: (p, 4) points with normals of the map, in M. anywhere: the robot may be, and no place is likelier than
     others beforehand.
@@ -53,6 +54,8 @@ def find_place(
     poses, share = np.array([X for X, _, _ in fits]), np.array([share for *_, share in fits])
     off = np.hypot(*(poses - expected)[:, :2].T)
     here = float(share[~_elsewhere(poses, expected)].max(initial=0.0))
+    if share.max() >= max(LEAST_SHARE, here + MARGIN):
+        here = 0.0
     near = ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED))
     for is_rival, farthest in ((off < np.inf, np.inf),) if anywhere else near:
         best = int(np.argmax(np.where(off < farthest, share, -1.0)))
