@@ -29,9 +29,10 @@ LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
 LEAST_SHARE, LEAST_POINTS, LEAST_ACROSS = 0.8, 60, 0.03
 # And every place farther off than SAME, m and rad, leaves so much more of it unexplained.
 SAME, MARGIN = (0.5, 0.3), 0.1
-# A place as near as this, m, is asked first: that the robot has drifted is likelier than that somebody has carried it.
+# A place as near as this, m and rad, is asked first: that the robot has drifted is likelier than that somebody has carried it,
+# but where places farther off explain so much more.
 # And nobody carries it farther than this: the other end of a building, not mapped yet, may be alike.
-DRIFTED, CARRIED = 1.5, 10.0
+DRIFTED, NEARER, CARRIED = (1.5, 0.5), 0.03, 10.0
 
 
 def find_place(
@@ -56,12 +57,14 @@ def find_place(
     here = float(share[~_elsewhere(poses, expected)].max(initial=0.0))
     if share.max() >= max(LEAST_SHARE, here + MARGIN):
         here = 0.0
-    near = ((off < DRIFTED, DRIFTED), (off < np.inf, CARRIED))
-    for is_rival, farthest in ((off < np.inf, np.inf),) if anywhere else near:
-        best = int(np.argmax(np.where(off < farthest, share, -1.0)))
-        others = share[is_rival & _elsewhere(poses, poses[best])].max(initial=0.0) + MARGIN
+    drifted = (off < DRIFTED[0]) & (np.abs(se2.wrap_angle(poses[:, 2] - expected[2])) < DRIFTED[1])
+    every = np.ones(len(poses), dtype=np.bool_)
+    for is_rival, may_be in ((every, every),) if anywhere else ((drifted, drifted), (every, off < CARRIED)):
+        best = int(np.argmax(np.where(may_be, share, -1.0)))
+        elsewhere = _elsewhere(poses, poses[best])
+        others = max(share[is_rival & elsewhere].max(initial=0.0) + MARGIN, share[elsewhere].max(initial=0.0) - NEARER)
         across = np.linalg.eigvalsh(fits[best][1][:2, :2])
-        if off[best] < farthest and share[best] >= max(LEAST_SHARE, others) and across[0] > LEAST_ACROSS * across[1]:
+        if may_be[best] and share[best] >= max(LEAST_SHARE, others) and across[0] > LEAST_ACROSS * across[1]:
             return poses[best], here
     return None, here
 

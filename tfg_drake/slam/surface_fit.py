@@ -28,7 +28,7 @@ ROBUST, ALIKE = 0.04, 5.0
 # Walls are told by points so far apart, m.
 SPACING = 0.1
 # A point is on the surfaces within this, m.
-ON = 0.1
+ON = 0.06
 # Deviations of a scan's pose by those of keyframes before and after it, m, m, rad; gates, m; points that it is fitted
 # by, at most.
 BETWEEN, GATES, QUERY = np.array([0.03, 0.03, 0.01]), (0.3, 0.2, 0.15, 0.1), 200
