@@ -667,3 +667,14 @@ def test_rough_odometry_comes_back_to_the_room(seed):
     assert there[1] < 0.002
     # Of the newest pose nothing tells but odometry: from one that is known well.
     assert 0.019 < math.sqrt(estimate.covariance[0, 0]) < 0.022
+
+
+def test_what_looks_have_in_common_is_as_uneven_as_the_walls():
+    """A keyframe that sees a piece of surface by ever so many points tells no more than by how uneven it is."""
+    along = np.arange(-0.1, 0.1, 0.001)
+    seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
+    points = Points(np.repeat([0, 1], len(seen)), np.vstack([seen, seen]))
+    for uneven in (0.0, 0.03):
+        pieces = pieces_of(points, np.zeros((2, 3)), 0, uneven)
+        most = len(pieces.moments) / (FLOOR**2 + uneven**2)
+        assert 0.5 * most < pieces.moments[:, 0].sum() < most

@@ -404,7 +404,8 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
         if scan <= frame + SAME_INSTANT:
             unevenness = unevenness_after(state.unread[0], state.walls.unevenness)
             lines, points = scan_lines(state.unread[0], unevenness), scan_points(state.unread[0])
-            state = replace(state, walls=replace(state.walls, unevenness=unevenness))
+            graph = replace(state.graph, unevenness=unevenness)
+            state = replace(state, graph=graph, walls=replace(state.walls, unevenness=unevenness))
             state = _with_straightness(state, state.unread[0], lines)
             state = replace(state, unread=state.unread[1:])
         if first.stamp >= state.stamp:

@@ -29,9 +29,9 @@ LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
 LEAST_SHARE, LEAST_POINTS, LEAST_ACROSS = 0.8, 60, 0.03
 # And every place farther off than SAME, m and rad, leaves so much more of it unexplained.
 SAME, MARGIN = (0.5, 0.3), 0.1
-# A place as near as this, m and rad, is asked first: that the robot has drifted is likelier than that somebody has carried it,
-# but where places farther off explain so much more.
-# And nobody carries it farther than this: the other end of a building, not mapped yet, may be alike.
+# A place as near as this, m and rad, is asked first: that the robot has drifted is likelier than that somebody has
+# carried it, but where places farther off explain so much more. And nobody carries it farther than this: the other end
+# of a building, not mapped yet, may be alike.
 DRIFTED, NEARER, CARRIED = (1.5, 0.5), 0.03, 10.0
 
 

@@ -56,8 +56,9 @@ class Pieces(NamedTuple):
         return np.repeat(np.arange(len(self.frame)), np.diff(self.looks))
 
 
-def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
-    """The pieces of surface that two keyframes or more see, with these at X_MN (k, 3)."""
+def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0.0) -> Pieces:
+    """The pieces of surface that two keyframes or more see, with these at X_MN (k, 3). unevenness: m, as of
+    `scan_lines.unevenness_after`: by which all that one keyframe sees of a piece is off besides."""
     if not len(points.keyframe):
         none = np.zeros(0, dtype=np.int64)
         return Pieces(np.zeros((0, 4)), np.zeros(1, dtype=np.int64), none, np.zeros((0, 6)))
@@ -91,7 +92,17 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int) -> Pieces:
     kept = (np.diff(looks) > 1) & (length > COMMON)
     some, moments = np.repeat(kept, np.diff(looks)), np.zeros((len(keyframe), 6))
     worth = np.where(kind > 0, EDGE, 1.0)
-    _weigh(np.flatnonzero(kept), mean, looks, begin, p_MP[rows], points.p_AP[rows], worth[rows], moments)
+    _weigh(
+        np.flatnonzero(kept),
+        mean,
+        looks,
+        begin,
+        p_MP[rows],
+        points.p_AP[rows],
+        worth[rows],
+        FLOOR**2 + unevenness**2,
+        moments,
+    )
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe[some], moments[some])
 
 
@@ -176,9 +187,11 @@ def _weigh(
     p_MP: FloatArray,
     p_AP: FloatArray,
     worth: FloatArray,
+    floor: float,
     moments: FloatArray,
 ) -> None:
-    """Set the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,)."""
+    """Set the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,).
+    floor: m^2, the variance that they have in common."""
     for g in which:
         first, last = begin[looks[g]], begin[looks[g + 1]]
         m_x, m_y, n_x, n_y = frame[g]
@@ -186,7 +199,7 @@ def _weigh(
         for _ in range(ROUNDS):
             S0, S1, S2, g0, g1 = 0.0, 0.0, 1.0 / SLOPE**2, 0.0, 0.0
             for j in range(looks[g], looks[g + 1]):
-                of_look = 1.0 / (POINT**2 + (begin[j + 1] - begin[j]) * FLOOR**2)
+                of_look = 1.0 / (POINT**2 + (begin[j + 1] - begin[j]) * floor)
                 for i in range(begin[j], begin[j + 1]):
                     d_x, d_y = p_MP[i, 0] - m_x, p_MP[i, 1] - m_y
                     across, along = n_x * d_x + n_y * d_y, n_x * d_y - n_y * d_x
