@@ -60,7 +60,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
     if late:
         with monkeypatch.context() as patch:
-            patch.setattr(reunion, "find_place", lambda *_args: (None, 0.0))
+            patch.setattr(reunion, "find_place", lambda *_args, **_kwargs: (None, 0.0))
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
         assert state.map.covariance[-3, -3] > 1.0
     state = robot.view(state)

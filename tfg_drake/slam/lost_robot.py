@@ -188,7 +188,7 @@ def _found_among_walls(
         return state
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     anywhere = math.isnan(state.placed)
-    X_MA, here = find_place(known_points(state.graph), seen, expected, anywhere=anywhere)
+    X_MA, here = find_place(known_points(state.graph), seen, expected, anywhere=anywhere or state.kidnapped)
     if here > LEAST_LIKE and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
     if X_MA is None:

@@ -41,7 +41,7 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    X, _ = find_place(known_points(graph), surface_points(view, graph.shared.mean), at)
+    X, _ = find_place(known_points(graph), surface_points(view, graph.shared.mean), at, anywhere=True)
     if X is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)
