@@ -68,7 +68,7 @@ HEADINGS = 16
 MOST_TAGS = 12
 # Among walls the robot is looked for after so many more looks, where no more than this share of what it has seen fits
 # the pose, and is elsewhere if it has not found itself for so long, s.
-LOOKS, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 5.0
+LOOKS, LEAST_LIKE, LONGEST_SEARCH = 5, 0.65, 5.0
 # So many of the newest frames are looked at.
 MOST_FRAMES = 50
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.

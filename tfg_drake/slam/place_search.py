@@ -15,7 +15,7 @@ from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.slam.surface_fit import Surfaces
+from tfg_drake.slam.surface_fit import CELL, Surfaces, thinned
 
 # Side of a cell, m, in a window and in a whole map; blur and step, in cells; a turn, in cells at this distance, m.
 SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
@@ -24,11 +24,11 @@ SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
 APART, TURNED, PLACES, COARSE, QUERY = 1.0, 0.3, 30, 130, 400
 # The fit of a place known to a step: gates, m, and as good as no information.
 LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
-# The robot is where so large a share of what it has seen lies on surfaces, of so many points, and where these tell its
-# place in both directions: the smaller information is such a share of the larger.
-LEAST_SHARE, LEAST_POINTS, LEAST_ACROSS = 0.8, 60, 0.03
-# And every place farther off than SAME, m and rad, leaves so much more of it unexplained.
-SAME, MARGIN = (0.5, 0.3), 0.1
+# The robot is where so large a share of the surface that it has seen lies on the map's, of so much of it, m, and where
+# that tells its place in both directions: the smaller information is such a share of the larger.
+LEAST_SHARE, LEAST_LENGTH, LEAST_ACROSS = 0.8, 5.0, 0.03
+# And every place farther off than SAME, m and rad, leaves so much more of it unexplained, m.
+SAME, MARGIN = (0.5, 0.3), 1.5
 # A place as near as this, m and rad, is asked first: that the robot has drifted is likelier than that somebody has
 # carried it, but where places farther off explain so much more. And nobody carries it farther than this: the other end
 # of a building, not mapped yet, may be alike.
@@ -45,9 +45,11 @@ def find_place(
     before: (p, 4) points with normals of the map, in M. anywhere: the robot may be, and no place is likelier than
     others beforehand.
     """
-    if len(before) < LEAST_POINTS or not tells_place(query):
+    if not len(before) or not tells_place(query):
         return None, 0.0
-    surfaces, query = Surfaces(before), query[np.random.default_rng(0).permutation(len(query))[:QUERY]]
+    surfaces, query = Surfaces(before), thinned(query)
+    margin = MARGIN / (CELL * len(query))
+    query = query[np.random.default_rng(0).permutation(len(query))[:QUERY]]
     low, high = before[:, :2].min(axis=0), before[:, :2].max(axis=0)
     middle, window = np.append(0.5 * (low + high), 0.0), np.append(0.5 * (high - low), math.pi)
     _, starts = peaks(before[:, :2], query[:COARSE, :2], middle, window, SIDE_OF_MAP)
@@ -55,14 +57,14 @@ def find_place(
     poses, share = np.array([X for X, _, _ in fits]), np.array([share for *_, share in fits])
     off = np.hypot(*(poses - expected)[:, :2].T)
     here = float(share[~_elsewhere(poses, expected)].max(initial=0.0))
-    if share.max() >= max(LEAST_SHARE, here + MARGIN):
+    if share.max() >= max(LEAST_SHARE, here + margin):
         here = 0.0
     drifted = (off < DRIFTED[0]) & (np.abs(se2.wrap_angle(poses[:, 2] - expected[2])) < DRIFTED[1])
     every = np.ones(len(poses), dtype=np.bool_)
     for is_rival, may_be in ((every, every),) if anywhere else ((drifted, drifted), (every, off < CARRIED)):
         best = int(np.argmax(np.where(may_be, share, -1.0)))
         elsewhere = _elsewhere(poses, poses[best])
-        others = max(share[is_rival & elsewhere].max(initial=0.0) + MARGIN, share[elsewhere].max(initial=0.0) - NEARER)
+        others = max(share[is_rival & elsewhere].max(initial=0.0) + margin, share[elsewhere].max(initial=0.0) - NEARER)
         across = np.linalg.eigvalsh(fits[best][1][:2, :2])
         if may_be[best] and share[best] >= max(LEAST_SHARE, others) and across[0] > LEAST_ACROSS * across[1]:
             return poses[best], here
@@ -71,8 +73,9 @@ def find_place(
 
 def tells_place(query: FloatArray) -> bool:
     """Whether points with normals (q, 4) are enough to tell where they are, in both directions."""
-    across = np.linalg.eigvalsh(query[:, 2:].T @ query[:, 2:])
-    return len(query) >= LEAST_POINTS and bool(across[0] > LEAST_ACROSS * across[1])
+    seen = thinned(query)
+    across = np.linalg.eigvalsh(seen[:, 2:].T @ seen[:, 2:])
+    return CELL * len(seen) >= LEAST_LENGTH and bool(across[0] > LEAST_ACROSS * across[1])
 
 
 def _elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:

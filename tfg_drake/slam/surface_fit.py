@@ -38,7 +38,7 @@ class Surfaces:
     """Surfaces by points with normals, (p, 4), in M."""
 
     def __init__(self, points: FloatArray) -> None:
-        self.points = np.vstack([_cells(points, 0.0), _cells(points, 0.5 * CELL)])
+        self.points = np.vstack([thinned(points), thinned(points, 0.5 * CELL)])
         self.tree = cKDTree(self.points[:, :2])
 
     def fitted(
@@ -69,8 +69,8 @@ class Surfaces:
         return there, total, share
 
 
-def _cells(points: FloatArray, offset: float) -> FloatArray:
-    """(m, 4) the mean of points (p, 4) of each cell that look the same way."""
+def thinned(points: FloatArray, offset: float = 0.0) -> FloatArray:
+    """(m, 4) the mean of points (p, 4) of each cell that look the same way. offset: m, of the cells."""
     if not len(points):
         return points
     turned = np.arctan2(points[:, 3], points[:, 2]) * (DIRECTIONS / (2.0 * math.pi)) + offset / CELL
