@@ -57,7 +57,8 @@ def facing(angle):
 def points_of(seen, X_MN):
     """The Points of keyframes, each of which sees some (p, 4) in M."""
     keyframe = np.repeat(np.arange(len(seen)), [len(p) for p in seen])
-    return Points(keyframe, np.vstack([moved_points(se2.inverse(X), p) for p, X in zip(seen, X_MN, strict=True)]))
+    p_AP = np.vstack([moved_points(se2.inverse(X), p) for p, X in zip(seen, X_MN, strict=True)])
+    return Points(keyframe, p_AP, np.zeros(len(X_MN), dtype=np.int64))
 
 
 def found(seen, X_MN, seed):
@@ -673,8 +674,18 @@ def test_what_looks_have_in_common_is_as_uneven_as_the_walls():
     """A keyframe that sees a piece of surface by ever so many points tells no more than by how uneven it is."""
     along = np.arange(-0.1, 0.1, 0.001)
     seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
-    points = Points(np.repeat([0, 1], len(seen)), np.vstack([seen, seen]))
+    points = Points(np.repeat([0, 1], len(seen)), np.vstack([seen, seen]), np.zeros(2, dtype=np.int64))
     for uneven in (0.0, 0.03):
         pieces = pieces_of(points, np.zeros((2, 3)), 0, uneven)
         most = len(pieces.moments) / (FLOOR**2 + uneven**2)
         assert 0.5 * most < pieces.moments[:, 0].sum() < most
+
+
+def test_parts_of_the_map_between_which_the_way_is_unknown_have_no_surface_in_common():
+    """Where they seem to lie tells nothing: two keyframes of each part tie each other only."""
+    along = np.arange(-0.5, 0.5, 0.01)
+    seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
+    points = Points(np.repeat(np.arange(4), len(seen)), np.tile(seen, (4, 1)), np.array([0, 0, 1, 1]))
+    pieces = pieces_of(points, np.zeros((4, 3)), 0)
+    together = {tuple(pieces.keyframe[a:b].tolist()) for a, b in zip(pieces.looks, pieces.looks[1:], strict=False)}
+    assert together == {(0, 1), (2, 3)}

@@ -24,6 +24,8 @@ from tfg_drake.table import take
 # A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
 SMALL_STEP = 1e-6
 MOST_STEPS = 5
+# A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
+OPEN_HEADING = 1.0
 
 
 @message
@@ -137,6 +139,11 @@ def joined_reach(
     """The reach (n, 2) of walls (n, 2) from their anchors (n, 2), with another reach (n, 2) from points at (n, 2)."""
     further = other + np.sum((at - anchor) * along_walls(wall), axis=1)[:, None]
     return np.column_stack([np.minimum(reach[:, 0], further[:, 0]), np.maximum(reach[:, 1], further[:, 1])])
+
+
+def is_unknown(one: Keyframe) -> bool:
+    """Whether a keyframe is the way of a robot that was kidnapped."""
+    return not len(one.ids) and bool(one.information[2, 2] <= OPEN_HEADING**-2)
 
 
 def moved_points(X_FA: FloatArray, points: FloatArray) -> FloatArray:

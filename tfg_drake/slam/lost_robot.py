@@ -28,7 +28,7 @@ from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
 from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
 from tfg_drake.slam.evidence import renewed
-from tfg_drake.slam.keyframe import Keyframe, rows_of
+from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
@@ -80,8 +80,6 @@ STEPS = 8
 KNOWN = np.array([0.3, 0.3, 0.1])
 SAME = (0.5, 0.3)
 AHEAD = 6.0
-# A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
-OPEN_HEADING = 1.0
 # Tags of either part that a view must see, and how well they must fit, m: an id may have been misread.
 LEAST_TAGS = 3
 FIT = 0.3
@@ -414,11 +412,6 @@ def _refined(seen: _Seen, X: FloatArray, expected: Expected) -> tuple[FloatArray
         X[:, 2] = se2.wrap_angle(X[:, 2])
     squared = _squared(seen, X)
     return X, squared, np.minimum(squared, GATE).sum(axis=1) + _distance(X, expected) + MOVED, H
-
-
-def is_unknown(one: Keyframe) -> bool:
-    """Whether a keyframe is the way of a robot that was kidnapped."""
-    return not len(one.ids) and bool(one.information[2, 2] <= OPEN_HEADING**-2)
 
 
 def adrift(graph: KeyframeGraph) -> int:

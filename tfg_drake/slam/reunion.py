@@ -15,9 +15,9 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.slam.estimator_state import EstimatorState, Source, unknown_way
 from tfg_drake.slam.evidence import Sighted
-from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe import Keyframe, is_unknown
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
-from tfg_drake.slam.lost_robot import PLACED, adrift, is_unknown, known_points, seen_by
+from tfg_drake.slam.lost_robot import PLACED, adrift, known_points, seen_by
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import find_place
 from tfg_drake.slam.surface_fit import surface_points

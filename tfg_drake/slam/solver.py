@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import gradient_of, hessian, residual, rows_of, with_errors
+from tfg_drake.slam.keyframe import gradient_of, hessian, is_unknown, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of
@@ -165,6 +165,7 @@ def factors_of(graph: KeyframeGraph) -> Factors:
     points = Points(
         np.repeat(np.arange(len(graph.keyframes)), [len(one.points) for one in graph.keyframes]),
         np.vstack([one.points for one in graph.keyframes]),
+        np.cumsum([is_unknown(one) for one in graph.keyframes]),
     )
     pieces = pieces_of(points, graph.X_MN, len(graph.keyframes), graph.unevenness)
     return Factors(keyframes, graph.prior.mean, of_prior, errors, pieces, graph.ties)

@@ -33,10 +33,12 @@ ROBUST, ROUNDS = 0.04, 5
 
 
 class Points(NamedTuple):
-    """p scan points of k keyframes. keyframe: (p,) ascending. p_AP: (p, 4) place, m, and unit normal, in its A."""
+    """p scan points of k keyframes. keyframe: (p,) ascending. p_AP: (p, 4) place, m, and unit normal, in its A. part:
+    (k,) ascending numbers of the parts of the map between which the way is not known."""
 
     keyframe: IntArray
     p_AP: FloatArray
+    part: IntArray
 
 
 class Pieces(NamedTuple):
@@ -57,7 +59,7 @@ class Pieces(NamedTuple):
 
 
 def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0.0) -> Pieces:
-    """The pieces of surface that two keyframes or more see, with these at X_MN (k, 3). unevenness: m, as of
+    """The pieces of surface that two keyframes of a part or more see, with these at X_MN (k, 3). unevenness: m, as of
     `scan_lines.unevenness_after`: by which all that one keyframe sees of a piece is off besides."""
     if not len(points.keyframe):
         none = np.zeros(0, dtype=np.int64)
@@ -67,12 +69,13 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     edge = ~points.p_AP[:, 2:].any(axis=1)
     of_kind = [np.flatnonzero(~edge), np.flatnonzero(edge), np.flatnonzero(edge)]
     kind, every = np.repeat(np.arange(3), [len(some) for some in of_kind]), np.concatenate(of_kind)
-    points = Points(points.keyframe[every], points.p_AP[every])
+    points = Points(points.keyframe[every], points.p_AP[every], points.part)
     p_MP = np.asarray(in_map(points.keyframe, points.p_AP, X_MN))
     p_MP[kind > 0, 2:] = np.eye(2)[kind[kind > 0] - 1]
     cell = np.floor((p_MP[:, :2] + rng.uniform(0.0, CELL, 2)) / CELL).astype(np.int64)
     cell -= cell.min(axis=0)
-    of_cell = 3 * (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) + kind
+    column = points.part[points.keyframe] * (cell[:, 0].max() + 1) + cell[:, 0]
+    of_cell = 3 * (column * (cell[:, 1].max() + 1) + cell[:, 1]) + kind
     # Directions from a random one on.
     direction = (np.arctan2(p_MP[:, 3], p_MP[:, 2]) - rng.uniform(0.0, 2.0 * math.pi)) % (2.0 * math.pi)
     turn = np.minimum((direction * (TURNS / (2.0 * math.pi))).astype(np.int64), TURNS - 1)
