@@ -198,7 +198,7 @@ def brute_force(points, X_MN, seed):
     rng = np.random.default_rng(seed)
     origin, first = rng.uniform(0.0, CELL, 2), rng.uniform(0.0, 2.0 * np.pi)
     cells = {}
-    for k, p_A in zip(*points, strict=True):
+    for k, p_A in zip(points.keyframe, points.p_AP, strict=True):
         p_M = moved_points(X_MN[k], p_A[None])[0]
         for kind, n in [(0, p_M[2:])] if p_A[2:].any() else [(1, (1.0, 0.0)), (2, (0.0, 1.0))]:
             cell = (*np.floor((p_M[:2] + origin) / CELL), kind)
