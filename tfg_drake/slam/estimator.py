@@ -402,8 +402,8 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
             first, pending = pending[0], pending[1:]
         lines, points = no_lines(), np.empty((0, 4))
         if scan <= frame + SAME_INSTANT:
-            unevenness = unevenness_after(state.unread[0], state.walls.unevenness)
-            lines, points = scan_lines(state.unread[0], unevenness), scan_points(state.unread[0])
+            lines, points = scan_lines(state.unread[0], state.walls.unevenness), scan_points(state.unread[0])
+            unevenness = unevenness_after(state.unread[0], lines, state.walls.unevenness)
             graph = replace(state.graph, unevenness=unevenness)
             state = replace(state, graph=graph, walls=replace(state.walls, unevenness=unevenness))
             state = _with_straightness(state, state.unread[0], lines)

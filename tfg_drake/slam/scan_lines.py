@@ -36,6 +36,8 @@ STRETCH = 0.5
 # scan, or of that of so much, m; it is no greater than that of walls in buildings that are lived in, m: what is more is
 # no wall.
 MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN, MOST_UNEVEN = 24, 30, 0.05, 0.004, 0.03
+# A ray is on a line within this, m.
+ON_LINE = 0.1
 
 
 def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
@@ -65,14 +67,21 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     return lines
 
 
-def unevenness_after(scan: LaserScan, unevenness: float) -> float:
+def unevenness_after(scan: LaserScan, lines: FloatArray, unevenness: float) -> float:
     """How far, m, walls and the errors that rays beside each other have in common are off a plane over STRETCH, the
-    median of all scans so far, from what it was before this one.
+    median of all scans so far, from what it was before this one, in which there are these lines (n, 11).
 
     The middle of a stretch is off what its ends say by more than a ray is off the two beside it. What is less than half
     of the variance of these is noise.
     """
-    near, far = _off_planes(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, LEAST_SIGMA))
+    with np.errstate(invalid="ignore"):
+        x, y = scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)
+        of = np.zeros(len(x), dtype=np.int64)
+        for k, (angle, offset, begin, end) in enumerate(lines[:, :4].tolist(), 1):
+            c, s = math.cos(angle), math.sin(angle)
+            along = c * y - s * x
+            of[(np.abs(c * x + s * y - offset) < ON_LINE) & (along > begin) & (along < end)] = k
+    near, far = _off_planes(scan.angles, scan.ranges, of)
     if not math.isfinite(far):
         return unevenness
     step = SLOWLY * max(unevenness**2, LEAST_UNEVEN**2)
@@ -81,27 +90,18 @@ def unevenness_after(scan: LaserScan, unevenness: float) -> float:
 
 
 @njit(cache=True)
-def _off_planes(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> tuple[float, float]:
-    """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, both of rays on one
-    surface; nan where these are few."""
+def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[float, float]:
+    """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, all of one line, of
+    (m,) which, 0 for none; nan where these are few."""
     n, count = len(ranges), 0
     off = np.empty((n, 2))
     for i in range(1, n - 1):
-        if not (0.0 < ranges[i] < range_max - 3.0 * sigma):
+        if of[i] == 0:
             continue
         half = round(0.5 * STRETCH / (ranges[i] * (angles[i + 1] - angles[i])))
         half = max(2, min(half, MOST_RAYS))
         first, last = i - half, i + half
-        if first < 0 or last >= n or not (0.0 < ranges[last] < range_max - 3.0 * sigma):
-            continue
-        whole = True
-        for j in range(first, last):
-            a, b = ranges[j], ranges[j + 1]
-            most = min(a, b) * (angles[j + 1] - angles[j]) / SLANT + 4.0 * sigma + STEP
-            if not (0.0 < a < range_max - 3.0 * sigma) or not abs(a - b) < most:
-                whole = False
-                break
-        if not whole:
+        if first < 0 or last >= n or np.any(of[first : last + 1] != of[i]):
             continue
         for column, m in enumerate((1, half)):
             left, right, turn = ranges[i - m], ranges[i + m], 0.5 * (angles[i + m] - angles[i - m])
