@@ -87,7 +87,7 @@ def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, own: FloatArray,
 
 
 def held(name: str, data: Path, runs: Path) -> str:
-    """What is printed of a log."""
+    """The line that is printed of a log."""
     folder = run_of(data, runs, name)
     saved, relations = load_map(folder), read_relations(data / f"{name}.relations.gz")
     recording = load_laser_recording(data / f"{name}.clf.bz2")

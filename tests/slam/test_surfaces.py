@@ -682,7 +682,7 @@ def test_what_looks_have_in_common_is_as_uneven_as_the_walls():
 
 
 def test_parts_of_the_map_between_which_the_way_is_unknown_have_no_surface_in_common():
-    """Where they seem to lie tells nothing: two keyframes of each part tie each other only."""
+    """Keyframes that seem to lie in one place tie each other within a part only."""
     along = np.arange(-0.5, 0.5, 0.01)
     seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
     points = Points(np.repeat(np.arange(4), len(seen)), np.tile(seen, (4, 1)), np.array([0, 0, 1, 1]))

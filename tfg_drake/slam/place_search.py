@@ -1,4 +1,4 @@
-"""Where what is seen lies among the surfaces of a map: a correlative search, then a fit of the best places.
+"""Search for the place of a look among the surfaces of a map: correlative, then a fit of the best places.
 
 What is seen is slid over the map in steps of place and heading, and judged by the share of its points that lie on the
 map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted, and judged by how much of

@@ -1,4 +1,4 @@
-"""Fits what is seen from one place to surfaces of the map: each of its points lies on those that look the same way."""
+"""Fit of a look, or of a scan, to the surfaces of the map: each of its points lies on those that look the same way."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Surfaces:
     def fitted(
         self, query: FloatArray, X: FloatArray, information: FloatArray, gates: Sequence[float]
     ) -> tuple[FloatArray, FloatArray, float]:
-        """Where (3,) in M the frame of a query (q, 4) lies, by what information (3, 3), and the share of its points
-        that are on the surfaces.
+        """Pose (3,) in M of the frame of a query (q, 4), fitted to the surfaces, its information (3, 3), and the share
+        of the query's points that are on them: Gauss and Newton, each point to planes near it, Cauchy's weights.
 
         X: (3,) where it is thought to lie, by information (3, 3). gates: m, a step each.
         """
