@@ -218,7 +218,7 @@ def whole_map(arrays: Mapping[str, Array]) -> SavedMap:
     contradiction = _contradiction(saved)
     if contradiction:
         raise ArraysError(contradiction)
-    return replace(saved, graph=replace(saved.graph, unevenness=saved.walls.unevenness))
+    return saved
 
 
 def _older_map(arrays: dict[str, Array]) -> SavedMap:
@@ -230,7 +230,7 @@ def _older_map(arrays: dict[str, Array]) -> SavedMap:
         raise ArraysError(str(error)) from None
     if contradiction := _contradiction(saved):
         raise ArraysError(contradiction)
-    return replace(saved, graph=replace(saved.graph, unevenness=saved.walls.unevenness))
+    return saved
 
 
 def _read(path: Path) -> dict[str, Array]:

@@ -29,6 +29,7 @@ def padded(arrays: Arrays) -> tuple[Arrays, IntArray, FloatArray]:
     far (w, 2) m from these they have been seen. Raises KeyError where there are none of these."""
     arrays = dict(arrays)
     first, reach = arrays.pop("walls.first"), arrays.pop("walls.reach")
+    arrays["graph.unevenness"] = arrays.pop("walls.unevenness")
     for name, like in _NEW.items():
         arrays[name] = np.zeros_like(arrays[like])
         if f"{like}@shape" in arrays:

@@ -402,10 +402,9 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
             first, pending = pending[0], pending[1:]
         lines, points = no_lines(), np.empty((0, 4))
         if scan <= frame + SAME_INSTANT:
-            lines, points = scan_lines(state.unread[0], state.walls.unevenness), scan_points(state.unread[0])
-            unevenness = unevenness_after(state.unread[0], lines, state.walls.unevenness)
-            graph = replace(state.graph, unevenness=unevenness)
-            state = replace(state, graph=graph, walls=replace(state.walls, unevenness=unevenness))
+            lines, points = scan_lines(state.unread[0], state.graph.unevenness), scan_points(state.unread[0])
+            unevenness = unevenness_after(state.unread[0], lines, state.graph.unevenness)
+            state = replace(state, graph=replace(state.graph, unevenness=unevenness))
             state = _with_straightness(state, state.unread[0], lines)
             state = replace(state, unread=state.unread[1:])
         if first.stamp >= state.stamp:

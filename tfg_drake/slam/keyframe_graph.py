@@ -45,7 +45,7 @@ class KeyframeGraph:
     of the landmarks, nats, entropy_beyond: what is to be added to that of the landmarks known jointly, of which it is
     all in a small map. prior: of the shared parameters, by all but the keyframes. shared: the same by everything.
     tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`. solver: what finds the values, one
-    of `config.SOLVERS`; no part of a saved map. unevenness: that of `Walls`, which has it in a saved map.
+    of `config.SOLVERS`; no part of a saved map. unevenness: m, as of `scan_lines.unevenness_after`.
     """
 
     keyframes: Annotated[tuple[Keyframe, ...], "k"]
@@ -64,7 +64,7 @@ class KeyframeGraph:
     tag_error: Annotated[FloatArray, 2]
     solver: str = dataclasses.field(default="dissection", metadata={"kept": False})
     ties: Ties = dataclasses.field(default_factory=no_ties, metadata={"kept": False})
-    unevenness: float = dataclasses.field(default=0.0, metadata={"kept": False})
+    unevenness: float = 0.0
 
     @property
     def X_MA(self) -> FloatArray:

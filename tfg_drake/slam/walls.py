@@ -88,12 +88,10 @@ class Looks(NamedTuple):
 @message
 class Walls:
     """How well walls agree. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
-    of these the most likely, between them. unevenness: m, how far single looks are off the same wall beside the noise
-    of their rays, as of `scan_lines.unevenness_after`. least_looks: that a new wall needs."""
+    of these the most likely, between them. least_looks: that a new wall needs."""
 
     by_floor: Annotated[FloatArray, 4]
     floor: float = 1.0
-    unevenness: float = 0.0
     least_looks: int = LEAST_LOOKS
 
     def seen_again(self, off: FloatArray, S: FloatArray, level: float) -> Walls:
