@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from tfg_drake.hardware.device import BaseState, Device
-from tfg_drake.hardware.remarks import Spells, battery, begun
+from tfg_drake.hardware.remarks import Remark, Spells, battery, begun
 from tfg_drake.mission.operation import Command
+
+# The operator is told this long before, s: the reason stands in the log before what the robot does about it.
+TOLD_BEFORE = 1.0
 
 
 class BatteryWatch:
@@ -22,7 +25,7 @@ class BatteryWatch:
         state = self._base.newest(BaseState)
         if state is None:
             return []
-        remarks = battery(state)
+        remarks = {name: Remark(one.line, one.after + TOLD_BEFORE) for name, one in battery(state).items()}
         self._spells, names = begun(self._spells, remarks, state.stamp)
         self._told |= {name: remarks[name].line for name in names}
         return ["recall"] if "battery low" in names else []

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hardware.fake_robot import base_state
-from tfg_drake.hardware.battery_watch import BatteryWatch
+from tfg_drake.hardware.battery_watch import TOLD_BEFORE, BatteryWatch
 from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, Remark, Watch, begun, watched, where
 from tfg_drake.messages import Hazards
 
@@ -140,6 +140,7 @@ def test_a_low_battery_calls_the_robot_back_once_and_an_empty_one_ends_the_missi
         # It is asked more often than the base says anything.
         asked += [(i, request) for request in watch.requests() + watch.requests()]
         ends.append(watch.empty(recalls))
-    assert asked == [(int(LOW_LASTS), "recall")]
+    first = int(LOW_LASTS + TOLD_BEFORE)
+    assert asked == [(first, "recall")]
     low, empty = "" if recalls else "The battery is low, 13.8 V", "The battery is nearly empty, 13.8 V"
-    assert ends == [""] * int(LOW_LASTS) + [low] * 16 + [empty] * 9
+    assert ends == [""] * first + [low] * 16 + [empty] * 8
