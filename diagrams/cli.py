@@ -53,7 +53,16 @@ if TYPE_CHECKING:
 
 # Tags nearer to each other than this would lie on top of one another, m.
 LEAST_SPACING = 0.05
-EXIT_CODES = {"complete": 0, "budget": 0, "battery": 0, "time_limit": 0, "stuck": 1, "fault": 3, "interrupted": 130}
+EXIT_CODES = {
+    "complete": 0,
+    "budget": 0,
+    "battery": 0,
+    "time_limit": 0,
+    "stuck": 1,
+    "apart": 1,
+    "fault": 3,
+    "interrupted": 130,
+}
 
 # Commands that a signal ends with all that they have written; others it ends at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")

@@ -146,8 +146,7 @@ class Mission:
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
     robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. simulator: of the diagram, and explorer: what explores, once it is built. X_WM: (3,) pose of the map frame in
-    the world, see `MapFrame`. failure: what ended it, of the outcome fault. notes: what was not believed meanwhile.
+    `say`. simulator: of the diagram, and explorer: what explores, once it is built. failure: what ended it, of the outcome fault. notes: what was not believed meanwhile.
     resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
     taken when it was gone on with, s.
     """
@@ -169,7 +168,9 @@ class Mission:
         keep_to_one_thread()
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
-        self.X_WM = MapFrame(scenario, self.world.start if self.world is not None else np.zeros(3))
+        self._context: Context | None = None  # until the diagram is built
+        self._X_WS = self.world.start if self.world is not None else np.zeros(3)
+        self._X_WM = MapFrame(scenario, self._X_WS)
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
@@ -181,7 +182,6 @@ class Mission:
         self._visualizer: TfgVisualizer | None = None
         self.word = ""
         self._recorder: System | None = None  # of the timeline
-        self._context: Context | None = None  # until the diagram is built
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
         self.pose: PoseEstimate | None = None
@@ -349,7 +349,26 @@ class Mission:
         """Since when the robot has known where it is in the map that it began with, s; -inf where it began with none,
         nan or inf where it has not found itself."""
         state = self.estimator_state()
-        return -math.inf if state is None else state.placed
+        if state is None:
+            return -math.inf
+        return math.nan if self.apart else state.placed
+
+    @property
+    def apart(self) -> bool:
+        """Whether the robot does not know where it is in the map that it began with, and maps apart from that."""
+        state = self.estimator_state()
+        return state is not None and state.known is not None and state.at is None
+
+    @property
+    def places(self) -> int:
+        """In how many places of the map that it began with the robot may be, 0 for none or any."""
+        state = self.estimator_state()
+        return 0 if state is None else state.places
+
+    @property
+    def X_WM(self) -> FloatArray:
+        """(3,) pose of the map frame in the world, see `MapFrame`; of a map apart that is where the robot began."""
+        return self._X_WS if self.apart else self._X_WM
 
     def estimator_state(self) -> EstimatorState | None:
         """The estimator's state, in the end with the final map; None for a method without one."""

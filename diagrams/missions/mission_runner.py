@@ -184,6 +184,8 @@ class MissionRunner:
             outcome, reason = "battery", f"{empty}: the robot stands at ({x:.2f}, {y:.2f}) m."
         elif mission.status.phase == "done":
             outcome, reason = mission.status.outcome, mission.status.reason
+            if mission.apart and outcome in ("complete", "stuck"):
+                outcome, reason = "apart", f"It has not found itself in the map that it began with: {reason}"
         elif self._interrupted.is_set():
             by = f" by {NAMES[self._interrupted.number]}" if isinstance(self._interrupted, Interruption) else ""
             outcome, reason = "interrupted", f"interrupted{by} at {mission.time:.0f} s"

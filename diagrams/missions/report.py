@@ -65,7 +65,7 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
         known_map = load_map(Path(mission.scenario.explorer.known_map))
-        summary["changes"] = {"found_at_s": mission.placed_since}
+        summary["changes"] = {"found_at_s": mission.placed_since, "places": mission.places}
         if math.isfinite(mission.placed_since):
             summary["changes"] |= map_changes(known_map, saved)
     reachable = np.zeros(0, dtype=np.bool_)
@@ -76,7 +76,7 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
         reachable = known.reachable
         summary |= known.map_figures(mission, estimate, tfg)
         unreachable = ", ".join(map(str, world.tag_ids[~reachable].tolist()))
-        if unreachable and mission.outcome in ("complete", "stuck"):
+        if unreachable and mission.outcome in ("complete", "stuck", "apart"):
             summary["reason"] += f" The robot cannot reach any place that shows these tags: {unreachable}."
         if true_poses is not None:
             summary |= known.way_figures(mission, stamps, X_WB, *true_poses)

@@ -189,7 +189,7 @@ def run_mission(
             runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, looks_on)
             folder.give_up_reserve()
             summary = write_report(mission, folder, name, world_name or name)
-            if mission.outcome in ("complete", "stuck"):
+            if mission.outcome in ("complete", "stuck", "apart"):
                 folder.attempt(CHECKPOINT, lambda path: path.unlink(missing_ok=True))
             mission.say(mission.outcome.replace("_", " "))
             mission.show()

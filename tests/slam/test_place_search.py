@@ -6,8 +6,8 @@ import pytest
 from tfg_drake.geometry import se2
 from tfg_drake.slam import place_search
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import BLUR, SAME, STEP, find_place, peaks, tells_place
-from tfg_drake.slam.surface_fit import points_along
+from tfg_drake.slam.place_search import BLUR, STEP, WRONG, Prior, find_places, peaks, seen_at_once, tells_place
+from tfg_drake.slam.surface_fit import Surfaces, points_along
 
 # Faces seen from their left: a room of 6 by 4 m with a niche, and beside it one of 5 by 3 m.
 ROOM = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 2, 4], [2, 4, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]]
@@ -38,28 +38,41 @@ def off(X, pose):
     return np.abs(se2.between(pose, X))
 
 
+def places(known, query, prior=None):
+    return find_places(known, seen_at_once(query), prior)
+
+
 @pytest.mark.parametrize("pose", [HERE, np.array([4.0, 2.0, -2.5]), np.array([0.5, 0.5, 3.0])])
 def test_it_is_found_wherever_it_is(pose):
-    found, here = find_place(both(), seen(ROOM, pose), AWAY)
-    assert found is not None
-    assert np.all(off(found, pose) < [0.02, 0.02, 0.01])
-    assert here < 0.6
+    """By one room most likely, by two surely."""
+    there = places(both(), seen(ROOM, pose))
+    assert there.found is None
+    assert there.near(pose) > 0.95
+    assert there.near(AWAY) < 1e-3
+    assert there.probability.sum() <= 1.0
+    both_seen = np.vstack([seen(ROOM, pose), moved_points(se2.between(pose, TURNED), seen(OTHER, np.zeros(3)))])
+    there = places(both(), both_seen)
+    assert np.all(off(there.found, pose) < [0.02, 0.02, 0.01])
+    assert there.near(pose) > 1.0 - WRONG
 
 
 def test_where_nothing_is_mapped_nothing_is_found():
     known = surfaces(ROOM)
-    assert find_place(known, seen([*OTHER[:3], [0.0, 3, 0, 2], [0, 2, 1, 2], [1, 2, 1, 0]], HERE), AWAY)[0] is None
-    assert find_place(known[:0], seen(ROOM, HERE), AWAY) == (None, 0.0)
-    assert find_place(known, np.zeros((0, 4)), AWAY) == (None, 0.0)
+    assert places(known, seen([*OTHER[:3], [0.0, 3, 0, 2], [0, 2, 1, 2], [1, 2, 1, 0]], HERE)).found is None
+    assert not len(places(known[:0], seen(ROOM, HERE)).X)
+    assert not len(places(known, np.zeros((0, 4))).X)
 
 
-def test_of_two_equal_rooms_neither_is_believed():
+def test_two_equal_rooms_are_as_likely():
     known = np.concatenate([surfaces(ROOM), surfaces(ROOM, TURNED)])
-    assert find_place(known, seen(ROOM, HERE), AWAY)[0] is None
+    there = places(known, seen(ROOM, HERE))
+    assert there.found is None
+    np.testing.assert_allclose(there.probability[:2], 0.5, atol=0.2)
+    assert there.near(HERE) + there.near(se2.compose(TURNED, HERE)) > 0.99
 
 
 def test_a_room_that_looks_the_same_turned_round_is_not_believed():
-    assert find_place(surfaces(OTHER), seen(OTHER, HERE), AWAY)[0] is None
+    assert places(surfaces(OTHER), seen(OTHER, HERE)).found is None
 
 
 def test_what_few_points_tell_is_not_believed_and_one_wall_tells_nothing():
@@ -67,31 +80,56 @@ def test_what_few_points_tell_is_not_believed_and_one_wall_tells_nothing():
     assert tells_place(query)
     assert not tells_place(query[::5])
     assert not tells_place(np.tile(seen(ROOM[:1], HERE), (3, 1)))
-    assert find_place(both(), seen(ROOM[:2], HERE), AWAY)[0] is None  # A corner is anywhere.
+    assert places(both(), seen(ROOM[:2], HERE)).found is None  # A corner is anywhere.
 
 
-def test_what_fits_the_expected_pose_is_told():
-    """All of it, as far off as the pose may be; of a room of which half is mapped, so much."""
-    known, query = surfaces(ROOM), seen(ROOM, HERE)
-    for aside in (0.0, 0.9 * SAME[0]):
-        assert find_place(known, query, HERE + np.array([aside, 0.0, 0.0]))[1] > 0.95
-    found, half = find_place(surfaces(ROOM[:3]), query, HERE)
-    length = np.hypot(*np.diff(np.array(ROOM).reshape(-1, 2, 2), axis=1)[:, 0].T)
-    assert found is None
-    assert half == pytest.approx(length[:3].sum() / length.sum(), abs=0.05)
+def test_what_is_looked_through_speaks_against_a_place():
+    """A room of which one wall is not where the map has it, but farther off; or before it."""
+    longer = [[0.0, 0, 8, 0], [8, 0, 8, 4], [8, 4, 2, 4], *ROOM[3:]]
+    for there, here in ((ROOM, longer), (longer, ROOM)):
+        assert places(surfaces(there), seen(here, HERE)).near(HERE) < 0.7
+        assert places(surfaces(here), seen(here, HERE)).near(HERE) > 0.95
 
 
-def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_may_have_drifted_to():
+def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
+    known = moved_points(np.zeros(3), both())
+    beyond = [[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(12)]
+    query = np.vstack([known, surfaces(beyond)])
+    assert places(known, query).near(np.zeros(3)) > places(known, known).near(np.zeros(3)) - 0.999
+    odds = [place_search._log_odds(known, Surfaces(known), seen_at_once(of), np.zeros((1, 3)))[0] for of in (known, query)]
+    assert odds[0] - odds[1] == pytest.approx(-place_search.MOST_BEYOND, abs=2.0)
+
+
+def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_is_thought_to_be():
     known = np.concatenate([surfaces(ROOM), surfaces(ROOM, TURNED)])
-    found, _ = find_place(known, seen(ROOM, HERE), HERE + np.array([0.7, -0.5, 0.1]))
-    assert found is not None
-    assert np.all(off(found, HERE) < [0.02, 0.02, 0.01])
+    prior = Prior(HERE + np.array([0.7, -0.5, 0.1]), np.array([0.5, 0.5, 0.2]), -12.0)
+    there = places(known, seen(ROOM, HERE), prior)
+    assert np.all(off(there.X[0], HERE) < [0.02, 0.02, 0.01])
+    assert there.near(HERE) > 0.95
+    # But not where what is seen contradicts it.
+    elsewhere = places(surfaces(ROOM), seen(ROOM, HERE), prior._replace(X=AWAY, elsewhere=-1.0))
+    assert np.all(off(elsewhere.X[0], HERE) < [0.02, 0.02, 0.01])
 
 
 def test_nobody_has_carried_it_through_the_whole_building():
-    far = np.array([30.0, 0.0, 0.0])
-    assert find_place(surfaces(ROOM), seen(ROOM, HERE), far)[0] is None
-    assert find_place(surfaces(ROOM), seen(ROOM, HERE), far, anywhere=True)[0] is not None
+    far = Prior(np.array([30.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.2]), -1.0, 10.0)
+    assert places(surfaces(ROOM), seen(ROOM, HERE), far).near(HERE) == 0.0
+    assert places(surfaces(ROOM), seen(ROOM, HERE)).near(HERE) > 0.9
+
+
+def test_what_is_nearest_by_bearing_is_that_of_every_point():
+    rng = np.random.default_rng(1)
+    points = surfaces(ROOM)
+    eye = np.array([2.0, 1.5])
+    found = place_search.nearest(eye, points)
+    # A ray from inside meets the room there; of one cell of bearing the nearest counts.
+    for bearing in rng.uniform(-np.pi, np.pi, 50):
+        k = int((bearing + np.pi) / (2.0 * np.pi) * place_search.BEARINGS)
+        off_points = points[:, :2] - eye
+        angle = np.arctan2(off_points[:, 1], off_points[:, 0])
+        apart = np.abs(se2.wrap_angle(angle - (k + 0.5) * 2.0 * np.pi / place_search.BEARINGS + np.pi))
+        near = np.hypot(*off_points[apart < 0.05].T)
+        assert near.min() - 0.1 < found[k] < near.max() + 0.1
 
 
 def test_the_field_and_its_scores_are_those_of_the_nearest_points():

@@ -15,7 +15,7 @@ from tfg_drake.comparison.statistics import Interval, Spread, difference, ratio,
 
 # Pairs from which on a bootstrap interval is wide enough to be believed.
 _ENOUGH = 8
-_OUTCOMES = ("complete", "budget", "battery", "time_limit", "stuck", "fault", "failed", "interrupted")
+_OUTCOMES = ("complete", "budget", "battery", "time_limit", "stuck", "apart", "fault", "failed", "interrupted")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from tfg_drake.bad_input import BadInput
 from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.mapfile.placement import Placement, by_tags, by_walls, standing_in
+from tfg_drake.mapfile.placement import by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
 from tfg_drake.messages import WALLS_BELOW, FloatArray, MapEstimate, replace
 from tfg_drake.slam.estimator import MOST_TAKEN_BACK
@@ -24,6 +24,7 @@ from tfg_drake.slam.evidence import contradicted, disputed
 from tfg_drake.slam.keyframe import Keyframe, along_walls, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.relocalizer import Placement, by_tags
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import Names, Walls, identified, named
 from tfg_drake.table import concat, take

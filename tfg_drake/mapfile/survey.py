@@ -12,10 +12,11 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.io.files import FileError, read_text
-from tfg_drake.mapfile.placement import Standing, by_tags, by_walls, standing_in
+from tfg_drake.mapfile.placement import Standing, by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.slam.relocalizer import by_tags
 from tfg_drake.world.map_server import OccupancyMap
 
 # Deviation of a surveyed tag, m.
@@ -76,7 +77,7 @@ def in_survey(saved: SavedMap, survey: MapEstimate) -> Surveyed:
 
 def in_plan(saved: SavedMap, plan: OccupancyMap) -> SavedMap:
     """The map with its frame M where the walls of a plan have it. Raises BadInput where they do not tell it."""
-    found = by_walls(Standing(plan.walls, np.empty((0, 3)), plan.is_free), standing_in(saved))
+    found = by_walls(Standing(plan.walls, np.empty((0, 3))), standing_in(saved))
     if found is None:
         raise BadInput("the walls of the map fit the plan nowhere, or in several places: align it by tags")
     return replace(saved, X_WM=found.X_AB)

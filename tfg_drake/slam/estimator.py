@@ -85,6 +85,7 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
+from tfg_drake.slam.relocalizer import in_known, joined, looked_for
 from tfg_drake.slam.reunion import found_again
 from tfg_drake.slam.scan_lines import scan_lines, surface_seen, unevenness_after
 from tfg_drake.slam.scan_points import scan_points
@@ -304,6 +305,9 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, increment, dt)
     estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
+    if state.at is not None:
+        # The map will be in the frame of the one that the session began with.
+        X_MB, covariance, p_MU = in_known(state.at, X_MB, covariance, p_MU)
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
@@ -517,6 +521,7 @@ def _step(
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
         state = find_itself(state, stamp)
+    state = looked_for(state)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
         state = _end_piece(state)
@@ -718,7 +723,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         loops=loops,
         deviation=deviation_of(estimate) if solved is graph else state.deviation,
     )
-    return replace(state, piece=opened(state))
+    return joined(replace(state, piece=opened(state)))
 
 
 def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Annotated
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch
 from tfg_drake.slam.first_look import Message
-from tfg_drake.slam.keyframe import way
+from tfg_drake.slam.keyframe import Keyframe, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.loop_search import LoopSearch
@@ -74,6 +75,34 @@ class FirstLook:
 
 
 @message
+class Placed:
+    """How the frame M of a session lies in the map K that it began with: X_KM (3,) and its covariance (3, 3). moved: ids
+    of the tags that stand elsewhere by now."""
+
+    X: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3]
+    moved: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+@message
+class KnownMap:
+    """The map K that a session began with, as long as it maps apart from that.
+
+    keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
+    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. told: where somebody says
+    the session begins.
+    """
+
+    keyframe: Keyframe
+    X_KD: FloatArray
+    estimate: MapEstimate
+    surfaces: FloatArray
+    evidence: Evidence
+    facing: FloatArray
+    told: Placed | None = None
+
+
+@message
 class EstimatorState:
     """All the estimator knows; the defaults are before any message.
 
@@ -89,7 +118,7 @@ class EstimatorState:
     last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost: where the
     robot is since then is a guess. kidnapped: the robot was moved since the last view by something else than its
     wheels. placed: s, since when the robot knows where it is in a map that it began with, or in which it may have been
-    carried while nobody looked; nan as long as it does not, inf where it has mapped on without. turn, piece: the open
+    carried while nobody looked; nan as long as it does not in the latter, inf where it has mapped on without. turn, piece: the open
     turn and piece of the way, way: those before it since the last view. map: what has become of the solved graph since,
     None before the first view. rejected: (r,) ids of known tags left out of the newest view. look: the first look, None
     once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
@@ -97,7 +126,8 @@ class EstimatorState:
     for a turn or piece. may_be_moved: by something else than its wheels. published: the map without its walls, which
     all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen,
     nan once it was told that too little is straight. loops: the search for them. deviation: (2,) of the newest pose at
-    the last solve, m and rad.
+    the last solve, m and rad. known: the map that the session began with, until it is part of this one; at: where in
+    it that is, once it is known; places: in how many places of it that may be, 0 for none or any.
     """
 
     noise: LearntNoise
@@ -139,6 +169,9 @@ class EstimatorState:
     straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     loops: LoopSearch = dataclasses.field(default_factory=LoopSearch)
     deviation: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
+    known: KnownMap | None = None
+    at: Placed | None = None
+    places: int = 0
 
 
 def initial_state(

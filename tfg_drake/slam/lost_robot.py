@@ -32,7 +32,7 @@ from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.place_search import find_place, tells_place
+from tfg_drake.slam.place_search import Prior, find_places, seen_at_once, tells_place
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.surface_fit import map_points, surface_points
 from tfg_drake.slam.turn import no_detections, reduced
@@ -66,9 +66,12 @@ LEAST_BASE = 0.4
 # Headings that are tried for each tag by itself, and tags that are tried, the surest.
 HEADINGS = 16
 MOST_TAGS = 12
-# Among walls the robot is looked for after so many more looks, where no more than this share of what it has seen fits
-# the pose, and is elsewhere if it has not found itself for so long, s.
-LOOKS, LEAST_LIKE, LONGEST_SEARCH = 5, 0.65, 5.0
+# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this, and is elsewhere
+# if it has not found itself for so long, s.
+LOOKS, LIKELY, LONGEST_SEARCH = 5, 0.5, 5.0
+# That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
+# logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
+DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
 # So many of the newest frames are looked at.
 MOST_FRAMES = 50
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
@@ -186,9 +189,11 @@ def _found_among_walls(
         return state
     expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
     anywhere = math.isnan(state.placed)
-    X_MA, here = find_place(known_points(state.graph), seen, expected, anywhere=anywhere or state.kidnapped)
-    if here > LEAST_LIKE and not state.kidnapped:
+    prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
+    places = find_places(known_points(state.graph), seen_at_once(seen), prior)
+    if places.near(expected) > LIKELY and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
+    X_MA = places.found
     if X_MA is None:
         if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state

@@ -1,74 +1,189 @@
-"""Search for the place of a look among the surfaces of a map: correlative, then a fit of the best places.
+"""Search for the place of a look among the surfaces of a map: correlative, then a fit of the best places, and the odds.
 
 What is seen is slid over the map in steps of place and heading, and judged by the share of its points that lie on the
-map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted, and judged by how much of
-all that is seen lies on surfaces. Where another place explains nearly as much, as in a building of equal rooms, none is
-known.
+map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted. How likely each is then
+follows from what is seen there and what should be: each metre of surface that is seen lies on the map's, or where the
+map has none, or before one that should be seen; and some of the map's are looked through. In a building of equal rooms
+several places are as likely, and where nothing of the map explains what is seen none is.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.slam.keyframe import moved_points
 from tfg_drake.slam.surface_fit import CELL, Surfaces, thinned
 
 # Side of a cell, m, in a window and in a whole map; blur and step, in cells; a turn, in cells at this distance, m.
 SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
 # Another place is so far off, m, or turned, rad; so many places are tried, and points of the query, coarsely and in the
-# fit, at most.
-APART, TURNED, PLACES, COARSE, QUERY = 1.0, 0.3, 30, 130, 400
+# fit, at most. Coarsely those count that are no farther than this, m, from where the newest were seen.
+APART, TURNED, PLACES, COARSE, QUERY, SURROUNDINGS = 1.0, 0.3, 30, 130, 400, 8.0
 # The fit of a place known to a step: gates, m, and as good as no information.
 LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
-# The robot is where so large a share of the surface that it has seen lies on the map's, of so much of it, m, and where
-# that tells its place in both directions: the smaller information is such a share of the larger.
-LEAST_SHARE, LEAST_LENGTH, LEAST_ACROSS = 0.8, 5.0, 0.03
-# And every place farther off than SAME, m and rad, leaves so much more of it unexplained, m.
-SAME, MARGIN = (0.5, 0.3), 1.5
-# A place as near as this, m and rad, is asked first: that the robot has drifted is likelier than that somebody has
-# carried it, but where places farther off explain so much more. And nobody carries it farther than this: the other end
-# of a building, not mapped yet, may be alike.
-DRIFTED, NEARER, CARRIED = (1.5, 0.5), 0.03, 10.0
+# A place is told by so much surface, m, and in both directions: the smaller information is such a share of the larger.
+LEAST_LENGTH, LEAST_ACROSS = 5.0, 0.03
+# Poses no farther from each other than this, m and rad, are one place.
+SAME = (0.5, 0.3)
+# Places where so much less of the query, as a share, lies on surfaces than in the best are out of the question.
+MUCH_LESS = 0.3
+# What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
+# map, before what should be seen, or it should be seen and is looked through; and where the map has nothing to be seen,
+# which is no less likely than MOST_BEYOND altogether, for a map may end there.
+ON, BEFORE, THROUGH, BEYOND, MOST_BEYOND = math.log(0.97 / 0.55), -2.0, -2.0, -0.6, -20.0
+# Something is on a surface within this, m, is so much, m, before or behind what should be seen, and from what is there.
+NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
+# Bearings that are told apart, and from how far, m, and how slantwise, by its cosine, a surface is surely seen.
+BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
+# So many of the places where something was seen from are asked, evenly.
+MOST_EYES = 12
+# The probability of a wrong place with which one is believed.
+WRONG = 1e-4
 
 
-def find_place(
-    before: FloatArray, query: FloatArray, expected: FloatArray, *, anywhere: bool = False
-) -> tuple[FloatArray | None, float]:
-    """The pose X_MA (3,) of the frame A in which points (q, 4) were seen, None where that is not known; and the share
-    of them that lies on the map's surfaces from the best pose no farther than SAME from the expected one (3,), 0 where
-    another place explains nearly all, and MARGIN more.
+class Seen(NamedTuple):
+    """Points with normals (q, 4), in a frame A, and the rows of those that each of the eyes (e, 2) in A saw:
+    begin[i]:begin[i + 1]."""
 
-    before: (p, 4) points with normals of the map, in M. anywhere: the robot may be, and no place is likelier than
-    others beforehand.
-    """
-    if not len(before) or not tells_place(query):
-        return None, 0.0
-    surfaces, query = Surfaces(before), thinned(query)
-    margin = MARGIN / (CELL * len(query))
-    query = query[np.random.default_rng(0).permutation(len(query))[:QUERY]]
+    points: FloatArray
+    eyes: FloatArray
+    begin: IntArray
+
+
+def seen_at_once(points: FloatArray) -> Seen:
+    """Points (q, 4) that are all seen from the origin."""
+    return Seen(points, np.zeros((1, 2)), np.array([0, len(points)]))
+
+
+class Prior(NamedTuple):
+    """X: (3,) the pose where something is thought to be, sigma: (3,) its deviations, m, m, rad. elsewhere: logarithm of
+    how much less likely places beyond three of these are, reach: m, beyond which there is none."""
+
+    X: FloatArray
+    sigma: FloatArray
+    elsewhere: float
+    reach: float = math.inf
+
+    def log(self, poses: FloatArray) -> FloatArray:
+        """Its logarithm (k,) at poses (k, 3), 0 near X."""
+        off = poses - self.X
+        off[:, 2] = se2.wrap_angle(off[:, 2])
+        near = np.all(np.abs(off) < 3.0 * self.sigma, axis=1)
+        return np.where(near, 0.0, np.where(np.hypot(off[:, 0], off[:, 1]) < self.reach, self.elsewhere, -np.inf))
+
+
+class Places(NamedTuple):
+    """Poses X (k, 3) in M of a frame, the likeliest first, information (k, 3, 3) and probability (k,) of each; what is
+    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions."""
+
+    X: FloatArray
+    information: FloatArray
+    probability: FloatArray
+    tells: BoolArray
+
+    @property
+    def found(self) -> FloatArray | None:
+        """The pose that is believed, None for none."""
+        sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - WRONG
+        return self.X[0] if sure else None
+
+    def near(self, X: FloatArray) -> float:
+        """The probability of a pose (3,)."""
+        return float(self.probability[~is_elsewhere(self.X, X)].sum())
+
+
+def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> Places:
+    """The poses in M from which things were seen, by the surfaces of a map, points (p, 4) in M with normals. prior:
+    where that is thought to be; None: anywhere in the map."""
+    none = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_)
+    if not len(before) or not tells_place(seen.points):
+        return Places(*none)
+    surfaces, rng = Surfaces(before), np.random.default_rng(0)
+    X_AC = np.append(seen.eyes[-1], 0.0)
+    cells = moved_points(se2.inverse(X_AC), thinned(seen.points))
+    cells = cells[rng.permutation(len(cells))]
+    around = cells[np.hypot(cells[:, 0], cells[:, 1]) < SURROUNDINGS]
+    around = around if tells_place(around) else cells
     low, high = before[:, :2].min(axis=0), before[:, :2].max(axis=0)
     middle, window = np.append(0.5 * (low + high), 0.0), np.append(0.5 * (high - low), math.pi)
-    _, starts = peaks(before[:, :2], query[:COARSE, :2], middle, window, SIDE_OF_MAP)
-    fits = [surfaces.fitted(query, X, UNTIED, LOOSELY) for X in (expected, *starts)]
-    poses, share = np.array([X for X, _, _ in fits]), np.array([share for *_, share in fits])
-    off = np.hypot(*(poses - expected)[:, :2].T)
-    here = float(share[~_elsewhere(poses, expected)].max(initial=0.0))
-    if share.max() >= max(LEAST_SHARE, here + margin):
-        here = 0.0
-    drifted = (off < DRIFTED[0]) & (np.abs(se2.wrap_angle(poses[:, 2] - expected[2])) < DRIFTED[1])
-    every = np.ones(len(poses), dtype=np.bool_)
-    for is_rival, may_be in ((every, every),) if anywhere else ((drifted, drifted), (every, off < CARRIED)):
-        best = int(np.argmax(np.where(may_be, share, -1.0)))
-        elsewhere = _elsewhere(poses, poses[best])
-        others = max(share[is_rival & elsewhere].max(initial=0.0) + margin, share[elsewhere].max(initial=0.0) - NEARER)
-        across = np.linalg.eigvalsh(fits[best][1][:2, :2])
-        if may_be[best] and share[best] >= max(LEAST_SHARE, others) and across[0] > LEAST_ACROSS * across[1]:
-            return poses[best], here
-    return None, here
+    _, starts = peaks(before[:, :2], around[:COARSE, :2], middle, window, SIDE_OF_MAP)
+    if prior is not None:
+        starts = np.vstack([se2.compose(prior.X, X_AC), starts])
+    fits = [surfaces.fitted(around[:QUERY], X, UNTIED, LOOSELY) for X in starts]
+    if len(around) < len(cells):
+        fits = [surfaces.fitted(cells[:QUERY], X, UNTIED, LOOSELY) for X, *_ in fits]
+    share = np.array([of for *_, of in fits])
+    kept = [k for k in np.argsort(-share, kind="stable") if share[k] > share.max() - MUCH_LESS]
+    X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
+    first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
+    X, information = X[first], np.array([fits[kept[k]][1] for k in first])
+    log = _log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
+    odds = np.exp(log - max(log.max(), 0.0))
+    probability, order = odds / (odds.sum() + math.exp(-max(log.max(), 0.0))), np.argsort(-log, kind="stable")
+    across = np.linalg.eigvalsh(information[:, :2, :2])
+    tells = across[:, 0] > LEAST_ACROSS * across[:, 1]
+    return Places(X[order], information[order], probability[order], tells[order])
+
+
+def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
+    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's."""
+    eyes = np.unique(np.linspace(0, len(seen.eyes) - 1, MOST_EYES).round().astype(np.int64))
+    views = [nearest(seen.eyes[i], seen.points[seen.begin[i] : seen.begin[i + 1]]) for i in eyes]
+    cells, there, log = thinned(seen.points), thinned(before), np.empty(len(X))
+    mine = cKDTree(cells[:, :2])
+    for k, pose in enumerate(X):
+        on = surfaces.on(moved_points(pose, cells), NEAR)
+        # What the map says is seen from each eye.
+        at = moved_points(se2.inverse(pose), before)
+        should = np.array([nearest(seen.eyes[i], at) for i in eyes])
+        old = moved_points(se2.inverse(pose), there)
+        is_before = looked_through(cells, seen.eyes[eyes], should) & ~on
+        is_before[is_before] = cKDTree(old[:, :2]).query(cells[is_before, :2])[0] > BESIDE
+        through = looked_through(old, seen.eyes[eyes], np.array(views))
+        through[through] = mine.query(old[through, :2])[0] > BESIDE
+        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), MOST_BEYOND)
+        log[k] = CELL * (ON * on.sum() + BEFORE * is_before.sum() + THROUGH * through.sum()) + beyond
+    return log
+
+
+@njit(cache=True)
+def nearest(eye: FloatArray, points: FloatArray) -> FloatArray:
+    """Distance (BEARINGS,), m, of the nearest of points (p, 4) with normals that face an eye (2,) by bearing from -pi
+    on, inf where there is none."""
+    found, step = np.full(BEARINGS, np.inf), 2.0 * math.pi / BEARINGS
+    for p in points:
+        x, y = p[0] - eye[0], p[1] - eye[1]
+        distance = math.hypot(x, y)
+        if distance < 0.1 or p[2] * x + p[3] * y > -0.1 * distance:
+            continue
+        bearing, half = math.atan2(y, x) + math.pi, 0.4 * CELL / distance
+        for k in range(math.floor((bearing - half) / step), math.floor((bearing + half) / step) + 1):
+            found[k % BEARINGS] = min(found[k % BEARINGS], distance)
+    return found
+
+
+@njit(cache=True)
+def looked_through(cells: FloatArray, eyes: FloatArray, seen: FloatArray) -> BoolArray:
+    """Which of some cells (n, 4) of surface some of the eyes (e, 2) must have looked through, for they saw what is
+    farther off there: seen (e, BEARINGS), as of `nearest`."""
+    through, step = np.zeros(len(cells), dtype=np.bool_), 2.0 * math.pi / BEARINGS
+    for i in range(len(cells)):
+        for e in range(len(eyes)):
+            x, y = cells[i, 0] - eyes[e, 0], cells[i, 1] - eyes[e, 1]
+            distance = math.hypot(x, y)
+            if not 0.2 < distance < SIGHT or cells[i, 2] * x + cells[i, 3] * y > -SLANT * distance:
+                continue
+            k = math.floor((math.atan2(y, x) + math.pi) / step)
+            of = np.array([seen[e, (k + other) % BEARINGS] for other in (-1, 0, 1)])
+            through[i] |= of.min() > distance + DEPTH and of.max() < np.inf
+    return through
 
 
 def tells_place(query: FloatArray) -> bool:
@@ -78,7 +193,7 @@ def tells_place(query: FloatArray) -> bool:
     return CELL * len(seen) >= LEAST_LENGTH and bool(across[0] > LEAST_ACROSS * across[1])
 
 
-def _elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
+def is_elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
     """Which poses (k, 3) are farther than SAME from another (3,)."""
     off = poses - X
     return np.asarray((np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1]))

@@ -19,7 +19,7 @@ from tfg_drake.slam.keyframe import Keyframe, is_unknown
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
 from tfg_drake.slam.lost_robot import PLACED, adrift, known_points, seen_by
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.place_search import find_place
+from tfg_drake.slam.place_search import find_places, seen_at_once
 from tfg_drake.slam.surface_fit import surface_points
 
 Ways = tuple[tuple[Sighted, Source | None], ...]
@@ -41,7 +41,7 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    X, _ = find_place(known_points(graph), surface_points(view, graph.shared.mean), at, anywhere=True)
+    X = find_places(known_points(graph), seen_at_once(surface_points(view, graph.shared.mean))).found
     if X is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, LaserScan
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan
 from tfg_drake.slam.keyframe import Keyframe, moved_points
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.scan_points import scan_points
@@ -67,6 +67,16 @@ class Surfaces:
             there = there - np.linalg.solve(total, weighted @ e.ravel() + information @ off)
             share = float(np.mean(np.any(met & (np.abs(e) < ON), axis=1)))
         return there, total, share
+
+
+    def on(self, points: FloatArray, within: float) -> BoolArray:
+        """Which of some points (n, 4) in M lie on the surfaces, within so much, m."""
+        _, row = self.tree.query(points[:, :2], k=MOST, distance_upper_bound=NEAR)
+        met = row < len(self.points)
+        of = self.points[np.where(met, row, 0)]
+        met &= np.einsum("qki,qi->qk", of[..., 2:], points[:, 2:]) > SAME_WAY
+        off = np.einsum("qki,qki->qk", of[..., 2:], points[:, None, :2] - of[..., :2])
+        return np.asarray(np.any(met & (np.abs(off) < within), axis=1))
 
 
 def thinned(points: FloatArray, offset: float = 0.0) -> FloatArray:

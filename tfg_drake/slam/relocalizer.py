@@ -1,0 +1,255 @@
+"""Finds where a session is in the map that it began with. Until it is found it maps apart, in a frame of its own.
+
+Hypotheses are the poses from which the tags of both, or the surfaces seen so far, fit the map (`place_search`); one is
+believed when the odds that it is wrong are small. Then both maps become one: the older one is a keyframe at the
+beginning of the graph, in whose frame all lies from then on, with the names of the session's walls where they are the
+same.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from tfg_drake.bad_input import BadInput
+from tfg_drake.geometry import se2
+from tfg_drake.geometry.se2 import rotation
+from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
+from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
+from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
+from tfg_drake.slam.keyframe import joined_reach, moved_points, placed, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, extended, no_observation
+from tfg_drake.slam.localizer import start_localizer
+from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
+from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_update import deviation_of
+from tfg_drake.slam.place_search import Places, Prior, Seen, find_places
+from tfg_drake.slam.surface_fit import surface_points
+from tfg_drake.slam.turn import no_detections, reduced
+from tfg_drake.slam.walls import Names, identified, named, no_lines
+from tfg_drake.table import concat, take
+
+# A pose that says nothing of where to look.
+ANYWHERE = Expected(np.array([1e6, 0.0, 0.0]), None, np.ones(3))
+# Tags that must agree.
+LEAST_TAGS = 3
+# Deviations of a pose by walls, m, m, rad.
+BY_WALLS = np.array([0.05, 0.05, 0.005])
+# Frames of the first turn after which the pose is looked for: this many, and twice as many each time.
+FRAMES = 4
+# A place that is told is so much likelier than others, as a logarithm. Places are likely that are so probable.
+TOLD, LIKELY = -7.0, 0.05
+# One that was believed is so as long as it is this probable.
+STILL = 0.9
+
+_operator = logging.getLogger("tfg_drake.operator")
+
+
+class Tagged(Protocol):
+    """A map with tags: ids (n,), places p_ML (n, 2), m, and their covariances (n, 2, 2), m^2."""
+
+    @property
+    def ids(self) -> IntArray: ...  # noqa: D102
+    @property
+    def p_ML(self) -> FloatArray: ...  # noqa: D102, N802
+    @property
+    def landmark_covariance(self) -> FloatArray: ...  # noqa: D102
+
+
+class Placement(NamedTuple):
+    """How B lies in A: X_AB (3,) and its covariance (3, 3). wrong: (d,) ids of the tags that stand elsewhere in B."""
+
+    X_AB: FloatArray
+    covariance: FloatArray
+    wrong: IntArray
+
+
+def by_tags(of_A: Tagged, of_B: Tagged) -> Placement | None:
+    """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
+
+    Raises:
+        BadInput: there are enough, and they stand differently.
+    """
+    common, in_A, in_B = np.intersect1d(of_A.ids, of_B.ids, return_indices=True)
+    if len(common) < LEAST_TAGS:
+        return None
+    # Seen from amid them: far off a small error of heading is a large one of the place.
+    middle = of_B.p_ML[in_B].mean(axis=0)
+    x, y = (of_B.p_ML[in_B] - middle).T
+    both = of_A.landmark_covariance[in_A], of_B.landmark_covariance[in_B]
+    sigma, distance = np.sqrt(sum(np.linalg.eigvalsh(one)[:, -1] for one in both)), np.hypot(x, y)
+    seen = TagDetections(0.0, common, distance, np.arctan2(y, x), sigma, sigma / np.maximum(distance, 0.1))
+    known = replace(empty_map(), ids=of_A.ids, p_ML=of_A.p_ML, landmark_covariance=of_A.landmark_covariance)
+    found = relocalize(known, seen, ANYWHERE)
+    if found is None:
+        raise BadInput(
+            f"{len(common)} tags are in both, but fewer than three in five of them stand alike: are both of one place?"
+        )
+    if not found.is_known:
+        return None
+    X_AB, J = se2.compose(found.X_MB, np.append(-middle, 0.0)), np.eye(3)
+    J[:2, 2] = (found.X_MB[:2] - X_AB[:2])[::-1] * [1.0, -1.0]
+    return Placement(X_AB, J @ found.covariance @ J.T, common[~found.agreeing])
+
+
+def looked_for(state: EstimatorState) -> EstimatorState:
+    """The state of a session in its first turn, which is asked where it is the more seldom the longer that lasts."""
+    known, turn = state.known, state.turn
+    if known is None or turn is None or state.map is not None:
+        return state
+    count = len(turn.frames)
+    if count < FRAMES or count & (count - 1):
+        return state
+    newest, shared = turn.frames[-MOST_FRAMES:], state.graph.shared
+    begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
+    one = reduced(state.noise.now, begin, newest, instant(state), shared, state.walls.floor).keyframe
+    X_MA, w = se2.compose(turn.X_MB, se2.between(turn.begin.X_OB, begin.X_OB)), one.walls
+    y_AL, _, R = one.given(shared.mean)
+    rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
+    covariance = R[rows[:, :, None], rows[:, None]]
+    tags = replace(
+        empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance
+    )
+    points = moved_points(X_MA, surface_points(one, shared.mean))
+    return _told(state, *_placement(known, tags, Seen(points, X_MA[None, :2], np.array([0, len(points)]))))
+
+
+def joined(state: EstimatorState) -> EstimatorState:
+    """The state of a session after a view, one with the map that it began with if it knows where in that it is."""
+    known, estimate = state.known, state.map
+    if known is None or estimate is None:
+        return state
+    if estimate.stage > 4 and estimate.stage % 4:
+        return state
+    found, places = _placement(known, estimate.of_tags, _seen_by(state.graph))
+    state = _told(state, found, places)
+    return state if state.at is None else _with_known(state, known, state.at)
+
+
+def in_known(
+    at: Placed, X_MB: FloatArray, covariance: FloatArray, p_MU: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A session's pose (3,), its covariance (3, 3) and places (u, 2) in the frame of the map that it began with."""
+    X_KB, J = se2.compose(at.X, X_MB), np.eye(3)
+    J[:2, 2] = (X_KB[:2] - at.X[:2])[::-1] * [-1.0, 1.0]
+    turned = np.eye(3)
+    turned[:2, :2] = rotation(float(at.X[2]))
+    both = J @ at.covariance @ J.T + turned @ covariance @ turned.T
+    return X_KB, np.asarray(both), se2.transform(at.X, p_MU)
+
+
+def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placement | None, Places | None]:
+    """How a session lies in the map that it began with, by its tags or by its surfaces; the places that it may be."""
+    try:
+        found = by_tags(known.estimate.of_tags, tags)
+    except BadInput:  # Ids that hang elsewhere: in another building they do.
+        found = None
+    if found is not None:
+        return found, None
+    prior = None if known.told is None else Prior(known.told.X, np.sqrt(np.diag(known.told.covariance)), TOLD)
+    places = find_places(known.surfaces, seen, prior)
+    X = places.found
+    return (None if X is None else Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))), places
+
+
+def _told(state: EstimatorState, found: Placement | None, places: Places | None) -> EstimatorState:
+    """The state with where the session is, and what it is to be told of that."""
+    if found is None:
+        if state.at is not None and places is not None and places.near(state.at.X) > STILL:
+            return state
+        if state.at is not None:
+            _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
+        count = 0 if places is None else int(np.count_nonzero(places.probability > LIKELY))
+        if count > 1 and count != state.places:
+            _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)
+        return replace(state, at=None, placed=-math.inf, places=count)
+    if state.at is None:
+        x, y, _ = found.X_AB if state.map is None else se2.compose(found.X_AB, state.map.X_MD)
+        by = "the surfaces" if places is not None else "mapped tags"
+        _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by)
+    placed = state.stamp if state.at is None else state.placed
+    return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)
+
+
+def _seen_by(graph: KeyframeGraph) -> Seen:
+    """What the views of a graph have seen."""
+    eyes, points = [], []
+    keyframes, first = np.unique(graph.view_keyframe, return_index=True)
+    for k, view in zip(keyframes[np.argsort(first)], np.sort(first), strict=True):
+        eyes.append(graph.X_MA[view, :2])
+        points.append(moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], graph.shared.mean)))
+    begin = np.append(0, np.cumsum([len(some) for some in points], dtype=np.int64))
+    return Seen(np.vstack([np.empty((0, 4)), *points]), np.array(eyes).reshape(-1, 2), begin)
+
+
+def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
+    """The state of a session that lies so in the map that it began with as one map, in the frame of that."""
+    X_KM, graph, stamp = at.X, state.graph, state.stamp
+    assert state.map is not None
+    told = solve(graph, stamp, no_observation(), joint=known_jointly(graph))[1]
+    one, walls = without_tags(known.keyframe, at.moved), state.walls
+    if one.walls:
+        covariance = told.covariance.copy()
+        covariance[-3:], covariance[:, -3:] = 0.0, 0.0
+        covariance[-3:, -3:] = at.covariance
+        from_there = replace(told, X_MD=se2.inverse(X_KM), covariance=covariance)
+        # No look counts: none of them is new to `identified`, which leaves what is not clear.
+        again, walls = identified(one, np.zeros(len(one.ids), dtype=np.int64), walls, from_there, 0.0)
+        ids = one.ids[: one.walls]
+        new = int(graph.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
+        new[np.searchsorted(ids, again.provisional)] = again.ids
+        one = named(one, Names(ids, new))
+    both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
+    both = extended(both, one, known.X_KD, is_view=False)
+    way, _ = unknown_way(se2.between(known.X_KD, X_KM), np.sqrt(np.diag(at.covariance)))
+    both = extended(both, way.keyframe, X_KM, is_view=False)
+    for later, X_MN in zip(graph.keyframes, graph.X_MN[1:], strict=True):
+        both = extended(both, later, se2.compose(X_KM, X_MN), is_view=False)
+    # Surfaces and free space hang on the views, and on the walls where the session has them.
+    rows, w = np.searchsorted(both.ids, graph.ids), int(np.count_nonzero(~is_tag(graph.ids)))
+    (p_ML, anchor), reach = placed(X_KM, graph.ids, told.p_ML, graph.anchor), graph.reach.copy()
+    reach[:w] = joined_reach(p_ML[:w], anchor[:w], reach[:w], both.anchor[rows[:w]], both.reach[rows[:w]])
+    names = ("p_ML", "anchor", "reach")
+    where = {name: getattr(both, name).copy() for name in names}
+    for name, of_session in zip(names, (p_ML, anchor, reach), strict=True):
+        where[name][rows] = of_session
+    both = replace(
+        both,
+        **where,
+        view_keyframe=graph.view_keyframe + 2,
+        X_AV=graph.X_AV,
+        tag_error=graph.tag_error,
+        unevenness=graph.unevenness,
+    )
+    both, estimate = solve(both, stamp, state.map.observation)
+    others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))
+    evidence = concat(state.evidence, others)
+    whole = with_doubts(replace(estimate, frame_worth=state.map.frame_worth), evidence, both)
+    state = replace(
+        state,
+        graph=both,
+        solved=both,
+        map=whole,
+        published=whole.of_tags,
+        walls=walls,
+        evidence=evidence,
+        watch=_watch(state.watch, whole.of_tags.ids, known, X_KM),
+        localizer=start_localizer(estimate, walls),
+        known=None,
+        at=None,
+        deviation=deviation_of(estimate),
+    )
+    return replace(state, piece=opened(state))
+
+
+def _watch(watch: TagWatch, ids: IntArray, known: KnownMap, X_KM: FloatArray) -> TagWatch:
+    """The watch over the tags (n,) of both maps; of those that the session has not seen it knows which way they face."""
+    watch = renewed(replace(watch, seen_from=watch.seen_from @ rotation(float(X_KM[2])).T), ids)
+    row, is_old = rows_of(ids, known.estimate.of_tags.ids)
+    only_old = is_old & ~watch.seen_from.any(axis=1)
+    seen_from = watch.seen_from.copy()
+    seen_from[only_old] = known.facing[row[only_old]]
+    return replace(watch, seen_from=seen_from)
