@@ -39,12 +39,12 @@ def looked(state, saved, X_MB, ids=None):
     return end_turn(state, odometry[-1].stamp)
 
 
-def test_the_map_is_there_before_the_first_message(known, small_map):
-    estimate = restored_estimate(small_map)
-    np.testing.assert_allclose(known.published.p_ML, estimate.p_ML, atol=1e-6)
-    np.testing.assert_allclose(known.published.landmark_covariance, estimate.landmark_covariance, atol=1e-6)
-    assert (known.map.stage, len(known.graph.keyframes)) == (0, 1)
-    assert math.isnan(known.placed)
+def test_the_map_is_there_before_the_first_message_and_apart(known, small_map):
+    estimate, there = restored_estimate(small_map), known.known.estimate.of_tags
+    np.testing.assert_allclose(there.p_ML, estimate.p_ML, atol=1e-6)
+    np.testing.assert_allclose(there.landmark_covariance, estimate.landmark_covariance, atol=1e-6)
+    assert known.map is None
+    assert (known.at, len(known.graph.keyframes)) == (None, 0)
 
 
 @pytest.mark.parametrize("X_MB", [[0.0, 0.0, 0.0], [3.0, -1.0, 2.0], [-6.0, 4.0, -3.0]])
@@ -54,7 +54,7 @@ def test_the_robot_finds_itself_wherever_it_is(known, small_map, X_MB):
     assert 0.0 <= state.placed < 0.5
     np.testing.assert_allclose(pose_estimate(state).X_MB, X_MB, atol=0.02)
     np.testing.assert_allclose(state.published.p_ML, small_map.p_ML, atol=0.02)
-    assert not state.kidnapped
+    assert (state.known, state.kidnapped) == (None, False)
 
 
 def test_a_carried_robot_finds_itself_anew(known, small_map):
@@ -64,11 +64,22 @@ def test_a_carried_robot_finds_itself_anew(known, small_map):
     assert process_odometry(state, old) is state
 
 
-def test_a_robot_that_sees_no_mapped_tag_maps_beside(known, small_map):
+def test_a_robot_that_sees_no_mapped_tag_maps_apart(known, small_map):
     strange = replace(small_map, graph=replace(small_map.graph, ids=small_map.graph.ids + 1000))
-    state = looked(known, strange, np.zeros(3))
-    assert state.placed == math.inf
-    assert len(state.published.ids) == len(known.published.ids) + len(small_map.ids)
+    state = looked(known, strange, np.array([1.0, 2.0, 0.5]))
+    assert state.at is None
+    assert state.known is known.known
+    np.testing.assert_array_equal(state.published.ids, strange.ids)
+    np.testing.assert_allclose(pose_estimate(state).X_MB, np.zeros(3), atol=0.01)
+
+
+def test_tags_that_hang_elsewhere_since_are_where_they_hang_now(known, small_map):
+    p_ML = small_map.p_ML.copy()
+    p_ML[0] += [0.4, 0.3]
+    moved = replace(small_map, graph=replace(small_map.graph, p_ML=p_ML))
+    state = looked(known, moved, np.array([1.0, 2.0, 0.5]))
+    assert state.known is None
+    np.testing.assert_allclose(state.published.p_ML, p_ML, atol=0.03)
 
 
 def test_nothing_has_changed_in_the_same_map(small_map):

@@ -11,6 +11,7 @@ from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam import estimator, reunion
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened
+from tfg_drake.slam.place_search import no_places
 from tfg_drake.slam.walls import known_walls
 
 # A room that is not alike from any two sides.
@@ -60,7 +61,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
     if late:
         with monkeypatch.context() as patch:
-            patch.setattr(reunion, "find_place", lambda *_args, **_kwargs: (None, 0.0))
+            patch.setattr(reunion, "find_places", lambda *_args: no_places())
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
         assert state.map.covariance[-3, -3] > 1.0
     state = robot.view(state)

@@ -99,12 +99,16 @@ class Places(NamedTuple):
         return float(self.probability[~is_elsewhere(self.X, X)].sum())
 
 
+def no_places() -> Places:
+    """None that is likelier than others."""
+    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
+
+
 def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> Places:
     """The poses in M from which things were seen, by the surfaces of a map, points (p, 4) in M with normals. prior:
     where that is thought to be; None: anywhere in the map."""
-    none = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_)
     if not len(before) or not tells_place(seen.points):
-        return Places(*none)
+        return no_places()
     surfaces, rng = Surfaces(before), np.random.default_rng(0)
     X_AC = np.append(seen.eyes[-1], 0.0)
     cells = moved_points(se2.inverse(X_AC), thinned(seen.points))
