@@ -38,8 +38,8 @@ ANYWHERE = Expected(np.array([1e6, 0.0, 0.0]), None, np.ones(3))
 LEAST_TAGS = 3
 # Deviations of a pose by walls, m, m, rad.
 BY_WALLS = np.array([0.05, 0.05, 0.005])
-# Frames of the first turn after which the pose is looked for: this many, and twice as many each time.
-FRAMES = 4
+# The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
+FRAMES, TURNED = 4, 1.0
 # A place that is told is so much likelier than others, as a logarithm. Places are likely that are so probable.
 TOLD, LIKELY = -7.0, 0.05
 # One that was believed is so as long as it is this probable.
@@ -96,12 +96,12 @@ def by_tags(of_A: Tagged, of_B: Tagged) -> Placement | None:
 
 
 def looked_for(state: EstimatorState) -> EstimatorState:
-    """The state of a session in its first turn, which is asked where it is the more seldom the longer that lasts."""
+    """The state of a session in its first turn, which may have seen by now where it is."""
     known, turn = state.known, state.turn
     if known is None or turn is None or state.map is not None:
         return state
-    count = len(turn.frames)
-    if count < FRAMES or count & (count - 1):
+    parts = [round((frame.X_OB[2] - turn.begin.X_OB[2]) / TURNED) for frame in turn.frames[-2:]]
+    if len(turn.frames) < FRAMES or (len(turn.frames) > FRAMES and parts[0] == parts[1]):
         return state
     newest, shared = turn.frames[-MOST_FRAMES:], state.graph.shared
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
@@ -159,7 +159,8 @@ def _told(state: EstimatorState, found: Placement | None, places: Places | None)
     """The state with where the session is, and what it is to be told of that."""
     if found is None:
         if state.at is not None and places is not None and places.near(state.at.X) > STILL:
-            return state
+            nearest = np.argmin(np.hypot(*(places.X - state.at.X)[:, :2].T))
+            return replace(state, at=replace(state.at, X=places.X[nearest]))
         if state.at is not None:
             _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
         count = 0 if places is None else int(np.count_nonzero(places.probability > LIKELY))
