@@ -79,6 +79,7 @@ _GROUPS = {
         "method",
         "seed",
         "known_map",
+        "at",
         "max_time",
         "realtime_rate",
         "settings",
@@ -196,6 +197,13 @@ def explore(
         Path | None,
         typer.Option("--map", metavar="MAP", help="Begin with a map of the building, a file or the folder of a run."),
     ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,YAW",
+            help="Where in that map the robot is, m and rad, and how sure that is, if not to 0.5 m and 0.3 rad.",
+        ),
+    ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
     meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
     host: Host = "localhost",
@@ -224,7 +232,7 @@ def explore(
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
     if resume is not None:
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
-        given["--map"] = known_map
+        given |= {"--map": known_map, "--at": at}
         method = explore_command.resumed(resume, method, robot, given)
     explore_command.check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
     if method == "manual":  # Nobody drives faster.
@@ -240,6 +248,7 @@ def explore(
         name, before = explore_command.run_name(scenario, world, robot), None
         if resume is None:
             known = [] if known_map is None else [f"explorer.known_map={known_map.resolve()}"]
+            known += [] if at is None else [f"explorer.known_at={_told_place(at)}"]
             loaded = PrepareScenario(scenario, [*(settings or []), *known], seed, world, tag_spacing, _start(start))
             _make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
         else:
@@ -775,6 +784,16 @@ def _make_writable(folder: Path) -> None:
 
 def _start(text: str | None) -> list[float] | None:
     return None if text is None else parse_place("--start", text)
+
+
+def _told_place(text: str) -> list[float]:
+    """What --at says, with its deviations, m and rad."""
+    given = text.count(",") + 1
+    form = "X,Y,YAW,SIGMA_M,SIGMA_RAD" if given > 3 else "X,Y,YAW"
+    place = [*parse_place("--at", text, form), 0.5, 0.3][:5]
+    if min(place[3:]) <= 0.0:
+        _bad_input(f"--at {text}: its deviations must be greater than 0")
+    return place
 
 
 def _find_method(name: str, scenario: Scenario) -> Method:

@@ -163,7 +163,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 # The greatest whole number anywhere.
 _MOST = 2**31 - 1
 # Numbers that may have either sign, by where they are and by their keys.
-_SIGNED: tuple[str, ...] = ("world.", "drive", "explorer.keep_out")
+_SIGNED: tuple[str, ...] = ("world.", "drive", "explorer.keep_out", "explorer.known_at")
 _SIGNED += ("reality.tags.clock_offset", "reality.scan.clock_offset")
 _SIGNED += ("reality.changes[].walls", "reality.changes[].opened", "reality.changes[].tags")
 _SIGNED_KEYS = (".x", ".y", ".yaw", ".pitch", ".roll", ".ahead", ".left", ".turn")
@@ -183,6 +183,7 @@ _LENGTHS = {
     "reality.changes[].tags[].position": (2, "[x, y]"),
     "drive[]": (2, "[x, y]"),
     "explorer.keep_out[][]": (2, "[x, y]"),
+    "explorer.known_at": (5, "[] or [x, y, yaw, deviation in m, in rad]"),
 }
 
 
@@ -527,7 +528,7 @@ def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> No
         if not isinstance(value, list):
             raise ScenarioError(f"{source}: {place}: expected a list, found {_Describe(value)}")
         length, form = _LENGTHS.get(_General(place), (len(value), ""))
-        if len(value) != length:
+        if len(value) != length and not (not value and place == "explorer.known_at"):
             raise ScenarioError(f"{source}: {place}: expected {length} numbers {form}, found {len(value)}")
         (item_schema,) = typing.get_args(schema)
         for i, item in enumerate(value):

@@ -98,7 +98,7 @@ class SlamEstimator(LeafSystem):
             may_be_moved=not recorded,
         )
         if explorer.known_map:
-            state = begun_with(load_map(Path(explorer.known_map)), state)
+            state = begun_with(load_map(Path(explorer.known_map)), state, explorer.known_at)
         self._state = MessageState(self, state)
         self._detections_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)

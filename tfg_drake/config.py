@@ -458,6 +458,9 @@ class ExplorerConfig:
     landmarks: str = "both"
     # The file of a map of the building, or the folder of a run, that the mission begins with; "": none.
     known_map: str = ""
+    # Where in W the robot is thought to be at the beginning, x, y (m), yaw (rad), and the deviations of the place (m)
+    # and of the yaw (rad): what it sees counts for more. Empty: anywhere in that map.
+    known_at: list[float] = dataclasses.field(default_factory=list)
     parts: PartsConfig = dataclasses.field(default_factory=PartsConfig)
 
 

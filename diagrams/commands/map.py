@@ -52,12 +52,15 @@ def _map_file(path: Path) -> Path:
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map or the folder of a run.", callback=_map_file)]
 NewMap = Annotated[Path, typer.Argument(metavar="OUT", help="The map to write, a .npz file.")]
 
+# What is less probable is not told.
+LIKELY = 0.001
+
 map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @map_app.callback()
 def _commands() -> None:
-    """Look at a saved map, write it in another format, merge two, or move one to another frame."""
+    """Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame."""
 
 
 @map_app.command()
@@ -238,6 +241,34 @@ def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
     print(f"{out}: {of_both}; in both maps: {landmark_counts(tags, walls)}")
     if disputed := sorted({*both.doubtful.tolist()} - {*a.doubtful.tolist(), *b.doubtful.tolist()}):
         print(f"doubtful, for they stand elsewhere in {second}: tags {', '.join(map(str, disputed))}")
+
+
+@map_app.command()
+def locate(map_file: MapArgument, other: MapArgument) -> None:
+    """Say where another map or run lies in a map, and how sure that is; exit code 1 where it is not known."""
+    from tfg_drake.bad_input import BadInput
+    from tfg_drake.geometry.se2 import compose
+    from tfg_drake.mapfile.placement import places_of
+    from tfg_drake.slam.relocalizer import by_tags
+
+    a, b = _load(map_file), _load(other)
+    try:
+        tagged = by_tags(a, b)
+    except BadInput as error:
+        print(error)
+        tagged = None
+    if tagged is not None:
+        x, y, yaw = compose(a.X_WM, tagged.X_AB)
+        print(f"by the tags of both: it begins at ({x:.2f}, {y:.2f}) m, {yaw:.3f} rad")
+        return
+    places = places_of(a, b)
+    for X, probability in zip(compose(a.X_WM, places.X), places.probability, strict=True):
+        if probability > LIKELY:
+            print(f"it begins at ({X[0]:.2f}, {X[1]:.2f}) m, {X[2]:.3f} rad: probability {probability:.4g}")
+    none = 1.0 - float(places.probability.sum())
+    print(f"it is none of these: probability {none:.2g}")
+    if places.found is None:
+        raise typer.Exit(1)
 
 
 @map_app.command()

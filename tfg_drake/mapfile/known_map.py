@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from tfg_drake.geometry import se2
 from tfg_drake.geometry.star import inside_any
+from tfg_drake.mapfile.placement import surfaces_of
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe
-from tfg_drake.messages import BoolArray, replace
-from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap
+from tfg_drake.messages import BoolArray, FloatArray, replace
+from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap, Placed
 from tfg_drake.slam.keyframe_graph import forget, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.surface_fit import map_points, points_along
 from tfg_drake.slam.walls import known_walls
 
 
-def begun_with(saved: SavedMap, state: EstimatorState) -> EstimatorState:
+def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ()) -> EstimatorState:
     """The state of an estimator that has a map before its first message, and does not know where in it the robot is: it
     maps apart until it does.
 
     state: without it, see `initial_state`. The map becomes one keyframe: so its file does not grow from one session to
-    the next. Its poses go, and walls of which nothing is left.
+    the next. Its poses go, and walls of which nothing is left. at: as of `config.ExplorerConfig.known_at`.
     """
     stood, _, _ = known_walls(saved.graph)
     graph = forget(saved.graph, stood[_gone(saved)])
     graph, estimate = solve(graph, 0.0, no_observation(), joint=known_jointly(graph))
-    segments = saved.tfg.segments.reshape(-1, 2, 2)
     known = KnownMap(
         keyframe=as_one_keyframe(estimate, state.sheet).keyframes[0],
         X_KD=estimate.X_MD,
         estimate=estimate,
-        surfaces=points_along(segments) if len(segments) else map_points(graph),
+        surfaces=surfaces_of(saved),
         evidence=saved.evidence,
         facing=saved.facing,
+        told=_told(saved.X_WM, *at) if len(at) else None,
     )
     state = replace(state, known=known)
     return replace(state, look=FirstLook(state))
+
+
+def _told(X_WM: FloatArray, x: float, y: float, yaw: float, place: float, heading: float) -> Placed:
+    """Where in the map a robot is that is said to be at (x, y, yaw) in W, m and rad, with these deviations."""
+    X_MB = se2.between(X_WM, np.array([x, y, yaw]))
+    return Placed(X_MB, np.diag(np.square([place, place, heading])))
 
 
 def _gone(saved: SavedMap) -> BoolArray:

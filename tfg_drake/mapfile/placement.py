@@ -10,9 +10,9 @@ from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import LOOSELY, UNTIED, Seen, find_places, is_elsewhere
-from tfg_drake.slam.relocalizer import BY_WALLS, Placement
-from tfg_drake.slam.surface_fit import Surfaces, points_along
+from tfg_drake.slam.place_search import LOOSELY, UNTIED, Places, Seen, find_places, is_elsewhere
+from tfg_drake.slam.relocalizer import BY_WALLS, Placement, seen_by_views
+from tfg_drake.slam.surface_fit import Surfaces, map_points, points_along
 from tfg_drake.slam.walls import directions
 
 # A robot sees walls up to this distance, m, from so many views or up to twice as many.
@@ -29,6 +29,17 @@ class Standing(NamedTuple):
 def standing_in(saved: SavedMap) -> Standing:
     """What stands in a map."""
     return Standing(saved.tfg.segments, saved.X_MA)
+
+
+def surfaces_of(saved: SavedMap) -> FloatArray:
+    """(p, 4) points with normals, in M, of the surfaces of a map; of a recording those that its keyframes saw."""
+    segments = saved.tfg.segments.reshape(-1, 2, 2)
+    return points_along(segments) if len(segments) else map_points(saved.graph)
+
+
+def places_of(a: SavedMap, b: SavedMap) -> Places:
+    """Where B may lie in A, by their surfaces."""
+    return find_places(surfaces_of(a), seen_by_views(b.graph))
 
 
 def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:

@@ -26,7 +26,7 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.place_search import Places, Prior, Seen, find_places
+from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.walls import Names, identified, named, no_lines
@@ -124,7 +124,7 @@ def joined(state: EstimatorState) -> EstimatorState:
         return state
     if estimate.stage > 4 and estimate.stage % 4:
         return state
-    found, places = _placement(known, estimate.of_tags, _seen_by(state.graph))
+    found, places = _placement(known, estimate.of_tags, seen_by_views(state.graph))
     state = _told(state, found, places)
     return state if state.at is None else _with_known(state, known, state.at)
 
@@ -171,11 +171,15 @@ def _told(state: EstimatorState, found: Placement | None, places: Places | None)
         x, y, _ = found.X_AB if state.map is None else se2.compose(found.X_AB, state.map.X_MD)
         by = "the surfaces" if places is not None else "mapped tags"
         _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by)
+        told = None if state.known is None else state.known.told
+        if told is not None and is_elsewhere(found.X_AB[None], told.X)[0]:
+            off = math.dist(found.X_AB[:2], told.X[:2])
+            _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     placed = state.stamp if state.at is None else state.placed
     return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)
 
 
-def _seen_by(graph: KeyframeGraph) -> Seen:
+def seen_by_views(graph: KeyframeGraph) -> Seen:
     """What the views of a graph have seen."""
     eyes, points = [], []
     keyframes, first = np.unique(graph.view_keyframe, return_index=True)
