@@ -267,7 +267,7 @@ def locate(map_file: MapArgument, other: MapArgument) -> None:
             print(f"it begins at ({X[0]:.2f}, {X[1]:.2f}) m, {X[2]:.3f} rad: probability {probability:.4g}")
     none = 1.0 - float(places.probability.sum())
     print(f"it is none of these: probability {none:.2g}")
-    if places.found is None:
+    if places.found() is None:
         raise typer.Exit(1)
 
 

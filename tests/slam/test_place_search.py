@@ -46,19 +46,19 @@ def places(known, query, prior=None):
 def test_it_is_found_wherever_it_is(pose):
     """By one room most likely, by two surely."""
     there = places(both(), seen(ROOM, pose))
-    assert there.found is None
+    assert there.found() is None
     assert there.near(pose) > 0.95
     assert there.near(AWAY) < 1e-3
     assert there.probability.sum() <= 1.0
     both_seen = np.vstack([seen(ROOM, pose), moved_points(se2.between(pose, TURNED), seen(OTHER, np.zeros(3)))])
     there = places(both(), both_seen)
-    assert np.all(off(there.found, pose) < [0.02, 0.02, 0.01])
+    assert np.all(off(there.found(), pose) < [0.02, 0.02, 0.01])
     assert there.near(pose) > 1.0 - WRONG
 
 
 def test_where_nothing_is_mapped_nothing_is_found():
     known = surfaces(ROOM)
-    assert places(known, seen([*OTHER[:3], [0.0, 3, 0, 2], [0, 2, 1, 2], [1, 2, 1, 0]], HERE)).found is None
+    assert places(known, seen([*OTHER[:3], [0.0, 3, 0, 2], [0, 2, 1, 2], [1, 2, 1, 0]], HERE)).found() is None
     assert not len(places(known[:0], seen(ROOM, HERE)).X)
     assert not len(places(known, np.zeros((0, 4))).X)
 
@@ -66,13 +66,13 @@ def test_where_nothing_is_mapped_nothing_is_found():
 def test_two_equal_rooms_are_as_likely():
     known = np.concatenate([surfaces(ROOM), surfaces(ROOM, TURNED)])
     there = places(known, seen(ROOM, HERE))
-    assert there.found is None
+    assert there.found() is None
     np.testing.assert_allclose(there.probability[:2], 0.5, atol=0.2)
     assert there.near(HERE) + there.near(se2.compose(TURNED, HERE)) > 0.98
 
 
 def test_a_room_that_looks_the_same_turned_round_is_not_believed():
-    assert places(surfaces(OTHER), seen(OTHER, HERE)).found is None
+    assert places(surfaces(OTHER), seen(OTHER, HERE)).found() is None
 
 
 def test_what_few_points_tell_is_not_believed_and_one_wall_tells_nothing():
@@ -80,7 +80,7 @@ def test_what_few_points_tell_is_not_believed_and_one_wall_tells_nothing():
     assert tells_place(query)
     assert not tells_place(query[::5])
     assert not tells_place(np.tile(seen(ROOM[:1], HERE), (3, 1)))
-    assert places(both(), seen(ROOM[:2], HERE)).found is None  # A corner is anywhere.
+    assert places(both(), seen(ROOM[:2], HERE)).found() is None  # A corner is anywhere.
 
 
 def test_what_is_looked_through_speaks_against_a_place():

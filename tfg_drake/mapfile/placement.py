@@ -10,8 +10,8 @@ from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import LOOSELY, UNTIED, Places, Seen, find_places, is_elsewhere
-from tfg_drake.slam.relocalizer import BY_WALLS, Placement, seen_by_views
+from tfg_drake.slam.place_search import LOOSELY, UNTIED, Places, Seen, find_places, is_elsewhere, seen_by_views
+from tfg_drake.slam.relocalizer import BY_WALLS, Placement
 from tfg_drake.slam.surface_fit import Surfaces, map_points, points_along
 from tfg_drake.slam.walls import directions
 
@@ -48,7 +48,7 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
     What is seen from the views of one is looked for in the other, either way: one may be a small part of the other.
     """
     of_A, of_B = (points_along(one.segments.reshape(-1, 2, 2)) for one in (in_A, in_B))
-    B_in_A, A_in_B = find_places(of_A, _seen_in(in_B)).found, find_places(of_B, _seen_in(in_A)).found
+    B_in_A, A_in_B = find_places(of_A, _seen_in(in_B)).found(), find_places(of_B, _seen_in(in_A)).found()
     found = [X for X in (B_in_A, None if A_in_B is None else se2.inverse(A_in_B)) if X is not None]
     if not found or is_elsewhere(found[-1:], found[0]).any():
         return None

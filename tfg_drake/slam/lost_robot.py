@@ -66,9 +66,13 @@ LEAST_BASE = 0.4
 # Headings that are tried for each tag by itself, and tags that are tried, the surest.
 HEADINGS = 16
 MOST_TAGS = 12
-# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this, and is elsewhere
-# if it has not found itself for so long, s.
-LOOKS, LIKELY, LONGEST_SEARCH = 5, 0.5, 5.0
+# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this or no more than
+# such a share of what it has seen fits it within so much, m, m, rad, and three deviations, and is elsewhere if it has
+# not found itself for so long, s.
+LOOKS, LIKELY, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 0.65, 5.0
+HERE = np.array([0.05, 0.05, 0.02])
+# It is somewhere in what it has just mapped: there a place is believed that is wrong with such a probability.
+WRONG = 0.01
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
 # logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
 DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
@@ -191,9 +195,9 @@ def _found_among_walls(
     anywhere = math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
     places = find_places(known_points(state.graph), seen_at_once(seen), prior)
-    if places.near(expected) > LIKELY and not state.kidnapped:
+    if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
         return replace(state, contradictions=0, suspect=None)
-    X_MA = places.found
+    X_MA = places.found(WRONG)
     if X_MA is None:
         if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state

@@ -19,7 +19,8 @@ from scipy.spatial import cKDTree
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.surface_fit import CELL, Surfaces, thinned
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.surface_fit import CELL, Surfaces, surface_points, thinned
 
 # Side of a cell, m, in a window and in a whole map; blur and step, in cells; a turn, in cells at this distance, m.
 SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
@@ -32,6 +33,7 @@ LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
 LEAST_LENGTH, LEAST_ACROSS = 5.0, 0.03
 # Poses no farther from each other than this, m and rad, are one place.
 SAME = (0.5, 0.3)
+SAME_PLACE = np.array([0.5, 0.5, 0.3])
 # Places where so much less of the query, as a share, lies on surfaces than in the best are out of the question.
 MUCH_LESS = 0.3
 # What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
@@ -56,10 +58,32 @@ class Seen(NamedTuple):
     eyes: FloatArray
     begin: IntArray
 
+    def with_look(self, points: FloatArray, X_AE: FloatArray) -> Seen:
+        """With points (q, 4) in the frame E (3,) of an eye more."""
+        both, begin = np.vstack([self.points, moved_points(X_AE, points)]), len(self.points) + len(points)
+        return Seen(both, np.vstack([self.eyes, X_AE[:2]]), np.append(self.begin, begin))
+
+
+def nothing_seen() -> Seen:
+    """From nowhere."""
+    return Seen(np.empty((0, 4)), np.empty((0, 2)), np.zeros(1, dtype=np.int64))
+
 
 def seen_at_once(points: FloatArray) -> Seen:
     """Points (q, 4) that are all seen from the origin."""
-    return Seen(points, np.zeros((1, 2)), np.array([0, len(points)]))
+    return nothing_seen().with_look(points, np.zeros(3))
+
+
+def seen_by_views(graph: KeyframeGraph, after: int = -1) -> Seen:
+    """What the views of a graph have seen, in M, of those behind one of its keyframes."""
+    keyframes, first = np.unique(graph.view_keyframe, return_index=True)
+    eyes, points = [np.empty((0, 2))], [np.empty((0, 4))]
+    for k, view in zip(keyframes, first, strict=True):
+        if k > after:
+            eyes.append(graph.X_MA[view : view + 1, :2])
+            points.append(moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], graph.shared.mean)))
+    begin = np.cumsum([len(some) for some in points], dtype=np.int64)
+    return Seen(np.vstack(points), np.vstack(eyes), begin)
 
 
 class Prior(NamedTuple):
@@ -81,27 +105,31 @@ class Prior(NamedTuple):
 
 class Places(NamedTuple):
     """Poses X (k, 3) in M of a frame, the likeliest first, information (k, 3, 3) and probability (k,) of each; what is
-    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions."""
+    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions. share: (k,) of what
+    is seen that lies on the map's surfaces."""
 
     X: FloatArray
     information: FloatArray
     probability: FloatArray
     tells: BoolArray
+    share: FloatArray
 
-    @property
-    def found(self) -> FloatArray | None:
-        """The pose that is believed, None for none."""
-        sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - WRONG
+    def found(self, wrong: float = WRONG) -> FloatArray | None:
+        """The pose that is wrong with no greater probability than this, None for none."""
+        sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - wrong
         return self.X[0] if sure else None
 
-    def near(self, X: FloatArray) -> float:
-        """The probability of a pose (3,)."""
-        return float(self.probability[~is_elsewhere(self.X, X)].sum())
+    def near(self, X: FloatArray, within: FloatArray = SAME_PLACE, least_share: float = 0.0) -> float:
+        """The probability of a pose (3,), to within so much, m, m and rad, from which so large a share of what is seen
+        lies on the map's surfaces."""
+        off = np.abs(self.X - X)
+        off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
+        return float(self.probability[np.all(off < within, axis=1) & (self.share >= least_share)].sum())
 
 
 def no_places() -> Places:
     """None that is likelier than others."""
-    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
+    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_), np.zeros(0))
 
 
 def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> Places:
@@ -120,6 +148,8 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     _, starts = peaks(before[:, :2], around[:COARSE, :2], middle, window, SIDE_OF_MAP)
     if prior is not None:
         starts = np.vstack([se2.compose(prior.X, X_AC), starts])
+    if not len(starts):
+        return no_places()
     fits = [surfaces.fitted(around[:QUERY], X, UNTIED, LOOSELY) for X in starts]
     if len(around) < len(cells):
         fits = [surfaces.fitted(cells[:QUERY], X, UNTIED, LOOSELY) for X, *_ in fits]
@@ -128,12 +158,13 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
+    share = share[[kept[k] for k in first]]
     log = _log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
     odds = np.exp(log - max(log.max(), 0.0))
     probability, order = odds / (odds.sum() + math.exp(-max(log.max(), 0.0))), np.argsort(-log, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
     tells = across[:, 0] > LEAST_ACROSS * across[:, 1]
-    return Places(X[order], information[order], probability[order], tells[order])
+    return Places(X[order], information[order], probability[order], tells[order], share[order])
 
 
 def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:

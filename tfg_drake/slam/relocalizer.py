@@ -21,12 +21,12 @@ from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, T
 from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
 from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
 from tfg_drake.slam.keyframe import joined_reach, moved_points, placed, rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, extended, no_observation
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, no_observation
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere
+from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere, seen_by_views
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.walls import Names, identified, named, no_lines
@@ -41,7 +41,7 @@ BY_WALLS = np.array([0.05, 0.05, 0.005])
 # The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
 FRAMES, TURNED = 4, 1.0
 # A place that is told is so much likelier than others, as a logarithm. Places are likely that are so probable.
-TOLD, LIKELY = -7.0, 0.05
+TOLD, LIKELY = -4.0, 0.05
 # One that was believed is so as long as it is this probable.
 STILL = 0.9
 
@@ -151,7 +151,7 @@ def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placemen
         return found, None
     prior = None if known.told is None else Prior(known.told.X, np.sqrt(np.diag(known.told.covariance)), TOLD)
     places = find_places(known.surfaces, seen, prior)
-    X = places.found
+    X = places.found()
     return (None if X is None else Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))), places
 
 
@@ -177,17 +177,6 @@ def _told(state: EstimatorState, found: Placement | None, places: Places | None)
             _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     placed = state.stamp if state.at is None else state.placed
     return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)
-
-
-def seen_by_views(graph: KeyframeGraph) -> Seen:
-    """What the views of a graph have seen."""
-    eyes, points = [], []
-    keyframes, first = np.unique(graph.view_keyframe, return_index=True)
-    for k, view in zip(keyframes[np.argsort(first)], np.sort(first), strict=True):
-        eyes.append(graph.X_MA[view, :2])
-        points.append(moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], graph.shared.mean)))
-    begin = np.append(0, np.cumsum([len(some) for some in points], dtype=np.int64))
-    return Seen(np.vstack([np.empty((0, 4)), *points]), np.array(eyes).reshape(-1, 2), begin)
 
 
 def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:

@@ -17,9 +17,9 @@ from tfg_drake.slam.estimator_state import EstimatorState, Source, unknown_way
 from tfg_drake.slam.evidence import Sighted
 from tfg_drake.slam.keyframe import Keyframe, is_unknown
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, moved_part
-from tfg_drake.slam.lost_robot import PLACED, adrift, known_points, seen_by
+from tfg_drake.slam.lost_robot import PLACED, WRONG, adrift, known_points, seen_by
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.place_search import find_places, seen_at_once
+from tfg_drake.slam.place_search import find_places, nothing_seen, seen_by_views
 from tfg_drake.slam.surface_fit import surface_points
 
 Ways = tuple[tuple[Sighted, Source | None], ...]
@@ -41,13 +41,17 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    X = find_places(known_points(graph), seen_at_once(surface_points(view, graph.shared.mean))).found
-    if X is None:
+    points = surface_points(view, graph.shared.mean)
+    # Of what is adrift all views tell together where it is.
+    seen = (nothing_seen() if lost else seen_by_views(graph, j)).with_look(points, at)
+    move = find_places(known_points(graph), seen).found(WRONG)
+    if move is None:
         return graph, estimate, way
+    X = se2.compose(move, at)
     _log.warning("%.2f s: the robot has found itself by the walls; what follows is tied to the map before", state.stamp)
     if lost:
         return graph, estimate, (unknown_way(se2.between(estimate.X_MD, X), PLACED),)
-    move, poses = se2.compose(X, se2.inverse(at)), graph.X_MN.copy()
+    poses = graph.X_MN.copy()
     poses[j + 1 :] = se2.compose(move, poses[j + 1 :])
     tie, _ = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])

@@ -1,0 +1,143 @@
+"""A session maps apart until it knows where it is in the map that it began with."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from tests.slam.test_reunion import ROOM, Robot
+from tfg_drake.config import OdometryConfig
+from tfg_drake.geometry import se2
+from tfg_drake.mapfile.saved_map import as_one_keyframe
+from tfg_drake.messages import MapEstimate, Odometry, replace
+from tfg_drake.slam.estimator import begin_turn, pose_estimate, process_odometry
+from tfg_drake.slam.estimator_state import KnownMap, Placed, initial_state
+from tfg_drake.slam.place_search import seen_by_views
+from tfg_drake.slam.relocalizer import by_tags, joined
+from tfg_drake.slam.surface_fit import map_points
+from tfg_drake.slam.walls import known_walls
+
+# Another room, and where the second session begins in the map of the first, whose origin is at (2.5, 1.5).
+OTHER = np.array([[0, 0, 9, 0], [9, 0, 9, 2], [9, 2, 0, 2], [0, 2, 0, 0]], dtype=float)
+START = np.array([1.0, 1.2, 2.0])
+
+
+class Session(Robot):
+    """A robot that begins somewhere, where its odometry says zero."""
+
+    def __init__(self, start, seed):
+        super().__init__()
+        self.X_WB, self.start, self.rng = np.array(start), np.array(start), np.random.default_rng(seed)
+
+    def odometry(self, speed=0.0, rate=0.0):
+        return Odometry(self.time, se2.between(self.start, self.X_WB), np.array([speed, rate]))
+
+    def begun(self, known=None):
+        state = replace(initial_state(OdometryConfig(), landmarks="walls"), known=known)
+        return process_odometry(replace(state, look=None), self.odometry())
+
+
+@pytest.fixture(scope="module")
+def first():
+    """The map of the first session, by two views."""
+    robot = Session([2.5, 1.5, 0.0], 6)
+    state = robot.view(robot.begun())
+    return robot.view(robot.drive(state, 0.3, 0.1, 25))
+
+
+@pytest.fixture
+def known(first):
+    one = as_one_keyframe(first.map, first.sheet).keyframes[0]
+    return KnownMap(one, first.map.X_MD, first.map, map_points(first.graph), first.evidence, np.zeros((0, 2)))
+
+
+def in_K(X_WB):
+    return se2.between(np.array([2.5, 1.5, 0.0]), X_WB)
+
+
+def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known):
+    robot = Session(START, 7)
+    state = robot.begun(known)
+    turning = robot.drive(begin_turn(state, robot.time), 0.0, 0.5, 100)
+    assert turning.at is not None
+    assert 0.0 < turning.placed < robot.time
+    np.testing.assert_allclose(pose_estimate(turning).X_MB, in_K(robot.X_WB), atol=0.05)
+
+    robot = Session(START, 7)
+    state = robot.view(robot.begun(known))
+    assert (state.known, state.at, state.map.stage) == (None, None, 1)
+    assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
+    # The walls of both are one, and known better than by either.
+    assert len(known_walls(first.map)[0]) <= len(known_walls(state.map)[0]) <= len(known_walls(first.map)[0]) + 1
+    before, after = (known_walls(of)[2].max() for of in (first.map, state.map))
+    assert after < 1.1 * before
+    # It goes on in that map.
+    state = robot.view(robot.drive(state, 0.3, 0.0, 20))
+    error = se2.between(in_K(robot.X_WB), state.map.X_MD)
+    assert np.all(np.abs(error) < [0.03, 0.03, 0.01])
+    assert error @ np.linalg.solve(state.map.covariance[-3:, -3:], error) < 16.0
+
+
+def test_what_hangs_on_the_sessions_walls_stays_where_it_is(known):
+    """Surfaces are told from a wall's anchor: that of the session's counts."""
+    alone, robot = Session(START, 7), Session(START, 7)
+    apart, together = alone.view(alone.begun()), robot.view(robot.begun(known))
+    rows = np.searchsorted(together.map.ids, apart.map.ids)
+    np.testing.assert_array_equal(together.map.ids[rows], apart.map.ids)
+    moved = se2.transform(together.map.X_MA[0], apart.map.anchor)
+    np.testing.assert_allclose(together.map.anchor[rows], moved, atol=0.03)
+
+
+def test_in_another_building_it_maps_apart(known, monkeypatch):
+    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
+    robot = Session([4.0, 1.0, 0.3], 8)
+    state = robot.view(robot.begun(known))
+    assert (state.at, state.placed) == (None, -np.inf)
+    assert state.known is known
+    np.testing.assert_allclose(state.map.X_MA[0], np.zeros(3), atol=0.02)
+    assert len(known_walls(state.map)[0]) == 4
+
+
+def test_a_place_that_what_follows_contradicts_is_taken_back(known, monkeypatch, caplog):
+    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
+    robot = Session([4.0, 1.0, 0.3], 8)
+    state = robot.view(robot.begun(known))
+    wrong = replace(state, at=Placed(np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4), placed=1.0)
+    with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
+        after = joined(wrong)
+    assert (after.at, after.placed) == (None, -np.inf)
+    assert "contradicts that place" in caplog.text
+
+
+@pytest.mark.parametrize("off", [0.2, 3.0])
+def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog):
+    said = Placed(in_K(START) + [off, 0.0, 0.0], np.diag([0.25, 0.25, 0.09]))
+    robot = Session(START, 7)
+    with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
+        state = robot.view(robot.begun(replace(known, told=said)))
+    assert state.known is None
+    assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
+    assert ("from where it was said to be" in caplog.text) == (off > 1.0)
+
+
+def test_views_tell_what_was_seen_from_where(first):
+    seen = seen_by_views(first.graph)
+    np.testing.assert_allclose(seen.eyes, first.map.X_MA[:, :2], atol=1e-9)
+    assert (seen.begin[0], seen.begin[-1]) == (0, len(seen.points))
+    # What faces its eye has been seen from there.
+    for eye, begin, end in zip(seen.eyes, seen.begin, seen.begin[1:], strict=False):
+        p = seen.points[begin:end]
+        assert np.mean(np.sum((eye - p[:, :2]) * p[:, 2:], axis=1) > 0.0) > 0.98
+
+
+def test_tags_that_are_few_tell_nothing():
+    def tags(ids):
+        n = len(ids)
+        empty = np.zeros((n, 2))
+        return MapEstimate(
+            1, 0.0, np.array(ids), np.random.default_rng(1).normal(size=(n, 2)), empty, empty, np.zeros(3),
+            np.zeros(0, dtype=np.int64), np.eye(3), np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.zeros((0, 3)), None, 0.0,
+        )  # fmt: skip
+
+    assert by_tags(tags([1, 2, 3, 4]), tags([3, 4, 5])) is None
+    assert ROOM.shape[1] == 4
