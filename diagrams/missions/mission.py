@@ -144,11 +144,11 @@ _LOGS = list[tuple[FloatArray, FloatArray]]
 class Mission:
     """One mission and what is observed of it from outside.
 
-    world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any other
-    robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is done, see
-    `say`. simulator: of the diagram, and explorer: what explores, once it is built. failure: what ended it, of the outcome fault. notes: what was not believed meanwhile.
-    resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what it had
-    taken when it was gone on with, s.
+    world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any
+    other robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is
+    done, see `say`. simulator: of the diagram, and explorer: what explores, once it is built. failure: what ended
+    it, of the outcome fault. notes: what was not believed meanwhile. resumed: when it was gone on with, s.
+    wall_start: when it began by the host's monotonic clock, less what it had taken when it was gone on with, s.
     """
 
     def __init__(

@@ -111,7 +111,7 @@ def test_a_place_that_what_follows_contradicts_is_taken_back(known, monkeypatch,
 
 @pytest.mark.parametrize("off", [0.2, 3.0])
 def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog):
-    said = Placed(in_K(START) + [off, 0.0, 0.0], np.diag([0.25, 0.25, 0.09]))
+    said = Placed(in_K(START) + np.array([off, 0.0, 0.0]), np.diag([0.25, 0.25, 0.09]))
     robot = Session(START, 7)
     with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
         state = robot.view(robot.begun(replace(known, told=said)))

@@ -50,7 +50,7 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
     of_A, of_B = (points_along(one.segments.reshape(-1, 2, 2)) for one in (in_A, in_B))
     B_in_A, A_in_B = find_places(of_A, _seen_in(in_B)).found(), find_places(of_B, _seen_in(in_A)).found()
     found = [X for X in (B_in_A, None if A_in_B is None else se2.inverse(A_in_B)) if X is not None]
-    if not found or is_elsewhere(found[-1:], found[0]).any():
+    if not found or is_elsewhere(np.array(found), found[0]).any():
         return None
     X, _, _ = Surfaces(of_A).fitted(of_B, found[0], UNTIED, LOOSELY)
     return Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))

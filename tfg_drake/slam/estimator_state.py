@@ -76,8 +76,8 @@ class FirstLook:
 
 @message
 class Placed:
-    """How the frame M of a session lies in the map K that it began with: X_KM (3,) and its covariance (3, 3). moved: ids
-    of the tags that stand elsewhere by now."""
+    """How the frame M of a session lies in the map K that it began with: X_KM (3,) and its covariance (3, 3). moved:
+    ids of the tags that stand elsewhere by now."""
 
     X: Annotated[FloatArray, 3]
     covariance: Annotated[FloatArray, 3, 3]
@@ -89,8 +89,8 @@ class KnownMap:
     """The map K that a session began with, as long as it maps apart from that.
 
     keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
-    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. told: where somebody says
-    the session begins.
+    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. told: where somebody
+    says that the session begins.
     """
 
     keyframe: Keyframe

@@ -52,11 +52,13 @@ class Tagged(Protocol):
     """A map with tags: ids (n,), places p_ML (n, 2), m, and their covariances (n, 2, 2), m^2."""
 
     @property
-    def ids(self) -> IntArray: ...  # noqa: D102
+    def ids(self) -> IntArray: ...
+
     @property
-    def p_ML(self) -> FloatArray: ...  # noqa: D102, N802
+    def p_ML(self) -> FloatArray: ...
+
     @property
-    def landmark_covariance(self) -> FloatArray: ...  # noqa: D102
+    def landmark_covariance(self) -> FloatArray: ...
 
 
 class Placement(NamedTuple):
@@ -110,9 +112,7 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     y_AL, _, R = one.given(shared.mean)
     rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
     covariance = R[rows[:, :, None], rows[:, None]]
-    tags = replace(
-        empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance
-    )
+    tags = replace(empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance)
     points = moved_points(X_MA, surface_points(one, shared.mean))
     return _told(state, *_placement(known, tags, Seen(points, X_MA[None, :2], np.array([0, len(points)]))))
 
@@ -169,8 +169,10 @@ def _told(state: EstimatorState, found: Placement | None, places: Places | None)
         return replace(state, at=None, placed=-math.inf, places=count)
     if state.at is None:
         x, y, _ = found.X_AB if state.map is None else se2.compose(found.X_AB, state.map.X_MD)
-        by = "the surfaces" if places is not None else "mapped tags"
-        _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by)
+        by = "surfaces" if places is not None else "tags"
+        _operator.warning(
+            "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by
+        )
         told = None if state.known is None else state.known.told
         if told is not None and is_elsewhere(found.X_AB[None], told.X)[0]:
             off = math.dist(found.X_AB[:2], told.X[:2])
@@ -240,7 +242,7 @@ def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> Estimator
 
 
 def _watch(watch: TagWatch, ids: IntArray, known: KnownMap, X_KM: FloatArray) -> TagWatch:
-    """The watch over the tags (n,) of both maps; of those that the session has not seen it knows which way they face."""
+    """The watch over the tags (n,) of both maps; of those that only the older has it knows which way they face."""
     watch = renewed(replace(watch, seen_from=watch.seen_from @ rotation(float(X_KM[2])).T), ids)
     row, is_old = rows_of(ids, known.estimate.of_tags.ids)
     only_old = is_old & ~watch.seen_from.any(axis=1)

@@ -68,7 +68,6 @@ class Surfaces:
             share = float(np.mean(np.any(met & (np.abs(e) < ON), axis=1)))
         return there, total, share
 
-
     def on(self, points: FloatArray, within: float) -> BoolArray:
         """Which of some points (n, 4) in M lie on the surfaces, within so much, m."""
         _, row = self.tree.query(points[:, :2], k=MOST, distance_upper_bound=NEAR)
