@@ -112,22 +112,23 @@ class EstimatorState:
     solve. ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags,
     and against them. watch: which of them should have been seen since.
 
-    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames that
-    wait for it. scans: the newest scans. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
-    reckoning then. contradictions: frames that contradict the pose, less those that agree since. agreed: s, when the
-    last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost: where the
-    robot is since then is a guess. kidnapped: the robot was moved since the last view by something else than its
-    wheels. placed: s, since when the robot knows where it is in a map that it began with, or in which it may have been
-    carried while nobody looked; nan as long as it does not in the latter, inf where it has mapped on without. turn, piece: the open
-    turn and piece of the way, way: those before it since the last view. map: what has become of the solved graph since,
-    None before the first view. rejected: (r,) ids of known tags left out of the newest view. look: the first look, None
-    once it is over. sources: of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it
-    is made of, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken
-    for a turn or piece. may_be_moved: by something else than its wheels. published: the map without its walls, which
-    all others get. straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen,
-    nan once it was told that too little is straight. loops: the search for them. deviation: (2,) of the newest pose at
-    the last solve, m and rad. known: the map that the session began with, until it is part of this one; at: where in
-    it that is, once it is known; places: in how many places of it that may be, 0 for none or any.
+    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames
+    that wait for it. scans: the newest scans. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
+    reckoning then. contradictions: frames that contradict the pose, less those that agree since. agreed: s, when
+    the last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost:
+    where the robot is since then is a guess. kidnapped: the robot was moved since the last view by something else
+    than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in which it
+    may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has mapped on
+    without. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what
+    has become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of
+    the newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that
+    has none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait
+    for odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by something else than
+    its wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and
+    of all surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight.
+    loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that
+    the session began with, until it is part of this one; at: where in it that is, once it is known; places: in how
+    many places of it that may be, 0 for none or any.
     """
 
     noise: LearntNoise

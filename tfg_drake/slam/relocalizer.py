@@ -49,16 +49,19 @@ _operator = logging.getLogger("tfg_drake.operator")
 
 
 class Tagged(Protocol):
-    """A map with tags: ids (n,), places p_ML (n, 2), m, and their covariances (n, 2, 2), m^2."""
+    """A map with tags."""
 
     @property
-    def ids(self) -> IntArray: ...
+    def ids(self) -> IntArray:
+        """(n,) of the tags, ascending."""
 
     @property
-    def p_ML(self) -> FloatArray: ...
+    def p_ML(self) -> FloatArray:
+        """(n, 2) places of the tags, m."""
 
     @property
-    def landmark_covariance(self) -> FloatArray: ...
+    def landmark_covariance(self) -> FloatArray:
+        """(n, 2, 2) of these, m^2."""
 
 
 class Placement(NamedTuple):
