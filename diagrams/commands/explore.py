@@ -282,7 +282,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         from tfg_drake.mapfile.changes import told
 
         found = changes["found_at_s"]
-        rows["known map"] = "the robot did not find itself in it; explore without --map, then merge the two (map merge)"
+        rows["known map"] = "the robot has not found itself in it, and has mapped apart; map merge may join the two"
         if found is not None:
             rows["known map"] = f"the robot found itself at {found:.0f} s; changed since: {told(changes)}"
     if position.get("mean") is not None:

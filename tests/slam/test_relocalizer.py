@@ -114,7 +114,7 @@ def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog
     said = Placed(in_K(START) + np.array([off, 0.0, 0.0]), np.diag([0.25, 0.25, 0.09]))
     robot = Session(START, 7)
     with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
-        state = robot.view(robot.begun(replace(known, told=said)))
+        state = robot.view(robot.begun(replace(known, said=said)))
     assert state.known is None
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
     assert ("from where it was said to be" in caplog.text) == (off > 1.0)

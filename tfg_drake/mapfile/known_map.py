@@ -34,13 +34,13 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
         surfaces=surfaces_of(saved),
         evidence=saved.evidence,
         facing=saved.facing,
-        told=_told(saved.X_WM, *at) if len(at) else None,
+        said=_said(saved.X_WM, *at) if len(at) else None,
     )
     state = replace(state, known=known)
     return replace(state, look=FirstLook(state))
 
 
-def _told(X_WM: FloatArray, x: float, y: float, yaw: float, place: float, heading: float) -> Placed:
+def _said(X_WM: FloatArray, x: float, y: float, yaw: float, place: float, heading: float) -> Placed:
     """Where in the map a robot is that is said to be at (x, y, yaw) in W, m and rad, with these deviations."""
     X_MB = se2.between(X_WM, np.array([x, y, yaw]))
     return Placed(X_MB, np.diag(np.square([place, place, heading])))

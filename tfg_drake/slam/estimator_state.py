@@ -89,7 +89,7 @@ class KnownMap:
     """The map K that a session began with, as long as it maps apart from that.
 
     keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
-    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. told: where somebody
+    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
     says that the session begins.
     """
 
@@ -99,7 +99,7 @@ class KnownMap:
     surfaces: FloatArray
     evidence: Evidence
     facing: FloatArray
-    told: Placed | None = None
+    said: Placed | None = None
 
 
 @message

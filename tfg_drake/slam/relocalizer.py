@@ -40,8 +40,10 @@ LEAST_TAGS = 3
 BY_WALLS = np.array([0.05, 0.05, 0.005])
 # The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
 FRAMES, TURNED = 4, 1.0
-# A place that is told is so much likelier than others, as a logarithm. Places are likely that are so probable.
-TOLD, LIKELY = -4.0, 0.05
+# And after each of the first views, so many, and then after each of so many.
+EACH_VIEW, LATER = 4, 4
+# The place that somebody says is so much likelier than others, as a logarithm. Places are likely that are so probable.
+ELSEWHERE, LIKELY = -4.0, 0.05
 # One that was believed is so as long as it is this probable.
 STILL = 0.9
 
@@ -105,8 +107,11 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     known, turn = state.known, state.turn
     if known is None or turn is None or state.map is not None:
         return state
-    parts = [round((frame.X_OB[2] - turn.begin.X_OB[2]) / TURNED) for frame in turn.frames[-2:]]
-    if len(turn.frames) < FRAMES or (len(turn.frames) > FRAMES and parts[0] == parts[1]):
+    count, parts = (
+        len(turn.frames),
+        [round((frame.X_OB[2] - turn.begin.X_OB[2]) / TURNED) for frame in turn.frames[-2:]],
+    )
+    if count != FRAMES and (count < FRAMES or parts[0] == parts[1]):
         return state
     newest, shared = turn.frames[-MOST_FRAMES:], state.graph.shared
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
@@ -117,18 +122,16 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     covariance = R[rows[:, :, None], rows[:, None]]
     tags = replace(empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance)
     points = moved_points(X_MA, surface_points(one, shared.mean))
-    return _told(state, *_placement(known, tags, Seen(points, X_MA[None, :2], np.array([0, len(points)]))))
+    return _with_place(state, *_placement(known, tags, Seen(points, X_MA[None, :2], np.array([0, len(points)]))))
 
 
 def joined(state: EstimatorState) -> EstimatorState:
     """The state of a session after a view, one with the map that it began with if it knows where in that it is."""
     known, estimate = state.known, state.map
-    if known is None or estimate is None:
-        return state
-    if estimate.stage > 4 and estimate.stage % 4:
+    if known is None or estimate is None or (estimate.stage > EACH_VIEW and estimate.stage % LATER):
         return state
     found, places = _placement(known, estimate.of_tags, seen_by_views(state.graph))
-    state = _told(state, found, places)
+    state = _with_place(state, found, places)
     return state if state.at is None else _with_known(state, known, state.at)
 
 
@@ -152,13 +155,13 @@ def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placemen
         found = None
     if found is not None:
         return found, None
-    prior = None if known.told is None else Prior(known.told.X, np.sqrt(np.diag(known.told.covariance)), TOLD)
+    prior = None if known.said is None else Prior(known.said.X, np.sqrt(np.diag(known.said.covariance)), ELSEWHERE)
     places = find_places(known.surfaces, seen, prior)
     X = places.found()
     return (None if X is None else Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))), places
 
 
-def _told(state: EstimatorState, found: Placement | None, places: Places | None) -> EstimatorState:
+def _with_place(state: EstimatorState, found: Placement | None, places: Places | None) -> EstimatorState:
     """The state with where the session is, and what it is to be told of that."""
     if found is None:
         if state.at is not None and places is not None and places.near(state.at.X) > STILL:
@@ -176,9 +179,9 @@ def _told(state: EstimatorState, found: Placement | None, places: Places | None)
         _operator.warning(
             "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by
         )
-        told = None if state.known is None else state.known.told
-        if told is not None and is_elsewhere(found.X_AB[None], told.X)[0]:
-            off = math.dist(found.X_AB[:2], told.X[:2])
+        said = None if state.known is None else state.known.said
+        if said is not None and is_elsewhere(found.X_AB[None], said.X)[0]:
+            off = math.dist(found.X_AB[:2], said.X[:2])
             _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     placed = state.stamp if state.at is None else state.placed
     return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)

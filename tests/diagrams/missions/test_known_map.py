@@ -54,6 +54,23 @@ def test_it_finds_itself_and_tells_what_has_changed(first, second):
     assert summary["map_bytes"] < 2.0 * first.summary["map_bytes"]
 
 
+def test_in_another_building_it_maps_apart_and_says_so(first, tmp_path):
+    scenario = rooms()
+    scenario.world.walls = [[0, 0, 5, 0], [5, 0, 5, 3], [5, 3, 2, 3], [2, 3, 2, 4], [2, 4, 0, 4], [0, 4, 0, 0]]
+    scenario.world.tags, scenario.world.start = [], [1.0, 1.0, 0.3]
+    scenario.explorer.known_map = str(first.folder)
+    before = (first.folder / "map.npz").read_bytes()
+    summary = run.run_mission(scenario, name="room", out_dir=tmp_path / "run").summary
+    assert summary["outcome"] == "apart"
+    assert summary["reason"].startswith("It has not found itself in the map that it began with: ")
+    assert summary["changes"]["found_at_s"] is None
+    # In a frame of its own, which in simulation is known.
+    assert summary["position_error_m"]["max"] < 0.1
+    assert summary["surface_phantom_m"] < 0.1
+    assert summary["walls_mapped"] < 9
+    assert (first.folder / "map.npz").read_bytes() == before
+
+
 def test_the_folder_has_the_map_that_it_began_with(first, second, tmp_path):
     result, _ = second
     assert (result.folder / "known_map.npz").read_bytes() == (first.folder / "map.npz").read_bytes()
