@@ -169,9 +169,9 @@ class Mission:
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._context: Context | None = None  # until the diagram is built
+        self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self._X_WS = self.world.start if self.world is not None else np.zeros(3)
         self._X_WM = MapFrame(scenario, self._X_WS)
-        self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self.method, self.robot = method, robot
         self.truth: Truth | None = None
         self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
@@ -198,6 +198,7 @@ class Mission:
         self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
         self._choice: GoalChoice | None = None
         self._since, self._late = 0.0, False
+        self._shown_at = self.X_WM  # where the map was last shown
 
     def begin(
         self,
@@ -356,6 +357,8 @@ class Mission:
     @property
     def apart(self) -> bool:
         """Whether the robot does not know where it is in the map that it began with, and maps apart from that."""
+        if self._context is None and self._final is None:
+            return bool(self.scenario.explorer.known_map)
         state = self.estimator_state()
         return state is not None and state.known is not None and state.at is None
 
@@ -533,12 +536,14 @@ class Mission:
             )
         elif self.grid is not None and self.grid.stage > len(self.stages):
             record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
-        if record is not None:
-            self.stages.append(record)
+        if record is not None or self._shown_at is not self.X_WM:
+            self._shown_at = self.X_WM
             if self._visualizer is not None:
                 self._visualizer.PlaceMap(self.X_WM, self.time)
             if self._timeline is not None:
                 self._timeline.write("frame", self.time, {"pose": self.X_WM.astype(np.float32)})
+        if record is not None:
+            self.stages.append(record)
             self._write(stage_lines([record]))
             _log.info("stage %d at %.1f s", record["stage"], record["time_s"])
         self._choice = self.look_for("goal", GoalChoice)

@@ -1,5 +1,7 @@
 // Trails: the way driven, as the robot believes, and truly.
 
+const JUMP = 1.0;
+
 /** The way driven, as a ribbon that grows; shown up to a time. */
 class Trail {
   constructor(group, name, z) {
@@ -40,9 +42,11 @@ class Trail {
     const position = this.mesh.geometry.attributes.position,
       half = 0.35 * unit;
     for (let i = Math.max(this.built, 1); i < count; i++) {
-      const [x0, y0] = this.points[i - 1],
-        [x1, y1] = this.points[i],
-        length = Math.hypot(x1 - x0, y1 - y0) || 1;
+      const [x1, y1] = this.points[i];
+      let [x0, y0] = this.points[i - 1];
+      // Where the robot finds itself elsewhere it has not driven there.
+      if (Math.hypot(x1 - x0, y1 - y0) > JUMP) [x0, y0] = [x1, y1];
+      const length = Math.hypot(x1 - x0, y1 - y0) || 1;
       const c = ((x1 - x0) / length) * half,
         s = ((y1 - y0) / length) * half;
       position.array.set(
