@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from tfg_drake.config import ScanConfig
+from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry import se2
-from tfg_drake.simulation.laser_scanner import along_rays, ray_angles, scan
+from tfg_drake.simulation.laser_scanner import along_rays, ray_angles, scan, spoilt
 from tfg_drake.slam.scan_lines import LENGTH, scan_lines, surface_seen, unevenness_after
 
 CONFIG = ScanConfig()
@@ -118,21 +118,35 @@ def test_a_corner_has_two_walls_that_meet_at_a_right_angle(turned):
     assert abs(abs(se2.wrap_angle(lines[1, 0] - lines[0, 0])) - 0.5 * math.pi) < 0.03
 
 
+def unevenness_told(noise, correlation, missing, unevenness, scans):
+    """What so many scans of WALLS, whose rays' errors are so correlated and meet nothing so often, tell from this on;
+    and the last of them."""
+    rng, reality = np.random.default_rng(8), ScanRealityConfig(dropout_probability=missing)
+    for _ in range(scans):
+        X_WB = np.append(rng.uniform([-3.5, -2.5], [0.5, 2.5]), rng.uniform(-math.pi, math.pi))
+        normal = rng.normal(size=len(ANGLES))
+        normal = along_rays(normal, ANGLES, correlation) if correlation else normal
+        one = scan(WALLS, X_WB, 0.0, ANGLES, normal, dataclasses.replace(CONFIG, noise=noise))
+        one = spoilt(one, rng.uniform(size=len(ANGLES)), reality) if missing else one
+        unevenness = unevenness_after(one, scan_lines(one, unevenness), unevenness)
+    return unevenness, one
+
+
 @pytest.mark.parametrize(
     ("noise", "correlation", "told"), [(0.015, 0.0, 0.0), (0.02, 0.05, 0.017), (0.01, 0.02, 0.009)]
 )
 def test_errors_that_rays_have_in_common_are_told_by_the_scans(noise, correlation, told):
     """White noise is none, and of others it is most of their deviation: where they are great there is no line."""
-    rng, unevenness = np.random.default_rng(8), 0.05
-    for _ in range(300):
-        X_WB = np.append(rng.uniform([-3.5, -2.5], [0.5, 2.5]), rng.uniform(-math.pi, math.pi))
-        normal = rng.normal(size=len(ANGLES))
-        normal = along_rays(normal, ANGLES, correlation) if correlation else normal
-        one = scan(WALLS, X_WB, 0.0, ANGLES, normal, dataclasses.replace(CONFIG, noise=noise))
-        unevenness = unevenness_after(one, scan_lines(one, unevenness), unevenness)
+    unevenness, one = unevenness_told(noise, correlation, 0.0, 0.05, 300)
     assert abs(unevenness - told) < 0.004
     nothing = dataclasses.replace(one, ranges=np.full(len(ANGLES), np.inf))
     assert unevenness_after(nothing, scan_lines(nothing), 0.01) == 0.01
+
+
+@pytest.mark.parametrize(("correlation", "told"), [(0.0, 0.0), (0.05, 0.017)])
+@pytest.mark.parametrize("missing", [0.1, 0.2])
+def test_rays_that_meet_nothing_hide_no_errors_in_common(missing, correlation, told):
+    assert abs(unevenness_told(0.02, correlation, missing, 0.0, 200)[0] - told) < 0.004
 
 
 def test_uneven_walls_are_known_no_better_than_their_stretches():

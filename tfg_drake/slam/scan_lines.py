@@ -92,7 +92,7 @@ def unevenness_after(scan: LaserScan, lines: FloatArray, unevenness: float) -> f
 @njit(cache=True)
 def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[float, float]:
     """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, all of one line, of
-    (m,) which, 0 for none; nan where these are few."""
+    (m,) which, 0 for none; nan where these are few. What is between them may have met nothing."""
     n, count = len(ranges), 0
     off = np.empty((n, 2))
     for i in range(1, n - 1):
@@ -101,7 +101,7 @@ def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[f
         half = round(0.5 * STRETCH / (ranges[i] * (angles[i + 1] - angles[i])))
         half = max(2, min(half, MOST_RAYS))
         first, last = i - half, i + half
-        if first < 0 or last >= n or np.any(of[first : last + 1] != of[i]):
+        if first < 0 or last >= n or np.any(of[np.array([first, i - 1, i + 1, last])] != of[i]):
             continue
         for column, m in enumerate((1, half)):
             left, right, turn = ranges[i - m], ranges[i + m], 0.5 * (angles[i + m] - angles[i - m])
