@@ -12,7 +12,7 @@ from tests.walls import walls_between
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, LaserScan, Odometry
-from tfg_drake.simulation.laser_scanner import scan
+from tfg_drake.simulation.laser_scanner import along_rays, scan
 from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.keyframe import linearised, without_tags
@@ -493,6 +493,22 @@ def drive(state, seed, noise, legs, spoil=lambda scanned: scanned):
 
 
 ROUND = [(0.0, 0.6, 10.5, True)] + 6 * [(0.3, 0.4, 4.0, False), (0.0, 0.6, 4.0, True)]
+
+
+def test_a_first_turn_is_as_uncertain_as_its_scans_have_told_by_its_end():
+    """Errors that rays have in common are not known yet when the first of them are seen."""
+    begun, deviations = initial_state(OdometryConfig()), []
+    for told in (0.0, 0.016):
+        normal = np.random.default_rng(3)
+
+        def common(scanned, normal=normal):
+            errors = along_rays(normal.normal(size=len(ANGLES)), ANGLES, 0.05)
+            return replace(scanned, ranges=scanned.ranges + 0.02 * errors)
+
+        knows = replace(begun, graph=replace(begun.graph, unevenness=told))
+        turned, _ = drive(knows, 1, 0.0, [(0.0, 0.6, 4.0, True)], common)
+        deviations.append(math.sqrt(turned.map.covariance[-1, -1]))
+    assert deviations[0] > 0.9 * deviations[1]
 
 
 def test_a_robot_without_tags_knows_where_it_is():

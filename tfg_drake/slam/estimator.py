@@ -87,7 +87,7 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.relocalizer import in_known, joined, looked_for
 from tfg_drake.slam.reunion import found_again
-from tfg_drake.slam.scan_lines import scan_lines, surface_seen, unevenness_after
+from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, unevenness_after
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
@@ -406,7 +406,7 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
             first, pending = pending[0], pending[1:]
         lines, points = no_lines(), np.empty((0, 4))
         if scan <= frame + SAME_INSTANT:
-            lines, points = scan_lines(state.unread[0], state.graph.unevenness), scan_points(state.unread[0])
+            lines, points = scan_lines(state.unread[0]), scan_points(state.unread[0])
             unevenness = unevenness_after(state.unread[0], lines, state.graph.unevenness)
             state = replace(state, graph=replace(state.graph, unevenness=unevenness))
             state = _with_straightness(state, state.unread[0], lines)
@@ -489,7 +489,7 @@ def _step(
         distance, heading, _ = state.noise.now.walks
         span = state.odometry[after].stamp - state.odometry[before].stamp
         variance = np.array([distance**2 * abs(twist[0]), heading**2]) / max(span, SAME_INSTANT)
-        localizer, *of_walls = corrected_by_walls(localizer, lines, twist, variance)
+        localizer, *of_walls = corrected_by_walls(localizer, on_uneven(lines, state.graph.unevenness), twist, variance)
         # Tags tell for themselves which they are.
         known, ignored = (known, ignored) if known or not looks else of_walls
     if state.map is not None and not state.map.is_joint:
@@ -593,7 +593,10 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 
 def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
     """A turn or piece solved by itself."""
-    return reduced(state.noise.now, turn.begin, turn.frames, instant(state), state.graph.shared, state.walls.floor)
+    graph = state.graph
+    return reduced(
+        state.noise.now, turn.begin, turn.frames, instant(state), graph.shared, state.walls.floor, graph.unevenness
+    )
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -616,7 +619,8 @@ def _reduced_anew(
             and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
         ):
             continue
-        anew = reduced(noise.now, source.seen.begin, source.seen.frames, source.end, shared, state.walls.floor)
+        seen, level = source.seen, state.walls.floor
+        anew = reduced(noise.now, seen.begin, seen.frames, source.end, shared, level, graph.unevenness)
         one = anew.keyframe
         if source.names is not None:
             one = beside_walls(named(one, source.names))

@@ -187,7 +187,7 @@ def _found_among_walls(
     now, shared, newest = state.noise.now, state.graph.shared, suspect.frames[-MOST_FRAMES:]
     # Not what was seen while the robot was being moved.
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
-    one = reduced(now, begin, newest, instant(state), shared, state.walls.floor).keyframe
+    one = reduced(now, begin, newest, instant(state), shared, state.walls.floor, state.graph.unevenness).keyframe
     seen = surface_points(one, shared.mean)
     if not tells_place(seen):
         return state

@@ -57,13 +57,20 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     """
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
-    lines = np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
-    if unevenness:
-        # The mean, and the slope, of n such stretches.
-        length = lines[:, 3] - lines[:, 2]
-        off = unevenness / np.sqrt(np.maximum(length / STRETCH, 1.0))
-        lines[:, 5] = np.hypot(lines[:, 5], math.sqrt(12.0) * off / length)
-        lines[:, 6] = np.hypot(lines[:, 6], off)
+    return on_uneven(np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma)), unevenness)
+
+
+def on_uneven(lines: FloatArray, unevenness: float) -> FloatArray:
+    """Lines (n, 11) whose deviations are by the noise of the rays alone, with those of walls that are so uneven, m,
+    see `scan_lines`."""
+    if not unevenness:
+        return lines
+    lines = lines.copy()
+    # The mean, and the slope, of n such stretches.
+    length = lines[:, 3] - lines[:, 2]
+    off = unevenness / np.sqrt(np.maximum(length / STRETCH, 1.0))
+    lines[:, 5] = np.hypot(lines[:, 5], math.sqrt(12.0) * off / length)
+    lines[:, 6] = np.hypot(lines[:, 6], off)
     return lines
 
 

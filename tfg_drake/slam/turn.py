@@ -30,6 +30,7 @@ from tfg_drake.slam.measurement import (
 )
 from tfg_drake.slam.noise import Noise
 from tfg_drake.slam.odometry_model import arc, predict_increment, wrap
+from tfg_drake.slam.scan_lines import on_uneven
 from tfg_drake.slam.shared import (
     DISTANCE_SCALE,
     GYRO_BIAS,
@@ -209,11 +210,13 @@ def reduced(
     end: TurnFrame,
     shared: Shared,
     floor: float = 1.0,
+    unevenness: float = 0.0,
 ) -> Reduced:
     """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
 
     frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. shared: what is known
-    of the parameters, which the solution is linearised at. floor: of looks at walls, see `walls.Walls`. Where the
+    of the parameters, which the solution is linearised at. floor: of looks at walls, see `walls.Walls`, unevenness: m,
+    of what the frames' lines are of, as it is known by now and not as it was when each was seen. Where the
     sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
@@ -233,7 +236,7 @@ def reduced(
     z[:, 4:6] = np.repeat(twist[node], counts, axis=0)
     lines = [frame.lines for frame in (*frames, end)]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
-    looked = of_line, np.concatenate(lines), twist[of_line]
+    looked = of_line, on_uneven(np.concatenate(lines), unevenness), twist[of_line]
     looks = grouped(*looked, X_AB)
     problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
