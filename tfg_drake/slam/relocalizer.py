@@ -115,7 +115,8 @@ def looked_for(state: EstimatorState) -> EstimatorState:
         return state
     newest, shared = turn.frames[-MOST_FRAMES:], state.graph.shared
     begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
-    one = reduced(state.noise.now, begin, newest, instant(state), shared, state.walls.floor).keyframe
+    floor, unevenness = state.walls.floor, state.graph.unevenness
+    one = reduced(state.noise.now, begin, newest, instant(state), shared, floor, unevenness).keyframe
     X_MA, w = se2.compose(turn.X_MB, se2.between(turn.begin.X_OB, begin.X_OB)), one.walls
     y_AL, _, R = one.given(shared.mean)
     rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
