@@ -24,6 +24,7 @@ from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScena
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.messages import FloatArray, replace
 from tfg_drake.mission.manual_drive import Pressed, drive_csv
+from tfg_drake.simulation.differential_drive import TIME
 from tfg_drake.storage import port_recording, timeline
 from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from tfg_drake.storage.port_recording import read_recording
@@ -136,11 +137,15 @@ def test_a_real_robot_that_was_carried_finds_itself_first(half):
     mission = Mission(elsewhere, METHODS["tfg"], None, "", robot, before=read_checkpoint(half.folder)[1])
     mission.begin()
     assert (mission.time, mission.status.phase) == (CUT, "observe")
+    station = mission.simulator.get_system().GetSubsystemByName("station")
+    plant = station.GetSubsystemByName("differential_drive_plant")
+    # It stands in for a robot that has a clock of its own: the plant's begins with the mission's.
+    of_plant = plant.GetMyMutableContextFromRoot(mission.simulator.get_mutable_context())
+    of_plant.get_mutable_discrete_state_vector().SetAtIndex(TIME, CUT)
     stages = len(mission.stages)
     mission.advance(CUT + 12.0)
     assert CUT <= mission.placed_since < CUT + 8.0
     assert len(mission.stages) > stages
-    station = mission.simulator.get_system().GetSubsystemByName("station")
     truth = station.GetOutputPort("truth.pose").Eval(station.GetMyContextFromRoot(mission.simulator.get_context()))
     X_WB = compose(np.array(scenario().world.start), pose_at(mission.pose, mission.time))
     np.testing.assert_allclose(X_WB[:2], truth[:2], atol=0.05)
