@@ -41,7 +41,7 @@ def halves(data: Path, runs: Path, name: str) -> None:
 
 
 def placed(saved: SavedMap, first: int, last: int, known: FloatArray) -> Places:
-    """Where in a map's surfaces (p, 4) some views of another one may lie."""
+    """The places that some views of a map may have in the surfaces (p, 4) of another one."""
     graph, seen = saved.graph, nothing_seen()
     for k in np.unique(graph.view_keyframe[first:last]):
         points = surface_points(graph.keyframes[k], graph.shared.mean)

@@ -787,7 +787,7 @@ def _start(text: str | None) -> list[float] | None:
 
 
 def _told_place(text: str) -> list[float]:
-    """What --at says, with its deviations, m and rad."""
+    """The place that --at says, x, y (m) and yaw (rad), with its deviations, m and rad."""
     given = text.count(",") + 1
     form = "X,Y,YAW,SIGMA_M,SIGMA_RAD" if given > 3 else "X,Y,YAW"
     place = [*parse_place("--at", text, form), 0.5, 0.3][:5]

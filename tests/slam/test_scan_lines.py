@@ -119,8 +119,8 @@ def test_a_corner_has_two_walls_that_meet_at_a_right_angle(turned):
 
 
 def unevenness_told(noise, correlation, missing, unevenness, scans):
-    """What so many scans of WALLS, whose rays' errors are so correlated and meet nothing so often, tell from this on;
-    and the last of them."""
+    """The unevenness that so many scans of WALLS tell, from one on, and the last of them: their rays' errors are so
+    correlated, and such a share meets nothing."""
     rng, reality = np.random.default_rng(8), ScanRealityConfig(dropout_probability=missing)
     for _ in range(scans):
         X_WB = np.append(rng.uniform([-3.5, -2.5], [0.5, 2.5]), rng.uniform(-math.pi, math.pi))

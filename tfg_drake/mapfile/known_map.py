@@ -41,7 +41,7 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
 
 
 def _said(X_WM: FloatArray, x: float, y: float, yaw: float, place: float, heading: float) -> Placed:
-    """Where in the map a robot is that is said to be at (x, y, yaw) in W, m and rad, with these deviations."""
+    """The place in the map of a robot that is said to be at (x, y, yaw) in W, m and rad, with these deviations."""
     X_MB = se2.between(X_WM, np.array([x, y, yaw]))
     return Placed(X_MB, np.diag(np.square([place, place, heading])))
 

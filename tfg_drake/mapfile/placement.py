@@ -9,8 +9,16 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
-from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import LOOSELY, UNTIED, Places, Seen, find_places, is_elsewhere, seen_by_views
+from tfg_drake.slam.place_search import (
+    LOOSELY,
+    UNTIED,
+    Places,
+    Seen,
+    find_places,
+    is_elsewhere,
+    nothing_seen,
+    seen_by_views,
+)
 from tfg_drake.slam.relocalizer import BY_WALLS, Placement
 from tfg_drake.slam.surface_fit import Surfaces, map_points, points_along
 from tfg_drake.slam.walls import directions
@@ -20,7 +28,7 @@ SIGHT, VIEWS = 10.0, 12
 
 
 class Standing(NamedTuple):
-    """What stands in a map or a plan: segments (m, 4), m, seen from their left. X_MV: (k, 3) the map's views."""
+    """Surfaces of a map or a plan: segments (m, 4), m, seen from their left. X_MV: (k, 3) the map's views."""
 
     segments: FloatArray
     X_MV: FloatArray
@@ -38,7 +46,7 @@ def surfaces_of(saved: SavedMap) -> FloatArray:
 
 
 def places_of(a: SavedMap, b: SavedMap) -> Places:
-    """Where B may lie in A, by their surfaces."""
+    """The places that B may have in A, by their surfaces."""
     return find_places(surfaces_of(a), seen_by_views(b.graph))
 
 
@@ -59,9 +67,10 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
 def _seen_in(of: Standing) -> Seen:
     """What a robot that stands at some of the views sees."""
     views = of.X_MV[:: max(len(of.X_MV) // VIEWS, 1)]
-    points = [moved_points(X, _seen_from(X, of)) for X in views]
-    begin = np.append(0, np.cumsum([len(some) for some in points], dtype=np.int64))
-    return Seen(np.vstack([np.empty((0, 4)), *points]), views[:, :2], begin)
+    seen = nothing_seen()
+    for X in views:
+        seen = seen.with_look(_seen_from(X, of), X)
+    return seen
 
 
 def _seen_from(X_BV: FloatArray, in_B: Standing) -> FloatArray:

@@ -32,7 +32,7 @@ from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
 from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
-from tfg_drake.slam.place_search import Prior, find_places, seen_at_once, tells_place
+from tfg_drake.slam.place_search import Prior, find_places, is_elsewhere, seen_at_once, tells_place
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.surface_fit import map_points, surface_points
 from tfg_drake.slam.turn import no_detections, reduced
@@ -82,10 +82,9 @@ MOST_FRAMES = 50
 PLACED = np.array([0.1, 0.1, 0.03])
 # Steps to the least squares.
 STEPS = 8
-# A pose is known when its deviations are below these, m, rad, and the next that is farther off than SAME costs this
+# A pose is known when its deviations are below these, m, rad, and the next that is another place costs this
 # much more.
 KNOWN = np.array([0.3, 0.3, 0.1])
-SAME = (0.5, 0.3)
 AHEAD = 6.0
 # Tags of either part that a view must see, and how well they must fit, m: an id may have been misread.
 LEAST_TAGS = 3
@@ -328,8 +327,7 @@ def relocalize(estimate: MapEstimate, detections: TagDetections, expected: Expec
         unmoved = float(_refined(seen, expected.X_MB[None], still)[2][0]) - MOVED
     if cost[best] >= unmoved or agrees.sum() < LEAST_SHARE * len(mapped):
         return None
-    off = X - X[best]
-    other = (np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1])
+    other = is_elsewhere(X, X[best])
     covariance = np.linalg.inv(H[best])
     known = np.all(np.diag(covariance) < KNOWN**2) and not np.any(cost[other] < cost[best] + AHEAD)
     inliers = np.zeros(len(detections.ids), dtype=bool)

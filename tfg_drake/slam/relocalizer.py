@@ -20,13 +20,13 @@ from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
 from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
 from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
-from tfg_drake.slam.keyframe import joined_reach, moved_points, placed, rows_of, without_tags
+from tfg_drake.slam.keyframe import joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, no_observation
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere, seen_by_views
+from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere, nothing_seen, seen_by_views
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.walls import Names, identified, named, no_lines
@@ -122,8 +122,8 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
     covariance = R[rows[:, :, None], rows[:, None]]
     tags = replace(empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance)
-    points = moved_points(X_MA, surface_points(one, shared.mean))
-    return _with_place(state, *_placement(known, tags, Seen(points, X_MA[None, :2], np.array([0, len(points)]))))
+    seen = nothing_seen().with_look(surface_points(one, shared.mean), X_MA)
+    return _with_place(state, *_placement(known, tags, seen))
 
 
 def joined(state: EstimatorState) -> EstimatorState:
