@@ -261,12 +261,18 @@ def test_a_gyro_that_jumps_locks_the_base_and_is_not_believed(emulator, driving)
     assert abs(driving.newest(Odometry).X_OB[2]) < 0.1
 
 
-def test_a_gyro_that_is_held_against_the_wheels_while_the_base_is_driven(emulator, driving):
-    # Who turns it by hand while it stands does not lock it.
-    drive(driving, 0.0, 0.0, 0.3)
-    for _ in range(50):
+def test_a_gyro_that_is_held_against_the_wheels_while_the_base_is_driven(emulator, driving, monkeypatch):
+    # Who turns it by hand while it stands does not lock it: at 2.5 rad/s of the base's own time.
+    step = emulator.base.step
+
+    def turned_by_hand():
         emulator.base.turned += 0.05
-        drive(driving, 0.0, 0.0, 0.02)
+        step()
+
+    drive(driving, 0.0, 0.0, 0.3)
+    with monkeypatch.context() as patch:
+        patch.setattr(emulator.base, "step", turned_by_hand)
+        drive(driving, 0.0, 0.0, 1.0)
     assert driving.locked in (None, SILENT)
     # A dead gyro that flickers.
     emulator.base.stuck.add("gyro")
