@@ -30,9 +30,9 @@ from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
 from tfg_drake.messages import MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.path import plan_path, too_narrow, without_choice
+from tfg_drake.planning.path import edges_on, plan_path, too_narrow, without_choice
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
-from tfg_drake.planning.routes import roadmap_message, routes
+from tfg_drake.planning.routes import nodes_to, roadmap_message, routes
 
 Stage = tuple[MapEstimate, TfgMap, RoadmapState]
 
@@ -102,7 +102,8 @@ def main() -> None:
                     continue
                 hits = collisions(path, loose, tfg, scenario.robot, sensor, odometry, rng, options.rollouts)
                 lacking = too_narrow(path, loose, tfg, parameters)
-                left_out = without_choice(path, lacking, again, parameters)
+                on_way = edges_on(again, nodes_to(ways, int(node)))
+                left_out = without_choice(path, lacking, again, on_way, parameters)
                 kept += int(left_out.sum())
                 narrow += int((lacking & ~left_out).sum())
                 counts.extend(hits[:, ~left_out].sum(axis=0).tolist())

@@ -30,16 +30,19 @@ DOOR, JAMB = 0.9, 0.15
 PASSAGE = 0.8
 # Side of a table's leg, as a share of the table's. What stands in corners.
 LEG = 0.05
+# The share of the furniture that is moved.
+MOVED = 0.1
 CORNERS = ("bay", "round corner")
 
 # x0, y0, x1, y1, m: a room, or a wall.
 Box = tuple[float, float, float, float]
 
 
-def plan(seed: int) -> tuple[list[list[float]], list[float]]:
+def plan(seed: int, later: np.random.Generator | None = None) -> tuple[list[list[float]], list[float]]:
     """Walls (x0, y0, x1, y1), m, of a building of 12 x 8 to 36 x 22 m: a corridor, rooms of all sizes that have a door
     each, more doors here and there, furniture and pillars in the rooms, in every second plan
-    legs and curved walls, too; and a start (x, y, yaw) in the corridor."""
+    legs and curved walls, too; and a start (x, y, yaw) in the corridor. later: the same building as it is then, with a
+    tenth of its furniture moved and a door shut."""
     rng = np.random.default_rng([seed, 57])
     width, depth = rng.uniform(12.0, 36.0), rng.uniform(8.0, 22.0)
     corridor = rng.uniform(1.6, 2.6)
@@ -54,7 +57,11 @@ def plan(seed: int) -> tuple[list[list[float]], list[float]]:
     for i, room in enumerate(rooms):
         walls += _room_walls(room, half, [gap for a, gap in gaps if a == i])
         if i:
-            walls += _furniture(room, half, [gap for a, gap in gaps if a == i], rng, curved=seed % 2 == 1)
+            walls += _furniture(room, half, [gap for a, gap in gaps if a == i], rng, later, curved=seed % 2 == 1)
+    if later is not None:
+        x0, y0, x1, y1 = gaps[later.integers(len(gaps))][1]
+        middle_x, middle_y, is_across_x = 0.5 * (x0 + x1), 0.5 * (y0 + y1), x1 - x0 < y1 - y0
+        walls.append([middle_x, y0, middle_x, y1] if is_across_x else [x0, middle_y, x1, middle_y])
     start = [rng.uniform(1.0, width - 1.0), y + 0.5 * corridor, rng.uniform(-math.pi, math.pi)]
     return [[round(float(value), 3) for value in wall] for wall in walls], [round(value, 3) for value in start]
 
@@ -116,9 +123,17 @@ def _room_walls(room: Box, half: float, gaps: list[Box]) -> list[list[float]]:
     return walls
 
 
-def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator, *, curved: bool) -> list[list[float]]:
+def _furniture(
+    room: Box,
+    half: float,
+    gaps: list[Box],
+    rng: np.random.Generator,
+    later: np.random.Generator | None,
+    *,
+    curved: bool,
+) -> list[list[float]]:
     """Closed outlines of cupboards and desks at the walls, of tables at any angle, and of round pillars, where a robot
-    can pass between them. curved: of tables' legs, round corners and bays, too."""
+    can pass between them. later: as of `plan`. curved: of tables' legs, round corners and bays, too."""
     low, high = np.array(room[:2]) + half, np.array(room[2:]) - half
     placed = [(0.5 * np.array([gap[0] + gap[2], gap[1] + gap[3]]), 0.7) for gap in gaps]
     walls = []
@@ -151,6 +166,8 @@ def _furniture(room: Box, half: float, gaps: list[Box], rng: np.random.Generator
         if any(np.hypot(*(middle - other)) < radius + beside + PASSAGE for other, beside in placed):
             continue
         placed.append((middle, radius))
+        if later is not None and later.uniform() < MOVED:
+            middle = later.uniform(low + reach, high - reach)
         closed = [middle + outline]
         if kind == "legs":
             closed = [middle + (1.0 - LEG) * corner + LEG * outline for corner in outline]
@@ -172,10 +189,10 @@ def _outline(kind: str, rng: np.random.Generator) -> np.ndarray:
     return 0.5 * size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
-def write(seed: int, path: Path) -> None:
+def write(seed: int, path: Path, later: np.random.Generator | None = None) -> None:
     """A scenario with the plan of a seed and no tags."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    walls, start = plan(seed)
+    walls, start = plan(seed, later)
     path.write_text(yaml.safe_dump({"base": "paper_real", "world": {"start": start, "walls": walls, "tags": []}}))
 
 

@@ -6,7 +6,8 @@
     python benchmarks/relocation.py house --map RUN
 
 The map is made by a mission from the building's own start; offices are those of offices.py. --chairs: so many stand
-elsewhere in each session. --map: that of another building, in which no session should find itself. A row a session:
+elsewhere in each session; --later: a tenth of an office's furniture has been moved and a door shut. --time: a session
+ends after so long, s. --map: that of another building, in which no session should find itself. A row a session:
 when it found itself, s, nan where it did not; whether it was wrong then, off by more than 0.3 m from then on; the mean
 error, m, and NEES of the pose; time, s. Goes on where it ended.
 """
@@ -27,7 +28,7 @@ from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario, Scenario
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.world.reachability import make_grid, reachable_cells
 
-WRONG, OFFICES, NEAR_WALL = 0.3, 20, 0.35
+WRONG, OFFICES, NEAR_WALL, LONGEST = 0.3, 20, 0.35, 3600.0
 
 
 def elsewhere(scenario: Scenario, chairs: int, rng: np.random.Generator) -> Scenario:
@@ -52,14 +53,16 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--chairs", type=int, default=0)
+    parser.add_argument("--later", action="store_true")
+    parser.add_argument("--time", type=float, default=3600.0)
     parser.add_argument("--map", type=Path)
-    parser.add_argument("--max-time", type=float, default=3600.0)
+    parser.add_argument("--offices", type=int, default=OFFICES)
     parser.add_argument("--out", type=Path, default=Path("runs/relocation"))
     options = parser.parse_args()
     worlds: dict[str, tuple[str, Path | None]] = {file.stem: ("paper", file) for file in options.world}
     for name in options.worlds:
         if name == "offices":
-            for plan in range(OFFICES):
+            for plan in range(options.offices):
                 offices.write(plan, options.out / f"office_{plan}.yaml")
                 worlds[f"office_{plan}"] = ("paper_real", options.out / f"office_{plan}.yaml")
         else:
@@ -72,15 +75,21 @@ def main() -> None:
         for start in range(options.starts):
             for seed in range(options.seeds):
                 which = {"world": name, "start": start, "seed": seed, "chairs": options.chairs, "map": str(options.map)}
+                which |= {"later": options.later}
                 if any(which.items() <= row.items() for row in rows):
                     continue
+                kind = "-other" if options.map else "-later" if options.later else ""
+                folder = options.out / f"{name}-{start}-{seed}-{options.chairs}{kind}"
                 scenario = PrepareScenario(base, [], 0, plan_file or base, np.inf)
                 if not (known / "map.npz").exists():
-                    run_mission(scenario, name=name, out_dir=known, max_time=options.max_time)
+                    run_mission(scenario, name=name, out_dir=known, max_time=LONGEST)
+                if options.later:
+                    then = folder.with_suffix(".yaml")
+                    offices.write(int(name.removeprefix("office_")), then, np.random.default_rng([start, 5]))
+                    scenario = PrepareScenario(base, [], 0, then, np.inf)
                 scenario = elsewhere(scenario, options.chairs, np.random.default_rng([start, 3]))
                 scenario.seed, scenario.explorer.known_map = 100 + 10 * start + seed, str(known.resolve())
-                folder = options.out / f"{name}-{start}-{seed}-{options.chairs}{'-other' if options.map else ''}"
-                summary = run_mission(scenario, name=name, out_dir=folder, max_time=options.max_time).summary
+                summary = run_mission(scenario, name=name, out_dir=folder, max_time=options.time).summary
                 found, error = summary["changes"]["found_at_s"], summary["position_error_m"]
                 row = which | {
                     "found_at_s": found,

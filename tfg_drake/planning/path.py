@@ -16,7 +16,7 @@ from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
 from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
-from tfg_drake.planning.routes import Routes, node_path, routes
+from tfg_drake.planning.routes import Routes, node_path, nodes_to, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
 SHORTCUT_CLEARANCE = 0.35
@@ -203,7 +203,7 @@ def plan_path(
             paths.append(resample(points, PATH_STEP))
             narrow = too_narrow(paths[-1], estimate, tfg, parameters)
             if narrow.any():
-                narrow &= ~without_choice(paths[-1], narrow, state, parameters)
+                narrow &= ~without_choice(paths[-1], narrow, state, edges_on(state, nodes_to(ways, node)), parameters)
             if not narrow.any():
                 return paths[-1]
         places = paths[-1][narrow]
@@ -221,16 +221,16 @@ def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters:
 
 
 def without_choice(
-    path: FloatArray, narrow: BoolArray, state: RoadmapState, parameters: RoadmapParameters
+    path: FloatArray, narrow: BoolArray, state: RoadmapState, on_way: BoolArray, parameters: RoadmapParameters
 ) -> BoolArray:
     """Which of the narrow points (k,) of a path (k, 2), m in M, the robot has no choice about.
 
-    They lie beside an edge that is open though too narrow, no farther than a rounded corner may lead, or are where the
-    robot sets off from a place with too little room.
+    They lie beside an edge of the way (e,) that is open though too narrow, no farther than a rounded corner may lead,
+    or are where the robot sets off from a place with too little room.
     """
     edges, probability = state.edges, parameters.planner.collision_probability
     need = required_clearance(parameters.robot.radius, state.sigma[edges.nodes].max(axis=1), probability)
-    forced = state.points[edges.nodes[edges.usable & (edges.clearance < need)]].reshape(-1, 4)
+    forced = state.points[edges.nodes[on_way & (edges.clearance < need)]].reshape(-1, 4)
     return narrow & ((point_distance(path, forced) < ROUNDING) | np.logical_and.accumulate(narrow))
 
 
@@ -249,18 +249,19 @@ def _where_it_stops(
 
 def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, planner: PlannerConfig) -> float:
     """The largest clearance, m, that the chance constraint asks for on the way to a node."""
-    nodes = []
-    while node < len(state.points):
-        nodes.append(node)
-        node = int(ways.predecessor[node])
+    nodes = nodes_to(ways, node)
     if planner.risk == "path":
         # Where a shortcut passes, it should add nothing to the risk of the whole.
         probability = np.minimum(planner.collision_probability, NO_RISK)
         return float(required_clearance(robot.radius, state.sigma[nodes].max(initial=0.0), probability))
+    return float(state.edges.required[edges_on(state, nodes)].max(initial=0.0))
+
+
+def edges_on(state: RoadmapState, nodes: list[int]) -> BoolArray:
+    """Which of the usable edges (e,) join some of these nodes."""
     on = np.zeros(len(state.points), dtype=np.bool_)
     on[nodes] = True
-    on_way = on[state.edges.nodes[:, 0]] & on[state.edges.nodes[:, 1]] & state.edges.usable
-    return float(state.edges.required[on_way].max(initial=0.0))
+    return np.asarray(on[state.edges.nodes[:, 0]] & on[state.edges.nodes[:, 1]] & state.edges.usable)
 
 
 @njit(cache=True)

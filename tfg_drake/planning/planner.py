@@ -215,7 +215,7 @@ def grow(
         roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before)
         in_reach, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
         # Where less is left than is worth a visit, no sample could see enough.
-        if in_reach or open_length < ENOUGH_FRONTIER or (effort > 0 and not beyond):
+        if in_reach or open_length < ENOUGH_FRONTIER:
             break
     cut_off = parameters.explorer.return_home and not leads_home(roadmap)
     ending = not in_reach and (beyond or cut_off)

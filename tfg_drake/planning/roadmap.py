@@ -58,10 +58,12 @@ TRAVELLED_MARGIN = 0.02
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
-# How hard a stage tries to reach a place that sees a frontier. Each effort is made only if those before it failed: the
-# factor on the number and density of samples, and the probability of a collision that is accepted where it is more than
-# planner.collision_probability. The scan watches every path anyway.
-EFFORTS = ((1, 0.0), (2, 0.0), (2, 0.2))
+# How densely a stage samples, a factor: the next only where no place that sees a frontier was reached.
+EFFORTS = (1, 2)
+# Where nothing else leads to a place, the robot goes as near to surfaces as this probability of a collision allows, if
+# that is more than planner.collision_probability: the scan watches every path anyway. A detour, m, that spares it such
+# an edge.
+ACCEPTED, TIGHT = 0.2, 10.0
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
 # Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
@@ -440,7 +442,7 @@ def extend(
     proposed = np.vstack([chain, _nearest_edges(points, first_new)])
     was_driven = np.arange(len(proposed)) < len(chain)
     edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
-    edges = _checked(edges, points, sigma, tfg, parameters, EFFORTS[effort][1])
+    edges = _checked(edges, points, sigma, tfg, parameters)
     if len(tfg.keep_out):
         # The map may have moved a way that was driven into an area to keep out of.
         outside = clearance(points[edges.nodes].reshape(-1, 4), tfg.keep_out, COMFORT) > 0.0
@@ -489,7 +491,7 @@ def _with_new_nodes(
     if sampled:
         return nodes, chain, way_end
     rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    proposals, spacing, is_free = _proposals(rng, tfg, body, EFFORTS[effort][0])
+    proposals, spacing, is_free = _proposals(rng, tfg, body, EFFORTS[effort])
     if np.isfinite(radius):
         inside = within(proposals, estimate.X_MA[-1], radius - EDGE_LENGTH)
         proposals, spacing, is_free = proposals[inside], spacing[inside], is_free[inside]
@@ -516,14 +518,13 @@ def _checked(
     sigma: FloatArray,
     tfg: TfgMap,
     parameters: RoadmapParameters,
-    accepted: float,
 ) -> Edges:
     """The edges between points (n, 2), checked against the map.
 
     An edge is usable where it lies in free space and has the room that it needs. How much that is follows from the
-    deviations sigma (n,), m, and the probability of a collision: the accepted one, or the planner's if that is more.
+    deviations sigma (n,), m, and the probability of a collision: ACCEPTED, or the planner's if that is more.
     """
-    node_need = room_needed(parameters.robot, parameters.planner, sigma, accepted)
+    node_need = room_needed(parameters.robot, parameters.planner, sigma, ACCEPTED)
     has, need = _measure(edges.nodes, points, node_need, tfg.obstacles)
     free = edges.free | edges.travelled
     ask = np.flatnonzero(~free & (has >= parameters.robot.radius))

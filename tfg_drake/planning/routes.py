@@ -13,14 +13,15 @@ from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
-from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability
+from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
 from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
 from tfg_drake.planning.roadmap import (
+    ACCEPTED,
     COMFORT,
     EDGE_LENGTH,
-    EFFORTS,
     NEIGHBOURS,
     OBSTACLE_MARGIN,
+    TIGHT,
     EdgeCost,
     RoadmapState,
     components,
@@ -80,7 +81,8 @@ def routes(
         room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
         has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
     length = edge_lengths(state.points, edges.nodes)
-    weight = np.where(is_open, cost(length, has), np.inf)
+    at_ease = required_clearance(robot.radius, state.sigma, planner.collision_probability)[edges.nodes].max(axis=1)
+    weight = np.where(is_open, cost(length, has) + TIGHT * (edges.clearance < at_ease), np.inf)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
     links_weight = cost(links_length, links_has)
@@ -259,7 +261,7 @@ def roadmap_message(
     driven: m, so far. home: the routes from where the robot began, where it must come back.
     """
     # Whatever the least careful stage would try.
-    fits = _fitting(state, robot, planner, TRACKING_DEVIATION, max(accepted for _, accepted in EFFORTS))
+    fits = _fitting(state, robot, planner, TRACKING_DEVIATION, ACCEPTED)
     # A surface that crosses what was free, and had room, was not there then.
     shut = state.edges.free & (state.edges.clearance == 0.0)
     return Roadmap(
@@ -283,8 +285,13 @@ def node_path(state: RoadmapState, ways: Routes, X_MB: FloatArray, node: int) ->
     """The way from the robot to a node as a polyline (k, 2), m in M, the robot's place first; empty if unreachable."""
     if not 0 <= node < len(state.points) or not np.isfinite(ways.cost[node]):
         return np.zeros((0, 2))
+    return np.vstack([X_MB[:2], state.points[nodes_to(ways, node)]])
+
+
+def nodes_to(ways: Routes, node: int) -> list[int]:
+    """The nodes on the way from the robot to a node that it can reach, in their order."""
     reverse = []
-    while node < len(state.points):
-        reverse.append(state.points[node])
+    while node < len(ways.cost):
+        reverse.append(node)
         node = int(ways.predecessor[node])
-    return np.array([X_MB[:2], *reverse[::-1]])
+    return reverse[::-1]
