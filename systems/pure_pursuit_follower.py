@@ -20,8 +20,6 @@ LOOK_TIME = 0.75
 
 # A robot that was told to move and has not for this long is held up, s.
 PATIENCE = 3.0
-# First look, at most, of a robot that begins with a map, s: the map's heading is known.
-LOOK_IN_KNOWN_MAP = 5.0
 
 # The discrete state: time of the last update, s; when the running turn began, s, how far it has turned and the last
 # heading, rad; how far it is to turn first and then, rad, and how many of the two are done; the path's id, the progress
@@ -60,7 +58,6 @@ class PurePursuitFollower(LeafSystem):
         super().__init__()
         self._field_of_view = field_of_view
         self._robot, self._explorer = robot, explorer
-        self._stands = min(explorer.first_look, LOOK_IN_KNOWN_MAP if explorer.known_map else math.inf)
         self._inputs = MessageInputs(self, pose=PoseEstimate, path=Path, goal=GoalChoice, mission=MissionStatus)
         initial = np.zeros(13)
         initial[[TURN_SINCE, PATH]] = -1.0
@@ -110,7 +107,7 @@ class PurePursuitFollower(LeafSystem):
         x[TURNED] += float(wrap_angle(heading - x[HEADING]))
         x[HEADING] = heading
         turn_rate = 0.0
-        if mission.stage == 0 and x[STAMP] < mission.since + self._stands:
+        if mission.stage == 0 and x[STAMP] < mission.since + self._explorer.first_look:
             return turn_rate
         before = 0.0
         for leg, target in enumerate((x[FIRST], x[THEN])):

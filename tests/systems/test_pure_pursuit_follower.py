@@ -18,8 +18,8 @@ FIELD_OF_VIEW = 2.2
 class Rig:
     """A follower and a unicycle with the base's limits, stepped by hand."""
 
-    def __init__(self, path=(), field_of_view=FIELD_OF_VIEW):
-        self.follower = PurePursuitFollower(ROBOT, ExplorerConfig(), field_of_view)
+    def __init__(self, path=(), field_of_view=FIELD_OF_VIEW, explorer=None):
+        self.follower = PurePursuitFollower(ROBOT, explorer or ExplorerConfig(), field_of_view)
         self.simulator = Simulator(self.follower)
         self.context = self.simulator.get_mutable_context()
         self.X, self.V = np.zeros(3), np.zeros(2)
@@ -133,13 +133,14 @@ def test_drives_on_while_a_glance_is_mapped():
     assert not rig.V.any()
 
 
-def test_a_mission_begins_with_a_look_and_turns_round_three_times():
-    rig = Rig()
+@pytest.mark.parametrize("turns", [1, 3])
+def test_a_mission_begins_with_a_look_and_turns_round(turns):
+    rig = Rig(explorer=ExplorerConfig(first_turns=turns))
     rig.mission = MissionStatus(phase="observe", stage=0, since=0.0)
     rig._fix()
     assert not rig.run(ExplorerConfig().first_look, lambda _: rig.V[1] != 0.0)
     assert rig.run(22, lambda status: status.turn_done)
-    assert 6 * math.pi <= rig.X[2] < 6 * math.pi + 0.05
+    assert 2 * turns * math.pi <= rig.X[2] < 2 * turns * math.pi + 0.05
 
 
 def test_every_observation_turns_anew():
