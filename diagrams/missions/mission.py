@@ -25,7 +25,7 @@ from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.parts import OUTPUTS
 from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
-from tfg_drake.geometry.se2 import compose, pose_at
+from tfg_drake.geometry.se2 import compose, pose_at, transform
 from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import SavedMap, whole_map
 from tfg_drake.messages import (
@@ -35,12 +35,14 @@ from tfg_drake.messages import (
     MapEstimate,
     MissionStatus,
     PoseEstimate,
+    Roadmap,
     TfgMap,
     is_tag,
 )
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.notes import Note
 from tfg_drake.pictures import scene
+from tfg_drake.planning.mission_end import IN_VAIN, REASONS, hindrances
 from tfg_drake.slam.estimator import carried, finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
@@ -367,6 +369,21 @@ class Mission:
         """In how many places of the map that it began with the robot may be, 0 for none or any."""
         state = self.estimator_state()
         return 0 if state is None else state.places
+
+    def open_edges(self) -> list[dict[str, Any]] | None:
+        """Each edge of free space that is no surface: its place in W, its length, and why it is open; None for a method
+        without a TFG."""
+        tfg, roadmap = self.tfg, self.look_for("roadmap", Roadmap)
+        if tfg is None or roadmap is None:
+            return None
+        why = [REASONS[i] for i in hindrances(tfg, roadmap, self.scenario.tags, self.scenario.robot.radius)]
+        places = transform(self.X_WM, np.vstack([tfg.frontiers, tfg.given_up])).round(3).tolist()
+        lengths = np.append(tfg.frontier_length, tfg.given_up_length).round(3).tolist()
+        why += [IN_VAIN] * len(tfg.given_up)
+        return [
+            {"p_WF": p_WF, "length_m": length, "why": reason}
+            for p_WF, length, reason in zip(places, lengths, why, strict=True)
+        ]
 
     @property
     def X_WM(self) -> FloatArray:

@@ -163,6 +163,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "area_coverage": None,
         "area_seen_s": None,
         "explored_s": mission.explored_time,
+        "open_edges": mission.open_edges(),
         "contacts": None,
         "contacts_received": None,
         "min_clearance_m": None,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import Roadmap, TfgMap
+from tfg_drake.messages import IntArray, Roadmap, TfgMap
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.promises import LEAST_KEPT, MOST_BROKEN
 from tfg_drake.tfg.frontier import PUSH, ROOT
@@ -24,6 +24,15 @@ ENOUGH_FRONTIER = 0.24
 MOST_LEFT = 2.0
 # A place this near to where the robot can get, m, may be cut off by a wall that was mapped twice, no door.
 DRIFTED = 1.5
+# What keeps the robot from a frontier, in the order of the fields of FrontierLeft; and that it has tried too often.
+REASONS = (
+    "not worth the way",
+    "behind passages too narrow for the uncertainty of the map",
+    "behind a door that shut",
+    "where the robot does not fit",
+    "where the robot does not fit or must not enter",
+)
+IN_VAIN = "tried in vain"
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
@@ -61,19 +70,20 @@ class FrontierLeft:
     kept_out: float = 0.0
 
     def __str__(self) -> str:
-        named = [
-            (self.too_narrow, "where the robot does not fit"),
-            (self.kept_out, "where the robot does not fit or must not enter"),
-            (self.too_uncertain, "behind passages too narrow for the uncertainty of the map"),
-            (self.shut, "behind a door that shut"),
-            (self.not_worth, "not worth the way"),
-        ]
+        lengths = dataclasses.astuple(self)
+        named = [(lengths[i], REASONS[i]) for i in (3, 4, 1, 2, 0)]
         return ", ".join(f"{length:.1f} m {why}" for length, why in named if length >= 0.05)
 
 
 def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FrontierLeft:
-    """The live frontier by the places of the roadmap that see it; of these the one counts that is the easiest to get
-    to. radius: of the robot, m."""
+    """The live frontier by what keeps the robot from it. Arguments as of `hindrances`."""
+    least = hindrances(tfg, roadmap, sensor, radius)
+    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=5).tolist())
+
+
+def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> IntArray:
+    """The row (f,) of REASONS that keeps the robot from each of the live frontier points, by the places of the roadmap
+    that see it; of these the one counts that is the easiest to get to. radius: of the robot, m."""
     elsewhere = 4 if len(tfg.keep_out) else 3
     hindrance = np.full(len(roadmap.points), elsewhere)
     shut = np.flatnonzero(roadmap.once_open)
@@ -88,7 +98,7 @@ def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius
     seen = expected_frontiers(roadmap.points, tfg, sensor)
     least = np.full(len(tfg.frontiers), elsewhere)
     np.minimum.at(least, seen.index, np.repeat(hindrance, seen.count))
-    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=5).tolist())
+    return least
 
 
 def why_end(

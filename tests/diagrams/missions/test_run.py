@@ -21,6 +21,7 @@ from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
+from tfg_drake.planning.mission_end import IN_VAIN, REASONS
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.trajectory import read_tum
@@ -30,8 +31,8 @@ cpu_time_s real_time_factor distance_m stages landmarks_present landmarks_reacha
 landmarks_doubtful landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m
 least_known changes landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m
 position_error_moving_m heading_error_rad surface_coverage surface_coverage_5cm surface_phantom_m area_coverage
-area_seen_s explored_s contacts contacts_received min_clearance_m map_variables map_bytes calibration estimator_cpu_s
-planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+area_seen_s explored_s open_edges contacts contacts_received min_clearance_m map_variables map_bytes calibration
+estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 
@@ -43,6 +44,7 @@ def test_a_small_room_is_explored_to_its_end(finished):
     assert summary["contacts"] == 0
     assert summary["area_coverage"] > 0.99
     assert 0.0 < summary["explored_s"] <= summary["sim_time_s"]
+    assert all(edge["why"] in (*REASONS, IN_VAIN) and edge["length_m"] > 0.0 for edge in summary["open_edges"])
     # Nobody is sent to look after sensors that are well.
     assert "the base stands" not in (finished.folder / "log.txt").read_text()
 
@@ -145,11 +147,11 @@ def test_the_trajectories_share_a_frame_and_end_together(finished):
 
 def test_the_time_limit_ends_a_mission(tmp_path):
     seen = []
-    result = run.run_mission(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
-    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
-    assert result.summary["reason"] == "the time limit of 28.5 s was reached"
-    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5, 28.5]
-    assert [progress.outcome for progress in seen] == [*[""] * 29, "time_limit"]
+    result = run.run_mission(room(), max_time=15.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 15.5)
+    assert result.summary["reason"] == "the time limit of 15.5 s was reached"
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 16.0), 15.5, 15.5]
+    assert [progress.outcome for progress in seen] == [*[""] * 16, "time_limit"]
     assert seen[-1].landmarks == f"{result.summary['landmarks_mapped']} tags"
     assert result.summary["landmarks_mapped"] > 0
     assert 10.0 < seen[-1].area < 24.1
