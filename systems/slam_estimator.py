@@ -61,10 +61,11 @@ class SlamEstimator(LeafSystem):
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
     unconnected: once it says that all is explored, more of a large map is known jointly. pose: PoseEstimate at the
-    newest odometry. map: MapEstimate of the tags after the newest view, of stage 0 and empty before the first.
-    landmarks: MapEstimate of tags and walls then. estimator_state: EstimatorState, all it knows, for whoever keeps the
-    map. A turn is open while the mission is in phase "observe" or "glance"; in phase "map" it is solved and the map's
-    stage becomes the mission's stage plus one. Messages are taken once each, by their stamps.
+    newest odometry, with in how many places of a known map the robot may be. map: MapEstimate of the tags after the
+    newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags and walls then. estimator_state:
+    EstimatorState, all it knows, for whoever keeps the map. A turn is open while the mission is in phase "observe" or
+    "glance"; in phase "map" it is solved and the map's stage becomes the mission's stage plus one. Messages are taken
+    once each, by their stamps.
     """
 
     def __init__(

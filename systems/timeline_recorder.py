@@ -280,6 +280,9 @@ class TimelineRecorder(LeafSystem):
             P = pose.covariance
             values = [*pose_at(pose, now), P[0, 0], P[0, 1], P[1, 1], P[2, 2]]
             self._writer.write("pose", now, {"pose": np.array(values, dtype=np.float32)})
+            if pose.places != self._newest.get("places"):
+                self._newest["places"] = pose.places
+                self._writer.write("places", now, {}, places=pose.places)
         if self._truth.HasValue(context):
             self._writer.write("truth", now, {"pose": self._truth.Eval(context)[:3].astype(np.float32)})
         people = self._Get(context, "people")

@@ -541,6 +541,22 @@ def test_of_a_recording_neither_camera_nor_wheels_are_shown(driver, tmp_path):
     assert page("return [groups.camera.children.length, element('layer-camera').parentElement.hidden]") == [0, True]
 
 
+def test_where_a_session_is_in_its_map_is_told_until_it_is_found(driver, tmp_path):
+    with TimelineWriter(tmp_path / "timeline.tfg") as writer:
+        begin(writer)
+        for time, places in ((0.0, 0), (1.0, 3), (2.0, 1), (3.0, -1)):
+            drive(writer, time)
+            writer.write("places", time, {}, places=places)
+    export_page(tmp_path / "timeline.tfg", tmp_path / "room.html", "room", viewer_script())
+    page = Page(driver, (tmp_path / "room.html").as_uri())
+    told = []
+    for at in (0.5, 1.5, 2.5, 3.0):
+        page.seek(at)
+        numbers = page.text("numbers").splitlines()
+        told.append(dict(zip(numbers[::2], numbers[1::2], strict=True)).get("place in its map"))
+    assert told == ["not found yet", "one of 3", "not found yet", None]
+
+
 @pytest.mark.parametrize("flat", [True, False])
 def test_a_place_that_is_clicked_is_found_on_the_floor(page, flat):
     page.seek(6.0)

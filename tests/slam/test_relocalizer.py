@@ -60,12 +60,14 @@ def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known
     state = robot.begun(known)
     turning = robot.drive(begin_turn(state, robot.time), 0.0, 0.5, 100)
     assert turning.at is not None
+    assert (pose_estimate(state).places, pose_estimate(turning).places) == (0, -1)
     assert 0.0 < turning.placed < robot.time
     np.testing.assert_allclose(pose_estimate(turning).X_MB, in_K(robot.X_WB), atol=0.05)
 
     robot = Session(START, 7)
     state = robot.view(robot.begun(known))
     assert (state.known, state.at, state.map.stage) == (None, None, 1)
+    assert pose_estimate(state).places == -1
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
     # The walls of both are one, and known better than by either.
     assert len(known_walls(first.map)[0]) <= len(known_walls(state.map)[0]) <= len(known_walls(first.map)[0]) + 1
@@ -94,6 +96,7 @@ def test_in_another_building_it_maps_apart(known, monkeypatch):
     state = robot.view(robot.begun(known))
     assert (state.at, state.placed) == (None, -np.inf)
     assert state.known is known
+    assert pose_estimate(replace(state, places=3)).places == 3
     np.testing.assert_allclose(state.map.X_MA[0], np.zeros(3), atol=0.02)
     assert len(known_walls(state.map)[0]) == 4
 

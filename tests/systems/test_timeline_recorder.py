@@ -92,6 +92,13 @@ def test_tags_that_are_seen_and_not_mapped_are_recorded_as_they_change(writer, t
     np.testing.assert_allclose(sighted.arrays["points"], pose.p_MU)
 
 
+@pytest.mark.parametrize("places", [-1, 0, 3])
+def test_in_how_many_places_of_its_map_the_robot_may_be_is_recorded_once(writer, tmp_path, places):
+    pose = replace(make_messages()["pose"], places=places)
+    Simulator(make_diagram(writer, {"pose": pose})).AdvanceTo(1.0)
+    assert [one.told["places"] for one in recorded(writer, tmp_path) if one.layer == "places"] == [places]
+
+
 def test_before_there_is_a_scan_none_is_recorded(writer, tmp_path):
     messages = make_messages()
     Simulator(make_diagram(writer, messages | {"scan": replace(messages["scan"], stamp=-np.inf)})).AdvanceTo(0.5)

@@ -83,6 +83,13 @@ function tell() {
       "One standard deviation of the robot's position",
     ],
   ];
+  const places = timeline.at("places", time)?.told.places ?? -1; // -1: the robot knows where it is
+  if (places >= 0)
+    figures.unshift([
+      "place in its map",
+      places > 1 ? `one of ${places}` : "not found yet",
+      "Until the robot has found itself in the map that it began with it maps apart",
+    ]);
   if (series.error.times.length)
     figures.push([
       "true error",
