@@ -62,6 +62,7 @@ def MakeTfgExplorer(
         - stop
         - recall
         - requested_goal
+        - said_pose
         output_ports:
         - base.velocity_commanded
         - pose
@@ -79,8 +80,9 @@ def MakeTfgExplorer(
         - tfg_graph
 
     base.odometry, base.hazards, tags.detections, scan.ranges: Odometry, Hazards, TagDetections and LaserScan messages.
-    base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, and requested_goal: a RequestedGoal message;
-    these five may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
+    base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, requested_goal: a RequestedGoal and
+    said_pose: a SaidPose message; these six may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn
+    rate (rad/s).
 
     For whoever wants to look: pose: PoseEstimate, map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
@@ -152,6 +154,8 @@ class Wiring:
         tags, scan, explorer = scenario.tags, scenario.scan, scenario.explorer
         usual = lambda _: SlamEstimator(scenario.odometry, tags, scan, explorer)  # noqa: E731
         slam = self.Add("slam_estimator", MakePart("estimator", estimator, usual, scenario))
+        if slam.HasInputPort("said_pose"):
+            self._Export(slam.GetInputPort("said_pose"), "said_pose")
         building = TfgBuilder(tags, scan, scenario.robot, explorer, MakeKeepOut(scenario))
         return slam, self.Add("tfg_builder", building)
 

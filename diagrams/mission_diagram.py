@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
 from tfg_drake.diagrams.explorer import COMMANDED, MakeTfgExplorer, of_station
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.operation import Request
-from tfg_drake.storage.port_recording import GOAL, PortWriter
+from tfg_drake.storage.port_recording import REQUESTS, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.systems.operator import Operator
@@ -51,7 +51,7 @@ def MakeMissionDiagram(
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink, VectorLogSink]:
     """Station and explorer, drawn in a Meshcat if there is one, recorded if there are writers, and under an operator if
     the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. A recorded
-    robot goes to the places that it was sent to then.
+    robot goes to the places that it was sent to then, and is told of the places where it was said to be.
 
     Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
     it, of the estimated one (PoseVector), and once a second of that with its covariance.
@@ -66,14 +66,12 @@ def MakeMissionDiagram(
     ConnectStation(builder, station, explorer)
 
     operator = _AddOperator(builder, station, explorer, robot, operated) if robot.real or operated else None
-    requested = None
-    if explorer.HasInputPort("requested_goal"):
-        if station.HasOutputPort(GOAL):
-            requested = station.GetOutputPort(GOAL)
-        elif operator is not None:
-            requested = operator.GetOutputPort("requested_goal")
-        if requested is not None:
-            builder.Connect(requested, explorer.GetInputPort("requested_goal"))
+    requested: dict[str, OutputPort] = {}
+    for name, port in REQUESTS.items():
+        source = station if station.HasOutputPort(port) else operator
+        if source is not None and explorer.HasInputPort(name):
+            requested[port] = source.GetOutputPort(port if source is station else name)
+            builder.Connect(requested[port], explorer.GetInputPort(name))
     if robot.Announce is not None:
         robot.Announce(builder, station, explorer)
 

@@ -24,7 +24,7 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.announcements import Outbox
 from tfg_drake.hardware.watchdog import Limits
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message
+from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections, message
 
 
 @message
@@ -55,8 +55,8 @@ class BaseState:
     lost_frames: int = 0
 
 
-Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState
-T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState)
+Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState | SaidPose
+T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState, SaidPose)
 
 # How long to wait for the process to find its robot, and to answer, s.
 START_TIMEOUT = 60.0

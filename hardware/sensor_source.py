@@ -17,9 +17,9 @@ from tfg_drake.config import HardwareConfig
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.messages import LaserScan, TagDetections
+from tfg_drake.messages import LaserScan, SaidPose, TagDetections
 
-T = TypeVar("T", LaserScan, Sweep, TagDetections)
+T = TypeVar("T", LaserScan, Sweep, TagDetections, SaidPose)
 
 # What a source may be asked for, and what that is.
 KINDS = {"tags": TagDetections, "scan": LaserScan}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tfg_drake.messages import message, replace
+from tfg_drake.messages import SaidPose, message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
 from tfg_drake.planning.requested_goal import RequestedGoal, goal_asked_for
 from tfg_drake.simulation.disturbance import Pushes, with_push
@@ -25,6 +25,7 @@ class _Asked:
     operation: Operation
     goal: RequestedGoal = RequestedGoal()
     pushes: Pushes = Pushes()
+    said: SaidPose = SaidPose()
     begun: bool = False
 
 
@@ -41,13 +42,15 @@ class Operator(LeafSystem):
         - recall
         - requested_goal
         - pushes
+        - said_pose
 
     The first four are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is
     another one each time it is enabled. pause, stop, recall: for the mission, 1 or 0. requested_goal: where the robot
     is sent, a RequestedGoal message. pushes: what moves a simulated robot besides its wheels, a Pushes message.
+    said_pose: where the robot is said to be, a SaidPose message.
 
     The requests come from outside the context: a run in which there were any repeats only with the same ones, as a
-    replay has the places to which the robot was sent.
+    replay has the places to which the robot was sent, and where it was said to be.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class Operator(LeafSystem):
             self.DeclareVectorOutputPort(name, 1, self._Calc(calc), self._state.tickets)
         self._state.declare_output(self, "requested_goal", lambda now: now.goal)
         self._state.declare_output(self, "pushes", lambda now: now.pushes)
+        self._state.declare_output(self, "said_pose", lambda now: now.said)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:
@@ -88,7 +92,11 @@ class Operator(LeafSystem):
             after = replace(after, goal=goal_asked_for(after.goal, places, then))
         if "push" in requests:  # However often that was asked for at once, it is one.
             after = replace(after, pushes=with_push(after.pushes, then))
-        commands = [request for request in requests if not isinstance(request, tuple) and request != "push"]
+        said = [request for request in requests if isinstance(request, SaidPose)]
+        if said:
+            after = replace(after, said=replace(said[-1], stamp=then, count=before.said.count + len(said)))
+            _log.info("%.2f s: said to be at (%.2f, %.2f) m in the world of its map", then, *said[-1].X_WB[:2])
+        commands = [request for request in requests if isinstance(request, str) and request != "push"]
         if begins:
             # What was asked for before the mission began was not meant for it, unless it was to stop.
             commands = [command for command in commands if command in ("stop", "end")]

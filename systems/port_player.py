@@ -7,7 +7,7 @@ from typing import Any
 
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from tfg_drake.storage.port_recording import COMMAND, GOAL, MESSAGES, PortRecording
+from tfg_drake.storage.port_recording import COMMAND, MESSAGES, REQUESTS, PortRecording
 from tfg_drake.systems.ports import declare_message_input, declare_message_output
 
 
@@ -28,10 +28,12 @@ class PortPlayer(LeafSystem):
         - scan.ranges
         - base.enabled
         - operator.goal
+        - operator.pose
 
     base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enable: (1,), base.pose: PoseEstimate,
     as of the station. base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges:
     LaserScan, base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
+    operator.pose: SaidPose.
 
     It is the station of a mission that is driven once more: at any time its outputs are those of the recorded station;
     what was late then is as late again. The inputs change nothing: what the robot did it has done. It has no state, the
@@ -45,11 +47,9 @@ class PortPlayer(LeafSystem):
         self.DeclareVectorInputPort(COMMAND, 2)
         self.DeclareVectorInputPort("base.enable", 1)
         declare_message_input(self, "base.pose")
-        for name in MESSAGES:
+        for name in (*MESSAGES, *REQUESTS.values()):
             declare_message_output(self, name, partial(self._Message, name), {self.time_ticket()})
         self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})
-        goal = lambda context: self.recording.requested_goal(context.get_time())  # noqa: E731
-        declare_message_output(self, GOAL, goal, {self.time_ticket()})
 
     def _Message(self, name: str, context: Context) -> object:
         return self.recording.at(name, context.get_time())

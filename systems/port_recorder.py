@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
 
 from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
-from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.foxglove import PATH, POSE
-from tfg_drake.storage.port_recording import COMMAND, ENABLED, GOAL, MESSAGES, Enabled, PortWriter, Velocity
+from tfg_drake.storage.port_recording import COMMAND, ENABLED, MESSAGES, PORTS, REQUESTS, Enabled, PortWriter, Velocity
 from tfg_drake.systems.ports import MessageInputs
 
 # The explorer's: it sees no message that is not recorded.
@@ -32,6 +32,7 @@ class PortRecorder(LeafSystem):
         - base.velocity_commanded
         - base.enabled
         - operator.goal
+        - operator.pose
         - pose
         - path
         - map
@@ -41,17 +42,17 @@ class PortRecorder(LeafSystem):
     base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enabled: (1,), 1 while the base may
     move. pose: PoseEstimate, path: Path, map: MapEstimate, tfg: TfgMap, in M.
 
-    operator.goal: RequestedGoal, where the robot is sent, if somebody may do so. The last four are the explorer's, as
-    far as it has them: they are recorded to be shown, not to be played. It changes nothing in the Context; the file is
-    a side effect outside of it: one simulation to a file. What it records at an instant is what updates at that instant
-    see, since both come before the instant's changes.
+    operator.goal: RequestedGoal, where the robot is sent, operator.pose: SaidPose, where it is said to be, if somebody
+    may do so. The last four are the explorer's, as far as it has them: they are recorded to be shown, not to be played.
+    It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
+    records at an instant is what updates at that instant see, since both come before the instant's changes.
     """
 
     def __init__(self, writer: PortWriter) -> None:
         """writer: where to; whoever opened it closes it."""
         super().__init__()
         self._writer = writer
-        self._inputs = MessageInputs(self, **MESSAGES, **{GOAL: RequestedGoal}, **SHOWN)
+        self._inputs = MessageInputs(self, **MESSAGES, **{port: PORTS[port] for port in REQUESTS.values()}, **SHOWN)
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
@@ -62,16 +63,17 @@ class PortRecorder(LeafSystem):
         station: System,
         explorer: System,
         writer: PortWriter,
-        requested: OutputPort | None = None,
+        requested: Mapping[str, OutputPort] | None = None,
     ) -> PortRecorder:
-        """Adds a recorder of what a station and an explorer say to each other. requested: a RequestedGoal message."""
+        """Adds a recorder of what a station and an explorer say to each other. requested: what says the operator's
+        requests, by their ports here."""
         recorder = PortRecorder(writer)
         builder.AddNamedSystem("port_recorder", recorder)
         for name in (*MESSAGES, ENABLED):
             builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
         builder.Connect(explorer.GetOutputPort(COMMAND), recorder.GetInputPort(COMMAND))
-        if requested is not None:
-            builder.Connect(requested, recorder.GetInputPort(GOAL))
+        for name, output in (requested or {}).items():
+            builder.Connect(output, recorder.GetInputPort(name))
         for name in SHOWN:
             if explorer.HasOutputPort(name):
                 builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
@@ -83,9 +85,10 @@ class PortRecorder(LeafSystem):
             self._writer.write(name, now, self._inputs(context, name))
         self._writer.write(COMMAND, now, Velocity(*self._command.Eval(context).tolist()))
         self._writer.write(ENABLED, now, Enabled(*self._enabled.Eval(context).tolist()))
-        requested = self._inputs.optional(context, GOAL)
-        if requested is not None and requested.count:
-            self._writer.write(GOAL, now, requested)
+        for name in REQUESTS.values():
+            requested = self._inputs.optional(context, name)
+            if requested is not None and requested.count:
+                self._writer.write(name, now, requested)
         look = functools.partial(self._inputs.optional, context)
         pose, path = look("pose"), look("path")
         if pose is not None:

@@ -16,6 +16,7 @@ from tfg_drake.messages import (
     MissionStatus,
     Odometry,
     PoseEstimate,
+    SaidPose,
     TagDetections,
 )
 from tfg_drake.slam.estimator import (
@@ -29,6 +30,7 @@ from tfg_drake.slam.estimator import (
 )
 from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.slam.relocalizer import said_to_be
 from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.slam.walls import no_walls
 from tfg_drake.systems.blas_threads import keep_to_one_thread
@@ -53,6 +55,7 @@ class SlamEstimator(LeafSystem):
         - scan
         - mission
         - goal
+        - said_pose
         output_ports:
         - pose
         - map
@@ -60,7 +63,8 @@ class SlamEstimator(LeafSystem):
         - estimator_state
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
-    unconnected: once it says that all is explored, more of a large map is known jointly. pose: PoseEstimate at the
+    unconnected: once it says that all is explored, more of a large map is known jointly. said_pose: SaidPose, likewise:
+    where in a map that it began with, and maps apart from, somebody says that the robot is. pose: PoseEstimate at the
     newest odometry, with in how many places of a known map the robot may be. map: MapEstimate of the tags after the
     newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags and walls then. estimator_state:
     EstimatorState, all it knows, for whoever keeps the map. A turn is open while the mission is in phase "observe" or
@@ -85,7 +89,13 @@ class SlamEstimator(LeafSystem):
         keep_to_one_thread()
         self.set_name("slam_estimator")
         self._inputs = MessageInputs(
-            self, odometry=Odometry, detections=TagDetections, scan=LaserScan, mission=MissionStatus, goal=GoalChoice
+            self,
+            odometry=Odometry,
+            detections=TagDetections,
+            scan=LaserScan,
+            mission=MissionStatus,
+            goal=GoalChoice,
+            said_pose=SaidPose,
         )
         prior = by_data_sheet(odometry_config, sensor, scanner)
         self._recorded = recorded
@@ -102,6 +112,7 @@ class SlamEstimator(LeafSystem):
             state = begun_with(load_map(Path(explorer.known_map)), state, explorer.known_at)
         self._state = MessageState(self, state)
         self._detections_stamp = MessageState(self, -math.inf)
+        self._said_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
         self._state.declare_output(self, "map", lambda now: now.published or nothing)
@@ -124,6 +135,10 @@ class SlamEstimator(LeafSystem):
         if detections.stamp > detections_stamp:
             estimator = process_detections(estimator, detections)
             self._detections_stamp.set(state, detections.stamp)
+        said = self._inputs.optional(context, "said_pose")
+        if said is not None and said.stamp > self._said_stamp(context):
+            estimator = said_to_be(estimator, said, pose_estimate(estimator).X_MB)
+            self._said_stamp.set(state, said.stamp)
         stage = estimator.map.stage if estimator.map is not None else 0
         waits = estimator.turn is None and estimator.newest is not None
         if self._recorded:

@@ -146,6 +146,20 @@ class PoseEstimate:
 
 
 @message
+class SaidPose:
+    """Where somebody says that the robot is, in the world of the map that the session began with.
+
+    stamp: s, when it was said. count: how many times so far. X_WB: (3,), m and rad. sigma: (2,) how far off that may
+    be, standard deviations in m and rad.
+    """
+
+    stamp: float = -math.inf
+    count: int = 0
+    X_WB: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    sigma: FloatArray = dataclasses.field(default_factory=lambda: np.array([0.5, 0.3]))
+
+
+@message
 class Observation:
     """What a turn, glance or piece of the way saw. ids: (n,) tags. stamps: (t,) s and X_AB: (t, 3), its poses in its
     arrival frame A."""

@@ -505,6 +505,7 @@ class Mission:
         if self._cockpit is not None:
             recorded = diagram.GetSubsystemByName("station").HasOutputPort(GOAL)
             self._cockpit.sends = self.explorer.HasInputPort("requested_goal") and not recorded
+            self._cockpit.tells = self.explorer.HasInputPort("said_pose") and not recorded
         self.meter.attach(self.explorer)
         self._context = self.simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))

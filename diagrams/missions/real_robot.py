@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
@@ -23,6 +24,7 @@ from tfg_drake.hardware.keyboard import KEYS, Keyboard
 from tfg_drake.hardware.robot_buttons import RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
+from tfg_drake.messages import SaidPose
 from tfg_drake.mission.operation import Request
 
 # Of the simulated mission that is run before a real one, s: some stages, as it does not look round for long first.
@@ -55,16 +57,17 @@ def RobotOf(
     *,
     enabled: bool = False,
 ) -> Robot:
-    """The robot of open devices, operated by its own buttons, too. MakeStation: makes its station, where that is not
-    MakeHardwareStation's. enabled: its base may move from the beginning."""
-    watch = BatteryWatch(devices.base)
+    """The robot of open devices, operated by its own buttons, too, and told on ROS where it is. MakeStation: makes its
+    station, where that is not MakeHardwareStation's. enabled: its base may move from the beginning."""
+    watch, publisher = BatteryWatch(devices.base), devices.publisher
+    said = [] if publisher is None else [lambda: publisher.take(SaidPose, math.inf)]
     return Robot(
         scenario.hardware.robot,
         MakeStation or (lambda scenario: MakeHardwareStation(scenario, devices)),
         world_known=False,
         real=True,
         enabled=enabled,
-        operated=[*operated, RobotButtons(devices.base).requests, watch.requests],
+        operated=[*operated, *said, RobotButtons(devices.base).requests, watch.requests],
         empty=watch.empty,
         Announce=_Announcer(devices),
         close=devices.close,

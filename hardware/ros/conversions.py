@@ -21,7 +21,7 @@ from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPose, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
@@ -33,6 +33,8 @@ REST, REST_TURN_RATE = 1e-5, 1e-3
 # A quaternion whose length is off by no more was rounded. A range this near to range_max, m, is one that met nothing:
 # drivers write that, or what their steps make of it.
 OFF_UNIT, NO_RETURN = 0.05, 1e-3
+# Nobody says better where a robot is, m and rad.
+LEAST_SAID = 0.05
 # The bits of tfg_drake.messages.Hazards.
 RIGHT, CENTRE, LEFT = 1, 2, 4
 # Columns of a plain detections message, see `plain_detections`.
@@ -122,9 +124,7 @@ def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odom
     before: the message before this one, which tells whether the robot stands, and its velocity where the twist says
     nothing: many drivers leave it at zero.
     """
-    x, y, z, w = unit_quaternion(message, "pose.pose.orientation")
-    yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    px, py = (number(message, f"pose.pose.position.{axis}", FARTHEST) for axis in "xy")
+    px, py, yaw = _planar(message)
     speed, turn_rate = _told(message, "twist.twist.linear.x"), _told(message, "twist.twist.angular.z")
     at_rest = False
     if before is not None:
@@ -138,6 +138,23 @@ def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odom
             if abs(ahead) <= FASTEST and abs(turning) <= FASTEST_TURN:  # else it did not drive there
                 speed, turn_rate = ahead, turning
     return Odometry(stamp, np.array([px, py, yaw]), np.array([speed, turn_rate]), at_rest)
+
+
+def said_pose(message: Any, stamp: float, frame: str) -> SaidPose:
+    """geometry_msgs/PoseWithCovarianceStamped in a frame, which must be this one, as RViz says where the robot is."""
+    if (told := str(field(message, "header.frame_id"))).lstrip("/") != frame:
+        raise ValueError(f"it is said in the frame {told[:100]}, the map is {frame}: set RViz's fixed frame")
+    covariance = [_bounded(one, "pose.covariance", FARTHEST) for one in _sequence(message, "pose.covariance", 36)]
+    x_x, y_y, *_, yaw_yaw = np.diag(np.reshape(covariance, (6, 6)))
+    sigma = np.sqrt(np.maximum([max(x_x, y_y), yaw_yaw], LEAST_SAID**2))
+    return SaidPose(stamp, X_WB=np.array(_planar(message)), sigma=sigma)
+
+
+def _planar(message: Any) -> tuple[float, float, float]:
+    """The x, y (m) and yaw (rad) of a pose with covariance."""
+    x, y, z, w = unit_quaternion(message, "pose.pose.orientation")
+    px, py = (number(message, f"pose.pose.position.{axis}", FARTHEST) for axis in "xy")
+    return px, py, math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def _told(message: Any, path: str) -> float:

@@ -36,9 +36,9 @@ class Intake:
     """
 
     def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
-        """topics: of a base "odometry", "hazards" and "battery", of sensors "scan", "detections" and "camera_info".
-        Sensors' clock and the robot's velocity are learned from the odometry where they have "clock", else the clock
-        from them all.
+        """topics: of a base "odometry", "hazards" and "battery", of sensors "scan", "detections", "camera_info" and
+        "initial_pose". Sensors' clock and the robot's velocity are learned from the odometry where they have "clock",
+        else the clock from them all.
         """
         self.clock_source = next((topic.name for key, topic in topics if key in ("odometry", "clock")), None)
         self.clock = StampClock(SENSOR_SILENCE) if self.clock_source is None else StampClock()
@@ -84,6 +84,8 @@ class Intake:
             state = conversions.battery(message, arrival)
             self.alarm = _ALARMS.get(state.charger or state.battery_level)
             self._messages.append(state)
+        elif key == "initial_pose":
+            self._messages.append(conversions.said_pose(message, arrival, self._preset.frames.map))
         elif key == "detections" and not topic.type.endswith("PointCloud2") and self._camera_info is None:
             pass  # the camera says its calibration with its first image
         elif (stamp := self._host_stamp(key, topic, message, arrival)) is None:

@@ -32,7 +32,7 @@ class Topic:
 @dataclasses.dataclass(frozen=True)
 class Topics:
     """The topics of one robot; those of tags, hazards and battery may be absent. camera_info: for apriltag_msgs; images
-    have their own beside them."""
+    have their own beside them. initial_pose: where somebody says that the robot is, as RViz does."""
 
     odometry: Topic
     scan: Topic
@@ -41,6 +41,7 @@ class Topics:
     battery: Topic | None = None
     detections: Topic | None = None
     camera_info: Topic | None = None
+    initial_pose: Topic = Topic("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped", "reliable")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +141,7 @@ TYPES = {
     "battery": ("sensor_msgs/msg/BatteryState",),
     "detections": ("apriltag_msgs/msg/AprilTagDetectionArray", "sensor_msgs/msg/PointCloud2", IMAGE, COMPRESSED_IMAGE),
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
+    "initial_pose": ("geometry_msgs/msg/PoseWithCovarianceStamped",),
 }
 QOS = ("sensor_data", "reliable")
 # Nothing is known there, or nothing was met.

@@ -44,7 +44,7 @@ class SensorDriver(GraphDriver):
 
         topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where
         the scanner and the camera are mounted, and the topic of the camera's calibration. base: the robot's base is on
-        this graph, so its odometry tells the clock and how the robot moves.
+        this graph, so its odometry tells the clock and how the robot moves, and somebody may say where that is.
         """
         super().__init__(graph, preset)
         self._announcer = Announcer(preset.publish, graph.publisher, lambda now: self._intake.clock.robot(now))
@@ -66,7 +66,8 @@ class SensorDriver(GraphDriver):
                 needed.append(("clock", preset.topics.odometry))
             for key, topic in needed:
                 self._seek(topic, mend="; or give --tags none" if key in ("detections", "camera_info") else "")
-            self._listen(needed)
+            said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
+            self._listen([*needed, *said])
             self._wait({topic.name for _, topic in needed})
         except DeviceError:
             self.close()

@@ -93,9 +93,9 @@ def test_a_recorded_mission_is_served_until_there_is_one_to_show(mission, tmp_pa
 
 
 def test_a_stop_needs_no_token_and_all_else_does(cockpit):
-    cockpit.sends = cockpit.drives = True
-    more = {"rate": 1.0, "x": 0.5, "y": 0.5, "key": "forward"}
-    for what in ("enable", "hold", "resume", "step", "recall", "end", "rate", "goal", "key", "stick"):
+    cockpit.sends = cockpit.drives = cockpit.tells = True
+    more = {"rate": 1.0, "x": 0.5, "y": 0.5, "key": "forward", "yaw": 0.5}
+    for what in ("enable", "hold", "resume", "step", "recall", "end", "rate", "goal", "key", "stick", "at"):
         for token in ("", "guess", cockpit.token[:-1]):
             assert ask(cockpit, what, token, **more)[0] == 403
     assert [*cockpit.requests(), *cockpit.keys()] == []
@@ -170,6 +170,17 @@ def test_a_robot_is_sent_to_a_place_where_its_explorer_can_be(cockpit):
         assert ask(cockpit, "goal", cockpit.token, **nowhere)[0] == 400
     assert cockpit.requests() == [(1.5, -2.0)]
     assert cockpit.requests() == []
+
+
+def test_a_robot_is_told_where_it_is_where_its_explorer_takes_that(cockpit):
+    there = {"x": 1.5, "y": -2.0, "yaw": 0.5}
+    assert ask(cockpit, "at", cockpit.token, **there)[0] == 400
+    cockpit.tells = True
+    assert ask(cockpit, "at", cockpit.token, **there)[0] == 200
+    for nowhere in ({}, {"x": 1.0, "y": 2.0}, there | {"yaw": float("inf")}, there | {"x": "here"}):
+        assert ask(cockpit, "at", cockpit.token, **nowhere)[0] == 400
+    (said,) = cockpit.requests()
+    assert (said.X_WB.tolist(), said.sigma.tolist()) == ([1.5, -2.0, 0.5], [0.5, 0.3])
 
 
 def test_somebody_drives_by_keys_and_by_a_stick(cockpit, monkeypatch):

@@ -33,7 +33,7 @@ def test_its_ports_are_those_of_any_station(finished):
     inputs, outputs = names(PortPlayer(read_recording(finished.folder)))
     simulated_inputs, simulated_outputs = names(MakeTurtlebotStation(room()))
     assert inputs == {name for name in simulated_inputs if not name.startswith("truth.")} | {"base.enable"}
-    others = {"base.enabled", "operator.goal"}
+    others = {"base.enabled", "operator.goal", "operator.pose"}
     assert outputs == {name for name in simulated_outputs if not name.startswith("truth.")} | others
 
 

@@ -29,7 +29,7 @@ from tfg_drake.hardware.ros.conversions import COLUMNS, ros_time
 from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import Topic, load_preset
 from tfg_drake.hardware.socket_sensors import SocketDriver
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections
 
 # Between two messages of a source, by the host's clock, s.
 PERIOD = 0.02
@@ -43,6 +43,7 @@ TYPES = {
     "apriltag": "apriltag_msgs/msg/AprilTagDetectionArray",
     "camera_info": "sensor_msgs/msg/CameraInfo",
     "battery": "sensor_msgs/msg/BatteryState",
+    "initial_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 PRESET = load_preset("turtlebot2")
 # What the process of the base listens to.
@@ -90,6 +91,10 @@ GOOD: dict[str, Callable[[float], dict[str, Any]]] = {
     "apriltag": _corners,
     "camera_info": _camera,
     "battery": lambda stamp: {"header": _header(stamp), "voltage": 12.1, "percentage": 0.8, "power_supply_status": 2},
+    "initial_pose": lambda _: {
+        "header": {"frame_id": "map"},
+        "pose": {**_odometry(0.0)["pose"], "covariance": [0.1] * 36},
+    },
     "kobuki_ros_interfaces/msg/BumperEvent": lambda _: {"bumper": 1, "state": 1},
     "kobuki_ros_interfaces/msg/CliffEvent": lambda _: {"sensor": 2, "state": 1, "bottom": 9},
     "kobuki_ros_interfaces/msg/WheelDropEvent": lambda _: {"wheel": 0, "state": 1},
@@ -331,6 +336,8 @@ def sound(message: Any, now: float) -> bool:
             and 1e-5 < message.sigma < 2.0
             and all(r != r or r == math.inf or 0.0 < r < message.range_max + 10.0 for r in ranges)
         )
+    if isinstance(message, SaidPose):
+        return bool(np.all(np.abs(message.X_WB) < 2e5) and np.all((message.sigma >= 0.05) & (message.sigma < 500.0)))
     assert isinstance(message, BaseState)
     return all(value != value or 0.0 <= value < 1e5 for value in (message.battery, message.charge))
 

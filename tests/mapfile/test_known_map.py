@@ -47,6 +47,13 @@ def test_the_map_is_there_before_the_first_message_and_apart(known, small_map):
     assert (known.at, len(known.graph.keyframes)) == (None, 0)
 
 
+def test_where_it_is_said_to_begin_is_told_in_the_world_of_the_map(small_map):
+    saved = replace(small_map, X_WM=np.array([1.0, 2.0, 0.5 * math.pi]))
+    said = begun_with(saved, initial_state(OdometryConfig()), [1.0, 5.0, 2.0, 0.2, 0.1]).known.said
+    np.testing.assert_allclose(said.X, [3.0, 0.0, 2.0 - 0.5 * math.pi], atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(said.covariance)), [0.2, 0.2, 0.1])
+
+
 @pytest.mark.parametrize("X_MB", [[0.0, 0.0, 0.0], [3.0, -1.0, 2.0], [-6.0, 4.0, -3.0]])
 def test_the_robot_finds_itself_wherever_it_is(known, small_map, X_MB):
     X_MB = np.array(X_MB)

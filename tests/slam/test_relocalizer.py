@@ -9,11 +9,11 @@ from tests.slam.test_reunion import ROOM, Robot
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import as_one_keyframe
-from tfg_drake.messages import MapEstimate, Odometry, replace
+from tfg_drake.messages import MapEstimate, Odometry, SaidPose, replace
 from tfg_drake.slam.estimator import begin_turn, pose_estimate, process_odometry
 from tfg_drake.slam.estimator_state import KnownMap, Placed, initial_state
 from tfg_drake.slam.place_search import seen_by_views
-from tfg_drake.slam.relocalizer import by_tags, joined
+from tfg_drake.slam.relocalizer import by_tags, joined, said_to_be
 from tfg_drake.slam.surface_fit import map_points
 from tfg_drake.slam.walls import known_walls
 
@@ -121,6 +121,32 @@ def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog
     assert state.known is None
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
     assert ("from where it was said to be" in caplog.text) == (off > 1.0)
+
+
+def test_who_says_where_the_robot_is_says_where_its_session_began(known):
+    """The prior is of the session's beginning; brute force: draws of the pose that is said, moved back there."""
+    robot = Session(START, 7)
+    state = robot.drive(robot.begun(replace(known, X_WK=np.array([2.5, 1.5, 0.0]))), 0.3, 0.2, 80)
+    X_MB, sigma = pose_estimate(state).X_MB, np.array([0.1, 0.05])
+    assert np.hypot(*X_MB[:2]) > 1.0
+    said = said_to_be(state, SaidPose(X_WB=robot.X_WB, sigma=sigma), X_MB).known.said
+    np.testing.assert_allclose(said.X, in_K(START), atol=0.01)
+    rng = np.random.default_rng(1)
+    X_KB = in_K(robot.X_WB) + rng.normal(size=(200_000, 3)) * sigma[[0, 0, 1]]
+    drawn = se2.compose(X_KB, np.broadcast_to(se2.inverse(X_MB), X_KB.shape))
+    drawn[:, 2] = se2.wrap_angle(drawn[:, 2] - said.X[2])
+    np.testing.assert_allclose(said.covariance, np.cov(drawn.T), atol=2e-4)
+
+
+def test_what_is_said_of_a_robot_that_maps_apart_from_nothing_does_not_count(known, caplog):
+    state, said = Session(START, 7).begun(known), SaidPose(1.0, 1, np.array([1.0, 2.0, 0.5]))
+    for one in (replace(state, known=None), replace(state, at=Placed(np.zeros(3), np.eye(3)))):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
+            assert said_to_be(one, said, np.zeros(3)) is one
+        (record,) = caplog.records
+        why = "where the robot is said to be does not count: it does not map apart"
+        assert record.getMessage() == f"{one.stamp:.2f} s: {why}"
 
 
 def test_views_tell_what_was_seen_from_where(first):

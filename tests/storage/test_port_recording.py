@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from tests.mutations import assert_refused_or_read
 from tfg_drake.io import files
 from tfg_drake.io.files import most_unpacked
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage import port_recording
 from tfg_drake.storage.port_recording import (
@@ -31,6 +31,7 @@ from tfg_drake.storage.port_recording import (
     GOAL,
     MESSAGES,
     PORTS,
+    SAID,
     Enabled,
     PortWriter,
     RecordingError,
@@ -56,6 +57,7 @@ def messages(stamp):
         COMMAND: Velocity(0.5, -stamp),
         ENABLED: Enabled(stamp),
         GOAL: RequestedGoal(int(stamp), np.array([stamp, -0.0])),
+        SAID: SaidPose(stamp, 2, np.array([1.0, -0.0, stamp]), np.array([0.5, 0.25])),
     }
 
 
@@ -120,7 +122,7 @@ def test_where_nobody_has_been_sent_yet_nobody_is(tmp_path):
             for port in (*MESSAGES, *([GOAL] if time > 1.0 else [])):
                 writer.write(port, time, messages(time)[port])
     recording = read_recording(tmp_path)
-    assert [recording.requested_goal(time).count for time in (0.0, 1.9, 2.0, 9.0)] == [0, 0, 2, 2]
+    assert [recording.at(GOAL, time).count for time in (0.0, 1.9, 2.0, 9.0)] == [0, 0, 2, 2]
 
 
 def test_a_command_is_recorded_where_it_changes(tmp_path):

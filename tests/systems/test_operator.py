@@ -1,7 +1,9 @@
 """The operator as a system: requests in, what base and mission are told out."""
 
+import numpy as np
 from pydrake.systems.analysis import Simulator
 
+from tfg_drake.messages import SaidPose
 from tfg_drake.systems.operator import Operator
 
 
@@ -62,6 +64,16 @@ def test_places_and_pushes_hold_from_the_next_instant_on():
     # However often it was asked for at once, it is one push; 0.25 s + 1/16 s, the next instant after the request.
     (push,) = run.operator.GetOutputPort("pushes").Eval(run.context).pushes
     assert push.time == 0.3125
+
+
+def test_of_what_is_said_at_once_the_last_holds_from_the_next_instant_on():
+    run = Run(enabled=True)
+    run.after()
+    said = run.operator.GetOutputPort("said_pose")
+    assert said.Eval(run.context).stamp == -np.inf
+    assert run.after(SaidPose(X_WB=np.zeros(3)), SaidPose(9.0, X_WB=np.array([1.0, 2.0, 3.0])), "pause") == [1, 1, 0]
+    one = said.Eval(run.context)
+    assert (one.stamp, one.count, one.X_WB.tolist(), one.sigma.tolist()) == (0.3125, 2, [1.0, 2.0, 3.0], [0.5, 0.3])
 
 
 def test_what_was_asked_for_before_the_mission_began_does_not_count():

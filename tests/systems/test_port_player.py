@@ -4,9 +4,9 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections
 from tfg_drake.planning.requested_goal import RequestedGoal
-from tfg_drake.storage.port_recording import MESSAGES, PortWriter, read_recording
+from tfg_drake.storage.port_recording import MESSAGES, REQUESTS, PortWriter, read_recording
 from tfg_drake.systems.port_player import PortPlayer
 from tfg_drake.systems.port_recorder import PERIOD, PortRecorder
 from tfg_drake.systems.ports import declare_message_output
@@ -29,6 +29,8 @@ class LateStation(LeafSystem):
         )
         sent = lambda context: RequestedGoal(int(2.0 * context.get_time()), np.ones(2))  # noqa: E731
         declare_message_output(self, "operator.goal", sent, {self.time_ticket()})
+        said = lambda context: SaidPose(context.get_time(), int(context.get_time()))  # noqa: E731
+        declare_message_output(self, "operator.pose", said, {self.time_ticket()})
         self.DeclareVectorOutputPort("base.velocity_commanded", 2, lambda _, output: output.SetFromVector([0.25, 0.0]))
 
     def message(self, name, context):
@@ -45,7 +47,9 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", LateStation())
     with PortWriter(tmp_path / "ports.mcap", "late") as writer:
-        PortRecorder.AddToBuilder(builder, station, station, writer, station.GetOutputPort("operator.goal"))
+        PortRecorder.AddToBuilder(
+            builder, station, station, writer, {name: station.GetOutputPort(name) for name in REQUESTS.values()}
+        )
         Simulator(builder.Build()).AdvanceTo(2.0)
     recording = read_recording(tmp_path)
     assert recording.end_time == 2.0 - 2.0 % PERIOD
@@ -61,6 +65,8 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
             heard, said = player.GetOutputPort(name).Eval(context), station.GetOutputPort(name).Eval(original)
             assert heard.stamp == said.stamp
         assert player.GetOutputPort("operator.goal").Eval(context).count == int(2.0 * k * PERIOD)
+        heard = player.GetOutputPort("operator.pose").Eval(context)
+        assert (heard.count, heard.stamp) == ((int(k * PERIOD), k * PERIOD) if k >= 16 else (0, -np.inf))
         assert player.GetOutputPort("base.enabled").Eval(context)[0] == (k * PERIOD >= 1.0)
 
 

@@ -22,8 +22,11 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.cockpit.whole_requests import WholeRequestHandler, WholeRequestServer
+from tfg_drake.messages import SaidPose
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
 from tfg_drake.mission.operation import Command, Request
@@ -43,7 +46,9 @@ FAREWELL = 2.0
 SWITCH = 5e-4
 # A stick that is pushed is asked about again within so long, s; a page that does not has gone.
 STICK_HELD = 0.6
-NOWHERE = math.nan, math.nan
+# x and y, m.
+Place = tuple[float, float]
+NOWHERE: Place = math.nan, math.nan
 
 # What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
 _OPERATOR: tuple[Command, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
@@ -61,7 +66,7 @@ class Forks(Protocol):
     def is_running(self) -> bool:
         """True while the newest fork runs."""
 
-    def start(self, stage: int, goal: tuple[float, float]) -> bool:
+    def start(self, stage: int, goal: Place) -> bool:
         """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
 
     def state(self) -> dict[str, Any]:
@@ -73,7 +78,7 @@ class Cockpit:
 
     clock: what a page wants of a simulation's clock, None where there is none to be set. word: what is done while there
     is nothing to see. watched: whether a page is open. sends: the robot can be sent to places; drives: somebody drives
-    it by hand.
+    it by hand; tells: it can be told where it is.
     """
 
     def __init__(
@@ -108,7 +113,7 @@ class Cockpit:
         """
         self.clock = Clock(rate) if rate is not None else None
         self.word = ""
-        self.sends = self.drives = False
+        self.sends = self.drives = self.tells = False
         self._title, self._live, self._controls, self._forks = title, live, controls, forks
         source = {"live": live, "controls": controls, "forks": forks is not None, "rate": rate}
         self._page = served_page(title, source).encode()
@@ -197,12 +202,13 @@ class Cockpit:
     # Requests
 
     def take(
-        self, what: str, rate: float = math.nan, place: tuple[float, float] = NOWHERE, key: str = "", stage: int = 0
+        self, what: str, rate: float = math.nan, place: Place = NOWHERE, key: str = "", stage: int = 0, yaw: float = 0.0
     ) -> bool:
         """Do what a page asks for; whether that is something to ask for here.
 
         rate: of the clock. place: (x, y), m in M, where the robot is to go, m in W where a fork of a stage is to go, or
-        how far a stick is pushed forward and to the left, of 1. key: of a driver.
+        how far a stick is pushed forward and to the left, of 1. key: of a driver. yaw: of a robot that is said to be at
+        a place, m and rad in the world of its map.
         """
         if what == "fork" and self._forks is not None and math.isfinite(math.hypot(*place)):
             return self._forks.start(stage, place)
@@ -227,6 +233,8 @@ class Cockpit:
             self._ask(place)
             if clock is not None:
                 clock.go()  # Nobody drives while it stands.
+        elif what == "at" and self.tells and math.isfinite(math.hypot(*place, yaw)):
+            self._ask(SaidPose(X_WB=np.array([*place, yaw])))
         elif what == "push" and clock is not None:
             self._ask("push")
         elif what in _OPERATOR:
@@ -304,6 +312,7 @@ class _Handler(WholeRequestHandler):
             what, rate = str(asked["request"]), float(asked.get("rate", math.nan))
             key, stage = str(asked.get("key", "")), int(asked.get("stage", 0))
             place = float(asked.get("x", math.nan)), float(asked.get("y", math.nan))
+            yaw = float(asked.get("yaw", math.nan))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
             self._answer(400, "text/plain", b"That is no request.\n")
             return
@@ -315,7 +324,7 @@ class _Handler(WholeRequestHandler):
                 refusal = b"Only who has the whole address that was printed may ask for that; STOP needs none.\n"
                 self._answer(403, "text/plain", refusal)
                 return
-        if self.cockpit.take(what, rate, place, key, stage):
+        if self.cockpit.take(what, rate, place, key, stage, yaw):
             self._answer(200, "application/json", json.dumps(self.cockpit._state()).encode())
         else:
             self._answer(400, "text/plain", b"That cannot be asked for here.\n")

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tfg_drake.geometry import se2
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.mapfile.placement import surfaces_of
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe
-from tfg_drake.messages import BoolArray, FloatArray, replace
-from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap, Placed
+from tfg_drake.messages import BoolArray, SaidPose, replace
+from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap
 from tfg_drake.slam.keyframe_graph import forget, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.relocalizer import said_to_be
 from tfg_drake.slam.walls import known_walls
 
 
@@ -34,16 +34,12 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
         surfaces=surfaces_of(saved),
         evidence=saved.evidence,
         facing=saved.facing,
-        said=_said(saved.X_WM, *at) if len(at) else None,
+        X_WK=saved.X_WM,
     )
     state = replace(state, known=known)
+    if len(at):
+        state = said_to_be(state, SaidPose(X_WB=np.array(at[:3]), sigma=np.array(at[3:])), np.zeros(3))
     return replace(state, look=FirstLook(state))
-
-
-def _said(X_WM: FloatArray, x: float, y: float, yaw: float, place: float, heading: float) -> Placed:
-    """The place in the map of a robot that is said to be at (x, y, yaw) in W, m and rad, with these deviations."""
-    X_MB = se2.between(X_WM, np.array([x, y, yaw]))
-    return Placed(X_MB, np.diag(np.square([place, place, heading])))
 
 
 def _gone(saved: SavedMap) -> BoolArray:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tfg_drake.messages import Hazards, message, replace
+from tfg_drake.messages import Hazards, SaidPose, message, replace
 
 # What base and mission are told. enable: let the base move, also after a stop. stop: the emergency stop. pause: pause
 # the mission, or resume it. hold: pause it. resume: go on with it. recall: explore no more, and come home where the
 # mission is to end there. end: end the mission.
 Command = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
-# What an operator may ask for. push: push the robot, a simulated one. (x, y): drive to that place, m in M.
-Request = Command | Literal["push"] | tuple[float, float]
+# What an operator may ask for. push: push the robot, a simulated one. (x, y): drive to that place, m in M. SaidPose: it
+# is said to be there in its map.
+Request = Command | Literal["push"] | tuple[float, float] | SaidPose
 
 
 @message

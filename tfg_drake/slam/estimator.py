@@ -372,7 +372,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        state = _with_clock(replace(look.start, look=None, landmarks=landmarks), tags.ahead)
+        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=landmarks), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
             if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:

@@ -90,7 +90,7 @@ class KnownMap:
 
     keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
     with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
-    says that the session begins.
+    says that the session begins. X_WK: (3,) where K lies in its world.
     """
 
     keyframe: Keyframe
@@ -100,6 +100,7 @@ class KnownMap:
     evidence: Evidence
     facing: FloatArray
     said: Placed | None = None
+    X_WK: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
 
 
 @message

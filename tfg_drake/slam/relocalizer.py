@@ -17,7 +17,7 @@ import numpy as np
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.se2 import rotation
-from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
+from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, SaidPose, TagDetections, is_tag, replace
 from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
 from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
 from tfg_drake.slam.keyframe import joined_reach, placed, rows_of, without_tags
@@ -100,6 +100,20 @@ def by_tags(of_A: Tagged, of_B: Tagged) -> Placement | None:
     X_AB, J = se2.compose(found.X_MB, np.append(-middle, 0.0)), np.eye(3)
     J[:2, 2] = (found.X_MB[:2] - X_AB[:2])[::-1] * [1.0, -1.0]
     return Placement(X_AB, J @ found.covariance @ J.T, common[~found.agreeing])
+
+
+def said_to_be(state: EstimatorState, said: SaidPose, X_MB: FloatArray) -> EstimatorState:
+    """The state of a session when somebody says where the robot is, which counts as long as it maps apart. X_MB: (3,)
+    its pose in the session's frame now."""
+    known = state.known
+    if known is None or state.at is not None:
+        _operator.warning("%.2f s: where the robot is said to be does not count: it does not map apart", state.stamp)
+        return state
+    X_KB = se2.between(known.X_WK, said.X_WB)
+    X_KM, J = se2.compose(X_KB, se2.inverse(X_MB)), np.eye(3)
+    J[:2, 2] = (X_KM[:2] - X_KB[:2])[::-1] * [-1.0, 1.0]
+    covariance = J @ np.diag(np.square(said.sigma)[[0, 0, 1]]) @ J.T
+    return replace(state, known=replace(known, said=Placed(X_KM, covariance)))
 
 
 def looked_for(state: EstimatorState) -> EstimatorState:

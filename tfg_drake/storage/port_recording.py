@@ -38,6 +38,7 @@ from tfg_drake.messages import (
     LaserScan,
     MapEstimate,
     Odometry,
+    SaidPose,
     TagDetections,
     TfgMap,
     message,
@@ -99,8 +100,10 @@ MESSAGES: Mapping[str, type] = {
 }
 COMMAND = "base.velocity_commanded"
 ENABLED = "base.enabled"
-GOAL = "operator.goal"
-PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled, GOAL: RequestedGoal}
+GOAL, SAID = "operator.goal", "operator.pose"
+PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled, GOAL: RequestedGoal, SAID: SaidPose}
+# What an operator asks the explorer for, by the input that takes it.
+REQUESTS: Mapping[str, str] = {"requested_goal": GOAL, "said_pose": SAID}
 
 
 class RecordingError(FileError):
@@ -271,18 +274,15 @@ class PortRecording:
     whole: bool
 
     def at(self, port: str, time: float) -> Any:
-        """A port's message at a time, s; before the first one, that one."""
+        """A port's message at a time, s; before the first one, that one, but of a request that there is none."""
         row = int(np.searchsorted(self.log_times[port], nanoseconds(time), side="right")) - 1
+        if row < 0 and port in REQUESTS.values():
+            return PORTS[port]()
         return self.messages[port][max(row, 0)]
 
     def enabled(self, time: float) -> float:
         """1.0 while the base might move, at a time, s, else 0.0; 1.0 where that was not recorded."""
         return float(self.at(ENABLED, time).enabled) if self.messages[ENABLED] else 1.0
-
-    def requested_goal(self, time: float) -> RequestedGoal:
-        """Goal requested up to a time, s."""
-        sent = bool(len(self.log_times[GOAL])) and nanoseconds(time) >= self.log_times[GOAL][0]
-        return self.at(GOAL, time) if sent else RequestedGoal()
 
 
 def read_recording(path: Path) -> PortRecording:

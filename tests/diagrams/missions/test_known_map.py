@@ -8,11 +8,15 @@ import pytest
 
 import tfg_drake
 from tests.diagrams.rooms import ROOMS
+from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.methods import METHODS, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.resume import cut_short
+from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import MapFileError
+from tfg_drake.messages import SaidPose
+from tfg_drake.storage.port_recording import SAID, read_recording
 
 
 def rooms():
@@ -89,6 +93,37 @@ def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
     after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=14.0)
     assert (after.folder / "known_map.npz").exists()
     assert json.loads((after.folder / "summary.json").read_text())["resumed_at_s"] == [12.0]
+
+
+def without_tags(folder):
+    """Elsewhere in the rooms of a map, with nothing but walls to be found by."""
+    scenario = rooms()
+    scenario.seed, scenario.world.start, scenario.world.tags = 4, [7.5, 3.0, 2.0], []
+    scenario.explorer.known_map = str(folder)
+    return scenario
+
+
+def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp_path, monkeypatch):
+    scenario, said = without_tags(first.folder), SaidPose(X_WB=np.array([7.4, 3.1, 1.9]))
+
+    def driven(out, end, before=None, asked=()):
+        asked = iter(asked)
+        monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
+        state = None if before is None else before.state
+        with Cockpit("", "rooms", rate=0.0) as cockpit:
+            return run.run_mission(scenario, name="rooms", max_time=end, out_dir=out, cockpit=cockpit, before=state)
+
+    whole = driven(tmp_path / "whole", 12.0, asked=[()] * 8 + [[said]])
+    half = driven(tmp_path / "half", 4.0, asked=[()] * 8 + [[said]])
+    after = driven(tmp_path / "after", 12.0, before=cut_short(half.folder, tmp_path / "after"))
+    robot = ReplayRobot(read_recording(after.folder))
+    again = run.run_mission(scenario, name="rooms", max_time=12.0, out_dir=tmp_path / "again", robot=robot)
+    for one in (whole, after, again):
+        (heard,) = read_recording(one.folder).messages[SAID]
+        assert (heard.stamp, heard.count, heard.X_WB.tolist()) == (0.5625, 1, said.X_WB.tolist())
+        assert one.summary["changes"]["places"] == 1  # of two, had nobody said it
+        assert (one.folder / "map.npz").read_bytes() == (whole.folder / "map.npz").read_bytes()
+        assert (one.folder / "stages.jsonl").read_bytes() == (whole.folder / "stages.jsonl").read_bytes()
 
 
 def test_what_is_no_map_is_told(tmp_path):

@@ -95,6 +95,54 @@ def test_a_battery_is_judged_by_its_percentage(message, level, alarm):
     assert intake.alarm is None
 
 
+def said(frame="map", variances=(0.25, 0.25, 0.0685), yaw=0.5):
+    """As RViz's 2D Pose Estimate says it, by default with its covariance."""
+    covariance = [0.0] * 36
+    covariance[0], covariance[7], covariance[35] = variances
+    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * yaw), "w": math.cos(0.5 * yaw)}
+    pose = {"position": {"x": 3.0, "y": -2.0, "z": 0.0}, "orientation": orientation}
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
+    return {"header": header, "pose": {"pose": pose, "covariance": covariance}}
+
+
+@pytest.mark.parametrize(
+    ("message", "sigma"),
+    [
+        (said(), [0.5, 0.2617]),
+        (said("/map", (0.01, 0.04, 0.0)), [0.2, 0.05]),
+        (said(variances=(-1.0, 0.0, -1.0)), [0.05, 0.05]),
+    ],
+)
+def test_where_somebody_says_that_the_robot_is(message, sigma):
+    preset = load_preset("turtlebot4")
+    topic = preset.topics.initial_pose
+    intake = Intake(preset, [("initial_pose", topic)])
+    intake.receive("initial_pose", topic, message, 5.0)
+    (one,) = intake.take()
+    assert (topic.name, one.stamp) == ("/initialpose", 5.0)
+    assert pytest.approx([3.0, -2.0, 0.5]) == one.X_WB
+    assert one.sigma == pytest.approx(sigma, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        (said("odom"), "it is said in the frame odom, the map is map: set RViz's fixed frame"),
+        (said(variances=(math.nan, 0.0, 0.0)), "pose.covariance is nan, no number up to 100000"),
+        (
+            said() | {"pose": said()["pose"] | {"covariance": [0.0]}},
+            "cannot reshape array of size 1 into shape (6,6)",
+        ),
+    ],
+)
+def test_what_says_nothing_of_where_the_robot_is_is_refused(message, why):
+    preset = load_preset("turtlebot4")
+    intake = Intake(preset, [("initial_pose", preset.topics.initial_pose)])
+    intake.receive("initial_pose", preset.topics.initial_pose, message, 5.0)
+    assert intake.take() == []
+    assert intake.remarks() == [f"/initialpose: messages are not used: {why}"]
+
+
 def test_a_battery_that_makes_no_sense_is_refused_and_told_once():
     preset = load_preset("turtlebot4")
     intake = Intake(preset, [("odometry", preset.topics.odometry), ("battery", preset.topics.battery)])

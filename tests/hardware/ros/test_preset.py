@@ -114,7 +114,8 @@ def test_what_is_missing_is_named(tmp_path):
         (("topics", "scan", "type"), "topics.scan.type: expected text, missing"),
         (
             ("topics",),
-            "topics: expected the keys odometry, scan, command, hazards, battery, detections, camera_info, missing",
+            "topics: expected the keys odometry, scan, command, hazards, battery, detections, camera_info, "
+            "initial_pose, missing",
         ),
         (("topics", "camera_info"), "topics.camera_info: missing; corners of tags say nothing without it"),
     ]:

@@ -13,7 +13,7 @@ from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.ros.sensors import SensorDriver
 from tfg_drake.hardware.sensor_source import open_sources
-from tfg_drake.messages import LaserScan, Odometry, TagDetections
+from tfg_drake.messages import LaserScan, Odometry, SaidPose, TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
 
 
@@ -115,6 +115,23 @@ APRILTAG = "apriltag_msgs/msg/AprilTagDetectionArray"
 PRESET = load_preset("turtlebot4")
 INFO = PRESET.topics.camera_info.name
 CAMERA = {"p": [600.0, 0.0, 320.0, 0.0, 0.0, 600.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
+
+
+def test_who_is_on_the_robots_graph_is_told_where_somebody_says_that_it_is():
+    """Nobody need publish that; who has no base there does not listen."""
+    odometry, said = PRESET.topics.odometry, PRESET.topics.initial_pose
+    pose = {"position": {"x": 1.0, "y": 2.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    still = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
+    messages = {odometry.name: {"pose": {"pose": pose}, "twist": {"twist": still}}}
+    graph = Graph({odometry.name: odometry.type}, messages)
+    driver = SensorDriver(graph, (), PRESET, base=True)
+    told = {"header": {"frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.25] * 36}}
+    graph._receivers[said.name](told, time.monotonic())
+    (one,) = [message for message in driver.take() if isinstance(message, SaidPose)]
+    assert (one.X_WB.tolist(), one.sigma.tolist()) == ([1.0, 2.0, 0.0], [0.5, 0.5])
+    graph = Graph({"/tags": "sensor_msgs/msg/PointCloud2"}, {"/tags": {}})
+    SensorDriver(graph, (("tags", "/tags"),), PRESET)
+    assert list(graph._receivers) == ["/tags"]
 
 
 def test_corners_of_tags_bring_their_camera():
