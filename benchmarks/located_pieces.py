@@ -59,26 +59,29 @@ def main() -> None:
     options.runs.mkdir(parents=True, exist_ok=True)
     for name in options.logs.split(","):
         halves(options.data, options.runs, name)
-        whole = read_tum(run_of(options.data, options.runs, name) / "trajectory.tum")
+        _, whole = read_tum(run_of(options.data, options.runs, name) / "trajectory.tum")
         parts = [run_of(options.runs, options.runs, f"{name}-{part}") for part in "ab"]
         maps = [load_map(part / "map.npz") for part in parts]
-        ways = [read_tum(part / "trajectory.tum") for part in parts]
+        ways = [read_tum(part / "trajectory.tum")[1] for part in parts]
+        # A pause of the robot is no time in the whole log's trajectory, which therefore goes by its rows.
+        if len(whole) != sum(map(len, ways)):
+            raise SystemExit(f"{name}: the halves have {[*map(len, ways)]} poses, the whole log {len(whole)}")
+        truth = np.split(whole, [len(ways[0])])
         rows = []
         for old, new in ((0, 1), (1, 0)):
-            saved, known, (stamps, X) = maps[new], surfaces_of(maps[old]), ways[new]
+            saved, known, X = maps[new], surfaces_of(maps[old]), ways[new]
             X_MA = saved.graph.X_MA
             way = np.append(0.0, np.cumsum(np.hypot(*np.diff(X_MA[:, :2], axis=0).T)))
             # The old half's frame in that of the whole log.
-            old_stamps, old_X = ways[old]
-            at = np.searchsorted(whole[0], old_stamps).clip(0, len(whole[0]) - 1)
-            X_CK = align(whole[1][at, :2], old_X[:, :2])
+            X_CK = align(truth[old][:, :2], ways[old][:, :2])
             for end in np.linspace(np.searchsorted(way, WAY), len(way) - 1, options.pieces).astype(int):
                 first = int(np.searchsorted(way, way[end] - WAY))
                 places = placed(saved, first, end + 1, known)
                 apart = X - X_MA[end]
                 nearest = np.argmin(np.hypot(apart[:, 0], apart[:, 1]) + np.abs(se2.wrap_angle(apart[:, 2])))
-                there = whole[1][np.searchsorted(whole[0], stamps[nearest]).clip(0, len(whole[0]) - 1)]
-                true = se2.compose(se2.between(X_CK, there), se2.inverse(se2.between(X_MA[end], X[nearest])))
+                true = se2.compose(
+                    se2.between(X_CK, truth[new][nearest]), se2.inverse(se2.between(X_MA[end], X[nearest]))
+                )
                 if not len(places.X):
                     rows.append((0.0, False, False))
                     continue

@@ -11,7 +11,7 @@ world:
 # With a wall that leaves a passage.
 DIVIDED = ROOM.replace("[0, 4, 0, 0]]", "[0, 4, 0, 0], [3, 2.2, 3, 4]]")
 # Shorter first looks than there is time for.
-SHORT_LOOK = "explorer: {first_look: 8}\n"
+SHORT_LOOK = "explorer: {first_look: 8, first_turns: 3}\n"
 QUICK_LOOK = "explorer: {first_look: 2, first_turns: 1}\n"
 
 # Three rooms in a row.

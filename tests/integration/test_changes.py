@@ -13,7 +13,7 @@ ROOMS = """
 world:
   start: [2, 1.5, 0.3]
   walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [5, 0, 5, 1.4], [5, 2.4, 5, 4]]
-explorer: {first_look: 8}
+explorer: {first_look: 8, first_turns: 3}
 """
 
 

@@ -147,11 +147,11 @@ def test_the_trajectories_share_a_frame_and_end_together(finished):
 
 def test_the_time_limit_ends_a_mission(tmp_path):
     seen = []
-    result = run.run_mission(room(), max_time=15.5, out_dir=tmp_path, on_progress=seen.append)
-    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 15.5)
-    assert result.summary["reason"] == "the time limit of 15.5 s was reached"
-    assert [progress.time for progress in seen] == [*np.arange(1.0, 16.0), 15.5, 15.5]
-    assert [progress.outcome for progress in seen] == [*[""] * 16, "time_limit"]
+    result = run.run_mission(room(), max_time=28.5, out_dir=tmp_path, on_progress=seen.append)
+    assert (result.summary["outcome"], result.summary["sim_time_s"]) == ("time_limit", 28.5)
+    assert result.summary["reason"] == "the time limit of 28.5 s was reached"
+    assert [progress.time for progress in seen] == [*np.arange(1.0, 29.0), 28.5, 28.5]
+    assert [progress.outcome for progress in seen] == [*[""] * 29, "time_limit"]
     assert seen[-1].landmarks == f"{result.summary['landmarks_mapped']} tags"
     assert result.summary["landmarks_mapped"] > 0
     assert 10.0 < seen[-1].area < 24.1
