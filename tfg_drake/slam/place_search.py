@@ -38,8 +38,9 @@ SAME_PLACE = np.array([0.5, 0.5, 0.3])
 MUCH_LESS = 0.3
 # What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
 # map, before what should be seen, or it should be seen and is looked through; and where the map has nothing to be seen,
-# which is no less likely than MOST_BEYOND altogether, for a map may end there.
-ON, BEFORE, THROUGH, BEYOND, MOST_BEYOND = math.log(0.97 / 0.55), -2.0, -2.0, -0.6, -20.0
+# which is no less likely than MOST_BEYOND altogether, for a map may end there. In recorded offices a tenth of what is
+# seen in the right place is before what should be, and a quarter in a wrong one.
+ON, BEFORE, THROUGH, BEYOND, MOST_BEYOND = math.log(0.97 / 0.55), -1.0, -2.0, -0.6, -20.0
 # Something is on a surface within this, m, is so much, m, before or behind what should be seen, and from what is there.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
 # Bearings that are told apart, and from how far, m, and how slantwise, by its cosine, a surface is surely seen.
