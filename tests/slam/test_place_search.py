@@ -68,7 +68,7 @@ def test_two_equal_rooms_are_as_likely():
     there = places(known, seen(ROOM, HERE))
     assert there.found() is None
     np.testing.assert_allclose(there.probability[:2], 0.5, atol=0.2)
-    assert there.near(HERE) + there.near(se2.compose(TURNED, HERE)) > 0.98
+    assert there.near(HERE) + there.near(se2.compose(TURNED, HERE)) > 0.97
 
 
 def test_a_room_that_looks_the_same_turned_round_is_not_believed():
