@@ -373,7 +373,8 @@ class Mission:
     def open_edges(self) -> list[dict[str, Any]] | None:
         """Each edge of free space that is no surface: its place in W, its length, and why it is open; None for a method
         without a TFG."""
-        tfg, roadmap = self.tfg, self.look_for("roadmap", Roadmap)
+        tfg = self.tfg
+        roadmap = None if tfg is None else self.look_for("roadmap", Roadmap)
         if tfg is None or roadmap is None:
             return None
         why = [REASONS[i] for i in hindrances(tfg, roadmap, self.scenario.tags, self.scenario.robot.radius)]

@@ -16,7 +16,7 @@ def test_every_method_has_the_ports_that_a_mission_needs(name):
     explorer = FindMethod(name).MakeExplorer(LoadScenario(FindScenario("house")))
     inputs = {explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())}
     outputs = {explorer.get_output_port(i).get_name() for i in range(explorer.num_output_ports())}
-    assert inputs <= {*SENSED, "pause", "stop", "recall", "requested_goal"}
+    assert inputs <= {*SENSED, "pause", "stop", "recall", "requested_goal", "said_pose"}
     # Somebody may send the robot to a node of a roadmap.
     assert ("requested_goal" in inputs) == (METHODS[name].has_candidates or METHODS[name].needs_keys)
     # Who keeps no budget cannot be called back.

@@ -38,7 +38,7 @@ def test_the_robot_explores(tmp_path, rule, gain):
     result = mission(tmp_path, 35.0, f"explorer.goal={rule}", f"explorer.gain={gain}", *DRIVEN[rule, gain])
     assert result.summary["outcome"] == "time_limit"
     assert result.summary["stages"] >= 2
-    assert result.summary["landmarks_mapped"] > 30
+    assert result.summary["landmarks_mapped"] > 25
     assert result.summary["contacts"] == 0
 
 

@@ -15,7 +15,7 @@ RECALLED = 30.0
 
 @pytest.mark.parametrize("return_home", [True, False])
 def test_a_robot_that_is_called_back(return_home):
-    scenario = ApplySettings(LoadScenario("house"), ["explorer.first_look=8", f"explorer.return_home={return_home}"])
+    scenario = ApplySettings(LoadScenario("house"), ["explorer.first_turns=3", f"explorer.return_home={return_home}"])
     world = MakeWorld(scenario.world)
     diagram, *_ = MakeMissionDiagram(scenario, world)
     simulator = Simulator(diagram)

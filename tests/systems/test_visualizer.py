@@ -430,9 +430,12 @@ return { robot: place(at("map", "robot")), truth: place(at("truth")), people: pl
 CORNERS = 18  # of the top of a landmark: six triangles
 
 
+LONG_LOOK = ["reality.people=1", "explorer.first_look=20", "explorer.first_turns=3"]
+
+
 def test_a_published_recording_plays_the_mission(driver, tmp_path):
     meshcat = Meshcat(MeshcatParams(host="localhost"))
-    mission = tfg_drake.explore("house", meshcat=meshcat, until=0.0, settings=["reality.people=1"])
+    mission = tfg_drake.explore("house", meshcat=meshcat, until=0.0, settings=LONG_LOOK)
     meshcat.StartRecording()
     moments = []
 
