@@ -31,7 +31,7 @@ from tfg_drake.table import empty
 # nothing of that: most are glances a metre apart.
 NOTHING_WITHIN = 5.0
 # Where frames tell less than they seem to, the first look has up to so many times its turns.
-MOST_FIRST_TURNS = 3.0
+MOST_FIRST_TURNS = 2.0
 
 
 def empty_choice() -> GoalChoice:

@@ -45,7 +45,7 @@ class PaperRules:
             "argmax": ["goal=argmax"],
             "theorem": ["gain=paper"],
             "only_at_goals": ["glance_period=0", "path_keyframe_period=0"],
-            "one_turn": ["first_look=0"],
+            "one_turn": ["first_look=0", "first_turns=1"],
             "only_landmarks": ["landmarks=tags"],
         }
         return [f"explorer.{one}" for rule, all_of in settings.items() if getattr(self, rule) for one in all_of]
