@@ -17,8 +17,8 @@ class Explorer:
         source = f"socket:{host}:{port}"
         arguments = ["--port", emulator.device, "--scan", source, "--out", str(folder)]
         arguments += ["--tags", source] if tags else []
-        arguments += ["--headless", "--max-time", str(max_time), *options]
-        arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1"]
+        arguments += ["--headless", "--max-time", str(max_time)]
+        arguments += ["--set", "explorer.first_look=2", "--set", "explorer.first_turns=1", *options]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", "--robot", "kobuki", *arguments],
             stdin=subprocess.PIPE,
