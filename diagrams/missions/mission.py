@@ -42,7 +42,7 @@ from tfg_drake.messages import (
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.notes import Note
 from tfg_drake.pictures import scene
-from tfg_drake.planning.mission_end import IN_VAIN, REASONS, hindrances
+from tfg_drake.planning.mission_end import IN_VAIN, REASONS, UNSEEN, hindrances
 from tfg_drake.slam.estimator import carried, finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
@@ -377,7 +377,8 @@ class Mission:
         roadmap = None if tfg is None else self.look_for("roadmap", Roadmap)
         if tfg is None or roadmap is None:
             return None
-        why = [REASONS[i] for i in hindrances(tfg, roadmap, self.scenario.tags, self.scenario.robot.radius)]
+        reasons = (REASONS[0] if self.outcome == "complete" else UNSEEN, *REASONS[1:])
+        why = [reasons[i] for i in hindrances(tfg, roadmap, self.scenario.tags, self.scenario.robot.radius)]
         places = transform(self.X_WM, np.vstack([tfg.frontiers, tfg.given_up])).round(3).tolist()
         lengths = np.append(tfg.frontier_length, tfg.given_up_length).round(3).tolist()
         why += [IN_VAIN] * len(tfg.given_up)

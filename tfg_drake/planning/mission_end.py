@@ -24,7 +24,8 @@ ENOUGH_FRONTIER = 0.24
 MOST_LEFT = 2.0
 # A place this near to where the robot can get, m, may be cut off by a wall that was mapped twice, no door.
 DRIFTED = 1.5
-# What keeps the robot from a frontier, in the order of the fields of FrontierLeft; and that it has tried too often.
+# What keeps the robot from a frontier, in the order of the fields of FrontierLeft; that it has tried too often, and
+# that no time was left to look at one that it can reach.
 REASONS = (
     "not worth the way",
     "behind passages too narrow for the uncertainty of the map",
@@ -32,7 +33,7 @@ REASONS = (
     "where the robot does not fit",
     "where the robot does not fit or must not enter",
 )
-IN_VAIN = "tried in vain"
+IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
