@@ -147,7 +147,7 @@ class PoseEstimate:
 
 @message
 class SaidPose:
-    """Where somebody says that the robot is, in the world of the map that the session began with.
+    """A pose that somebody says the robot has, in the world W of the map that the session began with.
 
     stamp: s, when it was said. count: how many times so far. X_WB: (3,), m and rad. sigma: (2,) how far off that may
     be, standard deviations in m and rad.

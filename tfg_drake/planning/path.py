@@ -258,7 +258,7 @@ def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, 
 
 
 def edges_on(state: RoadmapState, nodes: list[int]) -> BoolArray:
-    """Which of the usable edges (e,) join some of these nodes."""
+    """The usable edges (e,) that join some of these nodes, as a mask."""
     on = np.zeros(len(state.points), dtype=np.bool_)
     on[nodes] = True
     return np.asarray(on[state.edges.nodes[:, 0]] & on[state.edges.nodes[:, 1]] & state.edges.usable)

@@ -548,7 +548,7 @@ def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
 
 
 def _has_moved(X_OB: FloatArray, later: FloatArray) -> bool:
-    """Whether the robot has gone far enough from a pose (3,) to another one to see surfaces from elsewhere."""
+    """True if the robot has gone so far from one pose (3,) to another that it sees surfaces from elsewhere."""
     moved = se2.between(X_OB, later)
     return bool(math.hypot(moved[0], moved[1]) > POINTS_WAY or abs(moved[2]) > POINTS_TURN)
 
