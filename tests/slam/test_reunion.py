@@ -71,19 +71,3 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
-
-
-def test_of_the_first_turn_only_what_is_seen_before_it_ties_surfaces():
-    robot = Robot()
-    state = process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry())
-    point = np.array([[1.0, 0.0, -1.0, 0.0]])
-    for view in range(2):
-        state = robot.drive(begin_turn(state, robot.time), 0.0, 0.0, 3)
-        state = robot.drive(state, 0.0, 0.5, 126)
-        seen = tuple(replace(frame, points=point) for frame in state.turn.frames)
-        still = sum(abs(se2.wrap_angle(frame.X_OB[2] - state.turn.begin.X_OB[2])) <= 0.3 for frame in seen)
-        state = end_turn(replace(state, turn=replace(state.turn, frames=seen)), robot.time)
-        points = state.graph.keyframes[-1].points
-        assert 0 < still < len(seen)
-        assert len(points) == (still if view == 0 else len(seen))
-        state = robot.drive(state, 0.3, 0.0, 10)

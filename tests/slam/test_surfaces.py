@@ -35,6 +35,7 @@ from tfg_drake.slam.surfaces import (
     in_map,
     no_ties,
     pieces_of,
+    put_together,
 )
 
 NO_BLOCK = np.zeros((0, 0))
@@ -58,7 +59,7 @@ def points_of(seen, X_MN):
     """The Points of keyframes, each of which sees some (p, 4) in M."""
     keyframe = np.repeat(np.arange(len(seen)), [len(p) for p in seen])
     p_AP = np.vstack([moved_points(se2.inverse(X), p) for p, X in zip(seen, X_MN, strict=True)])
-    return Points(keyframe, p_AP, np.zeros(len(X_MN), dtype=np.int64))
+    return Points(keyframe, p_AP, np.zeros(len(X_MN), dtype=np.int64), np.zeros((len(X_MN), 3, 3)))
 
 
 def found(seen, X_MN, seed):
@@ -453,7 +454,7 @@ def some_ties(seed):
     first, second = np.array([0, 1, 3, 2, 0]), np.array([1, 0, 2, 1, 3])
     X_AB = se2.between(X_MN[first], X_MN[second]) + rng.normal(0.0, 0.1, (5, 3))
     X_AB[:, 2] += 2.0 * np.pi * np.array([0, 0, 1, -2, 0])
-    return Ties(first, second, X_AB, INFORMATION), X_MN
+    return Ties(first, second, X_AB, INFORMATION * np.arange(1.0, 6.0)[:, None, None]), X_MN
 
 
 def off_tie(ties, t, x):
@@ -470,9 +471,9 @@ def ties_by_hand(ties, X_MN, which):
     for t in which:
         e = off_tie(ties, t, X_MN.ravel())
         J = jacobian(lambda x, t=t: off_tie(ties, t, x), X_MN.ravel().astype(complex))
-        total += e @ ties.information @ e
-        gradient += J.T @ ties.information @ e
-        H += J.T @ ties.information @ J
+        total += e @ ties.information[t] @ e
+        gradient += J.T @ ties.information[t] @ e
+        H += J.T @ ties.information[t] @ J
     return total, gradient, H
 
 
@@ -482,7 +483,7 @@ def test_ties_are_least_squares_of_relative_poses(seed):
     every, node_at, block, gradient = np.arange(5), 3 * np.arange(4), np.zeros((12, 12)), np.zeros(12)
     total = add_ties(every, *ties, X_MN, node_at, block, gradient)
     # All are nearly where they are to be, whichever way round.
-    assert 0.0 < total < 5 * 900.0 * 0.3**2
+    assert 0.0 < total < 15 * 900.0 * 0.3**2
     expected = ties_by_hand(ties, X_MN, every)
     assert total == pytest.approx(expected[0], rel=1e-12)
     np.testing.assert_allclose(gradient, expected[1], atol=1e-10 * np.abs(gradient).max())
@@ -501,7 +502,7 @@ def test_a_tie_that_is_kept_costs_nothing_and_half_a_turn_off_most():
         X_MN = np.array([[1.0, 2.0, heading], [0.0, 0.0, 0.0]])
         X_MN[1] = se2.compose(X_MN[0], np.array([0.5, -0.2, 0.2]))
         for turn, off in ((0.2, 0.0), (0.2 + 4.0 * np.pi, 0.0), (3.2, 3.0), (-2.8, 3.0), (3.7, 2.0 * np.pi - 3.5)):
-            ties = Ties(np.array([0]), np.array([1]), np.array([[0.5, -0.2, turn]]), np.eye(3))
+            ties = Ties(np.array([0]), np.array([1]), np.array([[0.5, -0.2, turn]]), np.eye(3)[None])
             total = add_ties(np.array([0]), *ties, X_MN, np.array([-1, -1]), NO_BLOCK, np.zeros(3))
             assert total == pytest.approx(off**2, abs=1e-9)
 
@@ -549,7 +550,7 @@ def ring_of_surfaces(tag_error):
         X_MN=np.vstack([np.zeros(3), X_MN[1:] + rng.normal(0.0, 0.01, X_MN[1:].shape)]),
         p_ML=p_ML[graph.ids - 100] + rng.normal(0.0, 0.01, (len(graph.ids), 2)),
         tag_error=tag_error,
-        ties=Ties(first, second, X_AB, INFORMATION),
+        ties=Ties(first, second, X_AB, np.tile(INFORMATION, (len(first), 1, 1))),
     )
 
 
@@ -674,7 +675,9 @@ def test_what_looks_have_in_common_is_as_uneven_as_the_walls():
     """A keyframe that sees a piece of surface by ever so many points tells no more than by how uneven it is."""
     along = np.arange(-0.1, 0.1, 0.001)
     seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
-    points = Points(np.repeat([0, 1], len(seen)), np.vstack([seen, seen]), np.zeros(2, dtype=np.int64))
+    points = Points(
+        np.repeat([0, 1], len(seen)), np.vstack([seen, seen]), np.zeros(2, dtype=np.int64), np.zeros((2, 3, 3))
+    )
     for uneven in (0.0, 0.03):
         pieces = pieces_of(points, np.zeros((2, 3)), 0, uneven)
         most = len(pieces.moments) / (FLOOR**2 + uneven**2)
@@ -685,7 +688,104 @@ def test_parts_of_the_map_between_which_the_way_is_unknown_have_no_surface_in_co
     """Keyframes that seem to lie in one place tie each other within a part only."""
     along = np.arange(-0.5, 0.5, 0.01)
     seen = np.column_stack([along, np.zeros((len(along), 2)), np.ones(len(along))])
-    points = Points(np.repeat(np.arange(4), len(seen)), np.tile(seen, (4, 1)), np.array([0, 0, 1, 1]))
+    points = Points(
+        np.repeat(np.arange(4), len(seen)), np.tile(seen, (4, 1)), np.array([0, 0, 1, 1]), np.zeros((4, 3, 3))
+    )
     pieces = pieces_of(points, np.zeros((4, 3)), 0)
     together = {tuple(pieces.keyframe[a:b].tolist()) for a, b in zip(pieces.looks, pieces.looks[1:], strict=False)}
     assert together == {(0, 1), (2, 3)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_looks_of_scans_that_lie_off_each_other_are_worth_less(seed):
+    """As if each of a keyframe's n looks had n times the variance that its points get along their normal."""
+    seen, X_MN = clutter(seed)
+    points, rng = points_of(seen, X_MN), np.random.default_rng(seed)
+    roots = rng.normal(0.0, [[0.004], [0.004], [0.002]], (len(X_MN), 3, 3))
+    scatter = roots @ roots.transpose(0, 2, 1)
+    sure, worse = (pieces_of(points._replace(scatter=of), frozen(X_MN), seed) for of in (points.scatter, scatter))
+    looks = np.bincount(sure.keyframe)
+    for look, (piece, k) in enumerate(zip(sure.piece, sure.keyframe, strict=True)):
+        S = sure.moments[look]
+        c, s = np.cos(X_MN[k, 2]), np.sin(X_MN[k, 2])
+        a_x, a_y = np.array([[c, s], [-s, c]]) @ sure.frame[piece, 2:]
+        # The points' distances change by a . (x, y) with a move of A, and by a_y x - a_x y with its turn.
+        J = np.array([[a_x, 0.0, 0.0], [a_y, 0.0, 0.0], [0.0, a_y, -a_x]])
+        total = np.array([[S[0], S[1], S[2]], [S[1], S[3], S[4]], [S[2], S[4], S[5]]])
+        over = np.trace(scatter[k] @ J @ total @ J.T)
+        np.testing.assert_allclose(worse.moments[look], S / (1.0 + looks[k] * over), rtol=1e-9)
+
+
+def scans_of_a_turn(rng, error):
+    """Six scans of a turn in place, a room's walls as each sees them in a quarter of a turn; where they were taken from
+    and where they are thought to have been, with ties."""
+    corners = np.array([[-2.0, -1.5], [2.5, -1.5], [2.5, 2.0], [-2.0, 2.0]])
+    walls = [
+        np.column_stack([a + np.arange(0.0, 1.0, 0.02)[:, None] * (b - a), np.tile([-(b - a)[1], (b - a)[0]], (50, 1))])
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    ]
+    room = np.vstack(walls)
+    room[:, 2:] /= np.hypot(room[:, 2], room[:, 3])[:, None]
+    X_AB = np.column_stack([np.zeros((6, 2)), np.arange(6) * 0.8])
+    seen = []
+    for X in X_AB:
+        p = moved_points(se2.inverse(X), room)
+        p = p[np.abs(np.arctan2(p[:, 1], p[:, 0])) < 1.0]
+        seen.append(p + rng.normal(0.0, [0.005, 0.005, 0.0, 0.0], p.shape))
+    thought = X_AB.copy()
+    thought[:, 2] *= 1.0 + error
+    way = np.diag([0.002, 0.002, max(0.8 * error, 0.001)]) ** 2
+    first = np.arange(5)
+    ties = Ties(first, first + 1, se2.between(thought[:-1], thought[1:]), np.tile(np.linalg.inv(way), (5, 1, 1)))
+    return seen, X_AB, thought, ties
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scans_of_a_turn_that_was_measured_wrongly_are_put_together(seed):
+    seen, X_AB, thought, ties = scans_of_a_turn(np.random.default_rng(seed), 0.02)
+    points, scatter = put_together(seen, thought, ties, 0.0)
+    true = np.vstack([moved_points(X, p) for X, p in zip(X_AB, seen, strict=True)])
+    wrong = np.vstack([moved_points(X, p) for X, p in zip(thought, seen, strict=True)])
+    off, before = (np.hypot(*(p - true)[:, :2].T).max() for p in (points, wrong))
+    assert before > 0.15
+    assert off < 0.03
+    assert np.all(np.linalg.eigvalsh(scatter) > 0.0)
+    assert 0.0005 < math.sqrt(scatter[2, 2]) < 0.01
+    # Of what is seen by one scan alone nothing tells but the ties.
+    alone, _ = put_together([p[:0] if k % 5 else p for k, p in enumerate(seen)], thought, ties, 0.0)
+    np.testing.assert_allclose(alone[-len(seen[5]) :], moved_points(thought[5], seen[5]), atol=1e-9)
+
+
+def test_one_scan_lies_where_it_was_taken_and_is_off_none():
+    seen, X_AB, *_ = scans_of_a_turn(np.random.default_rng(0), 0.0)
+    none = Ties(np.arange(0), np.arange(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    points, scatter = put_together(seen[3:4], X_AB[3:4], none, 0.0)
+    np.testing.assert_allclose(points, moved_points(X_AB[3], seen[3]), atol=1e-12)
+    assert not scatter.any()
+    points, scatter = put_together([], X_AB[:0], none, 0.0)
+    assert points.shape == (0, 4)
+    assert not scatter.any()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_scatter_is_that_of_brute_force(seed):
+    """The mean over scans of the covariance of a scan's move of A less that of all."""
+    rng = np.random.default_rng(seed)
+    seen, _, thought, ties = scans_of_a_turn(rng, 0.01)
+    seen = [p[:0] for p in seen]  # By the ties alone: a chain of six.
+    _, scatter = put_together(seen, thought, ties, 0.0)
+    draws = rng.multivariate_normal(np.zeros(3), np.linalg.inv(ties.information[0]), (20000, 5))
+    moves = np.zeros((20000, 6, 3))
+    X = np.zeros((20000, 3))
+    for k in range(5):
+        c, s = np.cos(thought[k, 2]), np.sin(thought[k, 2])
+        step, there = draws[:, k], ties.X_AB[k]
+        turned = step[:, :2] @ np.array([[c, s], [-s, c]])
+        lever = np.array([[c, -s], [s, c]]) @ there[:2]
+        X = X + np.column_stack([turned + X[:, 2:] * [-lever[1], lever[0]], step[:, 2]])
+        moves[:, k + 1] = X
+        moves[:, k + 1, 0] += thought[k + 1, 1] * X[:, 2]
+        moves[:, k + 1, 1] -= thought[k + 1, 0] * X[:, 2]
+    off = moves - moves.mean(axis=1, keepdims=True)
+    expected = np.einsum("nki,nkj->ij", off, off) / (20000 * 6)
+    np.testing.assert_allclose(scatter, expected, atol=0.06 * np.sqrt(np.outer(*[np.diag(expected)] * 2)).max())

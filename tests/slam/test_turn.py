@@ -280,3 +280,21 @@ def test_standing_tells_the_heading_that_turning_does_not(drive):
     short, long, turning = (sigma_of_heading(drive, *how) for how in ((4, 1), (16, 1), (4, 3)))
     assert long < 0.65 * short
     assert turning > 0.95 * short
+
+
+def test_scans_that_see_nothing_in_common_lie_off_each_other_by_how_far_the_turn_is_known(drive):
+    """Two of them, each off their mean by half of the error of the turn between them."""
+    _, (noise, begin, frames, end, _) = simulate(drive, 0, 0.0, tags=0)
+    point = np.array([[1.0, 0.0, -1.0, 0.0]])
+    first, last = frames[3], frames[-3]
+    seen = tuple(dataclasses.replace(one, points=point) if one in (first, last) else one for one in frames)
+    heading, span = np.unwrap([one.X_OB[2] for one in frames[3:-2]]), last.clock - first.clock
+    turned = heading[-1] - heading[0]
+    assert turned > np.pi
+    found = {}
+    for scale in (0.05, 1e-6):
+        shared = by_data_sheet(OdometryConfig(gyro_scale=scale, gyro_bias=1e-6), EXACT)
+        found[scale] = reduced(noise, begin, seen, end, shared).keyframe
+        expected = noise.walks[1] ** 2 * span + (scale * turned) ** 2
+        assert found[scale].scatter[2, 2] == pytest.approx(0.25 * expected, rel=0.05)
+    assert found[0.05].scatter[2, 2] > 2.0 * found[1e-6].scatter[2, 2]

@@ -34,6 +34,7 @@ from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
 SCHEMA = 14
+SCATTER = "graph.keyframes.scatter"
 # One before is read, too.
 OLDER = 13
 # Kinds of a TfgMap's segments.
@@ -206,6 +207,9 @@ def load_map(path: Path) -> SavedMap:
     if schema not in (SCHEMA, OLDER):
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
         raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER} and {SCHEMA}: {mend}")
+    if f"{SCATTER}@shape" not in arrays:  # Of a map from before a keyframe's scans were put together.
+        count = np.size(arrays.get("graph.keyframes.unit", ()))
+        arrays |= {SCATTER: np.zeros(9 * count), f"{SCATTER}@shape": np.full((count, 2), 3)}
     try:
         return whole_map(arrays) if schema == SCHEMA else _older_map(arrays)
     except ArraysError as error:

@@ -271,14 +271,6 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
         state = find_itself(state, state.stamp, at_last=True)
     turn = state.turn
     assert turn is not None
-    if state.map is None:
-        # The map lies in the frame of its begin: to that the points seen as it turned are known no better than how far
-        # it had turned, which walls tell and ties between poses do not.
-        frames = (
-            replace(frame, points=_NO_POINTS) if _has_moved(turn.begin.X_OB, frame.X_OB) else frame
-            for frame in turn.frames
-        )
-        turn = replace(turn, frames=tuple(frames))
     return _add_view(state, turn, SPREAD if explored else 0)
 
 
@@ -543,14 +535,9 @@ def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
         return False
     for frame in reversed(seen.frames):
         if len(frame.points):
-            return _has_moved(frame.X_OB, X_OB)
+            moved = se2.between(frame.X_OB, X_OB)
+            return bool(math.hypot(moved[0], moved[1]) > POINTS_WAY or abs(moved[2]) > POINTS_TURN)
     return True
-
-
-def _has_moved(X_OB: FloatArray, later: FloatArray) -> bool:
-    """True if the robot has gone so far from one pose (3,) to another that it sees surfaces from elsewhere."""
-    moved = se2.between(X_OB, later)
-    return bool(math.hypot(moved[0], moved[1]) > POINTS_WAY or abs(moved[2]) > POINTS_TURN)
 
 
 def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray, most: float) -> LaserScan | None:

@@ -39,7 +39,7 @@ class Keyframe:
     (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. Where
     more of the cost depends on these than follows from on_error, they are parameters behind s: W is (4n + 16, 4n + 16),
     and pull (n, 2) their part of v. points: (p, 4) of its scans that are in no wall, with their normals, in A, see
-    `scan_points`.
+    `scan_points`. scatter: (3, 3) covariance, as moves of A, by which the points of each scan are off those of all.
     """
 
     ids: Annotated[IntArray, "n"]
@@ -53,6 +53,7 @@ class Keyframe:
     on_error: Annotated[FloatArray, "n", 2, 2]
     pull: Annotated[FloatArray, "n", 2]
     points: Annotated[FloatArray, "p", 4] = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
+    scatter: Annotated[FloatArray, 3, 3] = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
 
     @property
     def walls(self) -> int:
@@ -152,6 +153,14 @@ def moved_points(X_FA: FloatArray, points: FloatArray) -> FloatArray:
     return np.hstack([se2.transform(X_FA, points[:, :2]), se2.transform(turned, points[:, 2:])])
 
 
+def moves_of_origin(X_AB: FloatArray) -> FloatArray:
+    """Derivatives (k, 3, 3) of where the origin A goes, were it fixed to B, with a move of B by x, y (m) and theta
+    (rad) of A, at X_AB (k, 3)."""
+    moves = np.tile(np.eye(3), (len(X_AB), 1, 1))
+    moves[:, 0, 2], moves[:, 1, 2] = X_AB[:, 1], -X_AB[:, 0]
+    return moves
+
+
 def along_walls(wall: FloatArray) -> FloatArray:
     """Unit vectors (n, 2) along walls (n, 2): their normals turned left by 90 degrees."""
     return np.column_stack([-np.sin(wall[:, 0]), np.cos(wall[:, 0])])
@@ -247,7 +256,11 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
     X_AB = B * np.array([share, share, 1.0])
     points = np.vstack([first.points, moved_points(X_AB, second.points)])
-    return replace(one, y_AD=y_AD, points=points), B * np.array([share, share, 1.0]), deviation
+    R, on_A = np.eye(3), moves_of_origin(X_AB[None])[0]
+    R[:2, :2], of_B = se2.rotation(float(X_AB[2])), on_A @ covariance[-3:, -3:] @ on_A.T
+    # Each half is off their mean by half of what it is off the other.
+    scatter = 0.5 * (first.scatter + on_A @ R @ second.scatter @ R.T @ on_A.T) + 0.25 * of_B
+    return replace(one, y_AD=y_AD, points=points, scatter=scatter), X_AB, deviation
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:

@@ -166,6 +166,7 @@ def factors_of(graph: KeyframeGraph) -> Factors:
         np.repeat(np.arange(len(graph.keyframes)), [len(one.points) for one in graph.keyframes]),
         np.vstack([one.points for one in graph.keyframes]),
         np.cumsum([is_unknown(one) for one in graph.keyframes]),
+        np.array([one.scatter for one in graph.keyframes]),
     )
     pieces = pieces_of(points, graph.X_MN, len(graph.keyframes), graph.unevenness)
     return Factors(keyframes, graph.prior.mean, of_prior, errors, pieces, graph.ties)

@@ -10,12 +10,14 @@ cells' origin is another in each, so that no surface lies on a border for good.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.keyframe import moves_of_origin
 
 # Side of a cell, m. Points of one look the same way where their normals, by direction, follow each other within this,
 # rad, and their mean is no shorter than this.
@@ -30,15 +32,19 @@ POINT, FLOOR, SLOPE = 0.02, 0.01, 0.15
 EDGE = 0.25
 # Farther off than this, m, a point counts less and less (Cauchy), by weights that have settled after so many rounds.
 ROBUST, ROUNDS = 0.04, 5
+# The scans of one keyframe are put together by so many steps of Gauss and Newton.
+STEPS = 2
 
 
 class Points(NamedTuple):
     """p scan points of k keyframes. keyframe: (p,) ascending. p_AP: (p, 4) place, m, and unit normal, in its A. part:
-    (k,) ascending numbers of the parts of the map between which the way is not known."""
+    (k,) ascending numbers of the parts of the map between which the way is not known. scatter: (k, 3, 3) as of
+    `Keyframe`."""
 
     keyframe: IntArray
     p_AP: FloatArray
     part: IntArray
+    scatter: FloatArray
 
 
 class Pieces(NamedTuple):
@@ -69,7 +75,7 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     edge = ~points.p_AP[:, 2:].any(axis=1)
     of_kind = [np.flatnonzero(~edge), np.flatnonzero(edge), np.flatnonzero(edge)]
     kind, every = np.repeat(np.arange(3), [len(some) for some in of_kind]), np.concatenate(of_kind)
-    points = Points(points.keyframe[every], points.p_AP[every], points.part)
+    points = points._replace(keyframe=points.keyframe[every], p_AP=points.p_AP[every])
     p_MP = np.asarray(in_map(points.keyframe, points.p_AP, X_MN))
     p_MP[kind > 0, 2:] = np.eye(2)[kind[kind > 0] - 1]
     cell = np.floor((p_MP[:, :2] + rng.uniform(0.0, CELL, 2)) / CELL).astype(np.int64)
@@ -106,7 +112,24 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
         FLOOR**2 + unevenness**2,
         moments,
     )
-    return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe[some], moments[some])
+    normal = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some]
+    keyframe, moments = keyframe[some], moments[some]
+    moments *= _worth(keyframe, normal, moments, X_MN, points.scatter)[:, None]
+    return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe, moments)
+
+
+def _worth(
+    keyframe: IntArray, normal: FloatArray, moments: FloatArray, X_MN: FloatArray, scatter: FloatArray
+) -> FloatArray:
+    """The share (l,) of its weight that a look at a piece with a normal (l, 2) in M is worth, as the scans of its
+    keyframe lie off each other: all n looks of that are off together, so each has n times that variance."""
+    c, s, (n_x, n_y) = np.cos(X_MN[keyframe, 2]), np.sin(X_MN[keyframe, 2]), normal.T
+    a_x, a_y, M, Q = c * n_x + s * n_y, c * n_y - s * n_x, moments.T, scatter[keyframe]
+    # The points' sums of weights, times how far they go along the normal with a turn of A, and times its square.
+    lever, turn = a_y * M[1] - a_x * M[2], a_y * a_y * M[3] - 2.0 * a_x * a_y * M[4] + a_x * a_x * M[5]
+    moved = a_x * a_x * Q[:, 0, 0] + 2.0 * a_x * a_y * Q[:, 0, 1] + a_y * a_y * Q[:, 1, 1]
+    over = M[0] * moved + 2.0 * lever * (a_x * Q[:, 0, 2] + a_y * Q[:, 1, 2]) + turn * Q[:, 2, 2]
+    return np.asarray(1.0 / (1.0 + np.bincount(keyframe)[keyframe] * over))
 
 
 def _order(keys: IntArray) -> IntArray:
@@ -116,7 +139,7 @@ def _order(keys: IntArray) -> IntArray:
 
 
 class Ties(NamedTuple):
-    """t pairs of keyframes, first and second (t,), the second at X_AB (t, 3) of the first, by information (3, 3)."""
+    """t pairs of keyframes, first and second (t,), the second at X_AB (t, 3) of the first, by information (t, 3, 3)."""
 
     first: IntArray
     second: IntArray
@@ -127,7 +150,7 @@ class Ties(NamedTuple):
 def no_ties() -> Ties:
     """None."""
     none = np.zeros(0, dtype=np.int64)
-    return Ties(none, none, np.zeros((0, 3)), np.zeros((3, 3)))
+    return Ties(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
 
 @njit(cache=True)
@@ -154,9 +177,9 @@ def add_ties(
         J[0, 0], J[0, 1], J[0, 2], J[0, 3], J[0, 4] = -c, -s, y, c, s
         J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4] = s, -c, -x, -s, c
         J[2, 2], J[2, 5] = -1.0, 1.0
-        weighted = information @ e
+        weighted = information[t] @ e
         total += float(e @ weighted)
-        g, H = J.T @ weighted, J.T @ information @ J
+        g, H = J.T @ weighted, J.T @ information[t] @ J
         for a in range(3):
             at[a] = node_at[first[t]] + a if node_at[first[t]] >= 0 else -1
             at[3 + a] = node_at[second[t]] + a if node_at[second[t]] >= 0 else -1
@@ -305,3 +328,27 @@ def add_pieces(
                     for b in range(3):
                         block[at + a, other + b] -= u * by_piece[q, b] + v * by_piece[q, 3 + b]
     return total
+
+
+def put_together(
+    seen: Sequence[FloatArray], X_AB: FloatArray, ties: Ties, unevenness: float
+) -> tuple[FloatArray, FloatArray]:
+    """Points (p, 4) in A of m scans, by how the surfaces that they saw (p_i, 4) in B fit each other and by ties between
+    neighbours, and the `Keyframe.scatter` that is left. X_AB: (m, 3) where they are thought to be; the first stays.
+    unevenness: as of `pieces_of`."""
+    m, X, scatter = len(seen), X_AB.copy(), np.zeros((3, 3))
+    keyframe, p_BP = np.repeat(np.arange(m), [len(some) for some in seen]), np.vstack([np.empty((0, 4)), *seen])
+    if m > 1:
+        points = Points(keyframe, p_BP, np.zeros(m, dtype=np.int64), np.zeros((m, 3, 3)))
+        node_at, covariance = 3 * np.arange(m) - 3, np.zeros((3 * m, 3 * m))
+        for step in range(STEPS):
+            pieces = pieces_of(points, X, step, unevenness)
+            H, g = np.zeros((3 * m - 3, 3 * m - 3)), np.zeros(3 * m - 3)
+            add_pieces(np.arange(len(pieces.frame)), *pieces, X, node_at, H, g)
+            add_ties(np.arange(m - 1), *ties, X, node_at, H, g)
+            covariance[3:, 3:] = np.linalg.inv(H)
+            X[1:] -= (covariance[3:, 3:] @ g).reshape(-1, 3)
+        on_A = moves_of_origin(X)
+        moves = np.einsum("iab,ibjc,jdc->iajd", on_A, covariance.reshape(m, 3, m, 3), on_A)
+        scatter = np.einsum("iaib->ab", moves) / m - moves.sum(axis=(0, 2)) / m**2
+    return np.asarray(in_map(keyframe, p_BP, X)), np.asarray(scatter)

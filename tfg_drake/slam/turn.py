@@ -9,6 +9,7 @@ the ratio of the odometry's scale to theirs is a parameter here.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import NamedTuple
 
@@ -43,6 +44,7 @@ from tfg_drake.slam.shared import (
     Shared,
     scale_of,
 )
+from tfg_drake.slam.surfaces import Ties, put_together
 from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
 from tfg_drake.table import empty
 
@@ -261,18 +263,31 @@ def reduced(
     one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept), floor)
     X_AB = solution.X_AB / np.array([scale, scale, 1.0])
     yaw, ahead, left = solution.parameters[SCANNER_YAW : SCANNER_Y + 1]
-    points = [np.empty((0, 4))]
-    for k, frame in zip(node, (*frames, end), strict=True):
-        if len(frame.points):
-            points.append(moved_points(se2.compose(X_AB[k], np.array([ahead, left, yaw])), frame.points))
+    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, one in enumerate((*frames, end)) if len(one.points)]
+    at = np.array(node, dtype=np.int64)[scanned]
+    of_scans = [moved_points(X_BS, (*frames, end)[k].points) for k in scanned]
+    points, scatter = put_together(of_scans, X_AB[at], _ways(noise, shared, problem, X_AB, at), unevenness)
     return Reduced(
-        keyframe=replace(one, points=np.vstack(points)),
+        keyframe=replace(one, points=points, scatter=scatter),
         sightings=np.append(walls, solution.sightings),
         dropped=int(np.sum(~kept)),
         stamps=stamps,
         X_AB=X_AB,
         sample=_sample(problem, solution, kept) if solution.unit != DISTANCE_SCALE and not slipped else None,
     )
+
+
+def _ways(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
+    """Ties between neighbours of some of the poses X_AB (t, 3), at (m,), by odometry's noise and scales."""
+    information, heading = np.empty((max(len(at) - 1, 0), 3, 3)), np.unwrap(problem.X_OB[:, 2])
+    for i, (k, later) in enumerate(itertools.pairwise(at)):
+        increment, dt = arc(problem.X_OB[k], problem.X_OB[later]), problem.clock[later] - problem.clock[k]
+        increment[2] = heading[later] - heading[k]
+        _, on, covariance = predict_increment(increment, dt, shared.mean[:CALIBRATION], noise.walks)
+        covariance += on @ shared.covariance[:CALIBRATION, :CALIBRATION] @ on.T
+        information[i] = np.linalg.inv(covariance)
+    first = np.arange(len(information))
+    return Ties(first, first + 1, se2.between(X_AB[at[:-1]], X_AB[at[1:]]), information)
 
 
 def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArray:
