@@ -123,12 +123,12 @@ def MakeTfgExplorer(
 
 def MakeGoalSelector(of: Scenario, frontiers: Callable[[Situation], Situation] | None = None) -> InfoGainGoalSelector:
     """The usual goal selector for a scenario."""
-    return InfoGainGoalSelector(of.robot, of.odometry, of.tags, of.explorer, of.seed, of.scan.range, frontiers)
+    return InfoGainGoalSelector(of.robot, of.odometry, of.view, of.explorer, of.seed, of.scan.range, frontiers)
 
 
 def MakePlanner(of: Scenario, cost: EdgeCost = cost_of_edge) -> PrmPlanner:
     """The usual planner for a scenario."""
-    return PrmPlanner(of.robot, of.odometry, of.tags, of.explorer, of.planner, of.seed, of.scan.least_range, cost)
+    return PrmPlanner(of.robot, of.odometry, of.view, of.explorer, of.planner, of.seed, of.scan.least_range, cost)
 
 
 def MakeFollower(of: Scenario) -> PurePursuitFollower:
@@ -156,7 +156,7 @@ class Wiring:
         slam = self.Add("slam_estimator", MakePart("estimator", estimator, usual, scenario))
         if slam.HasInputPort("said_pose"):
             self._Export(slam.GetInputPort("said_pose"), "said_pose")
-        building = TfgBuilder(tags, scan, scenario.robot, explorer, MakeKeepOut(scenario))
+        building = TfgBuilder(scenario.view, scan, scenario.robot, explorer, MakeKeepOut(scenario))
         return slam, self.Add("tfg_builder", building)
 
     def _Export(self, port: InputPort, name: str) -> None:

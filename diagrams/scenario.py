@@ -99,6 +99,11 @@ class Scenario:
         """Field of view that tag sensor and scanner share, rad."""
         return min(self.tags.field_of_view, self.scan.field_of_view)
 
+    @property
+    def view(self) -> TagSensorConfig:
+        """The tag sensor no farther than the scanner sees: what exploring counts on, as frontiers end free space."""
+        return dataclasses.replace(self.tags, range=min(self.tags.range, self.scan.range))
+
 
 # Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
 _BOUNDS: dict[str, tuple[float, float]] = {

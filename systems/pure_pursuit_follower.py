@@ -98,7 +98,9 @@ class PurePursuitFollower(LeafSystem):
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
-            x[FIRST] = x[THEN] = 2.0 * np.pi * (self._explorer.first_turns if mission.stage == 0 else 1)
+            # Half of the first turns go back: what a turn is wrongly measured by does not turn the map.
+            turns = self._explorer.first_turns if mission.stage == 0 else 1
+            x[FIRST], x[THEN] = 2.0 * np.pi * np.array([(turns + 1) // 2, (turns + 1) // 2 - turns // 2])
             if mission.stage > 0 and self._field_of_view is not None:
                 at_goal = goal.stage == mission.stage and mission.failures == 0 and x[FINISHED]
                 x[FIRST], x[THEN] = turn_to_see(goal.look if at_goal else goal.look[:0], heading, self._field_of_view)

@@ -431,11 +431,11 @@ class ExplorerConfig:
     frontier_attempts: int = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: float = 1.2
-    # The robot stands and looks this long before it first moves, s, and then turns round so many times. The map's
-    # heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every turn; the turns
-    # tell where among the landmarks the robot stood.
+    # The robot stands and looks this long before it first moves, s, and then turns round so many times, half of them
+    # back. The map's heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every
+    # turn; the turns tell where among the landmarks the robot stood.
     first_look: float = 5.0
-    first_turns: int = 3
+    first_turns: int = 2
     # Areas that the robot must not enter, each the corners [x, y] of a polygon in W, m: of a robot in a building that
     # is not known in the frame of its start.
     keep_out: list[list[list[float]]] = dataclasses.field(default_factory=list)

@@ -378,7 +378,7 @@ class Mission:
         if tfg is None or roadmap is None:
             return None
         reasons = (REASONS[0] if self.outcome == "complete" else UNSEEN, *REASONS[1:])
-        why = [reasons[i] for i in hindrances(tfg, roadmap, self.scenario.tags, self.scenario.robot.radius)]
+        why = [reasons[i] for i in hindrances(tfg, roadmap, self.scenario.view, self.scenario.robot.radius)]
         places = transform(self.X_WM, np.vstack([tfg.frontiers, tfg.given_up])).round(3).tolist()
         lengths = np.append(tfg.frontier_length, tfg.given_up_length).round(3).tolist()
         why += [IN_VAIN] * len(tfg.given_up)

@@ -133,14 +133,22 @@ def test_drives_on_while_a_glance_is_mapped():
     assert not rig.V.any()
 
 
-@pytest.mark.parametrize("turns", [1, 3])
-def test_a_mission_begins_with_a_look_and_turns_round(turns):
+@pytest.mark.parametrize(("turns", "there", "left"), [(1, 1, 1), (2, 1, 0), (3, 2, 1)])
+def test_a_mission_begins_with_a_look_and_turns_round_and_back(turns, there, left):
     rig = Rig(explorer=ExplorerConfig(first_turns=turns))
     rig.mission = MissionStatus(phase="observe", stage=0, since=0.0)
     rig._fix()
     assert not rig.run(ExplorerConfig().first_look, lambda _: rig.V[1] != 0.0)
-    assert rig.run(22, lambda status: status.turn_done)
-    assert 2 * turns * math.pi <= rig.X[2] < 2 * turns * math.pi + 0.05
+    furthest = 0.0
+
+    def turned(status):
+        nonlocal furthest
+        furthest = max(furthest, rig.X[2])
+        return status.turn_done
+
+    assert rig.run(22, turned)
+    assert 2 * there * math.pi <= furthest < 2 * there * math.pi + 0.2
+    assert rig.X[2] == pytest.approx(2 * left * math.pi, abs=0.05)
 
 
 def test_every_observation_turns_anew():
