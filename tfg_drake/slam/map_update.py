@@ -26,11 +26,12 @@ REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
 # The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
-# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, when the heading is known
-# no better than this, rad: a sighting then turns more than a linearisation can follow; or when a parameter has moved by
-# this share of the deviation that it had at the last solve.
+# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, when a parameter has moved
+# by this share of the deviation that it had at the last solve, or when a turn of the map about its origin by what the
+# heading deviates takes what is seen, so far off the robot, m, this far, m, off the tangent that updates follow: each
+# would tell a little of the heading that nobody saw.
 FAR_MOVED = 0.05
-LOOSE_HEADING = 0.1
+BEYOND, OFF_TANGENT = 5.0, 0.003
 MANY_KEYFRAMES = 32
 NEAREST = 100
 LOOSER = np.array([0.02, 0.005])
@@ -163,7 +164,7 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
     """Whether an updated graph and map are to be solved; solved: the graph at the last solve."""
     if len(graph.keyframes) >= len(solved.keyframes) + min(max(len(solved.keyframes) // 2, 1), MANY_KEYFRAMES):
         return True
-    if estimate.covariance[-1, -1] > LOOSE_HEADING**2:
+    if 0.5 * estimate.covariance[-1, -1] * (math.hypot(*estimate.X_MD[:2]) + BEYOND) > OFF_TANGENT:
         return True
     if np.any(np.abs(estimate.shared - solved.shared.mean) > PARAMETER_MOVED * solved.shared.sigma):
         return True
