@@ -1,8 +1,11 @@
 """A robot that maps on though it has lost its place finds the map before again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from tests.slam.rings import NOTHING, observed, way
 from tests.slam.test_scan_lines import ANGLES, CONFIG
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
@@ -10,8 +13,14 @@ from tfg_drake.messages import Odometry, replace
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam import estimator, reunion
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, process_scan
-from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened
+from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened, unknown_way
+from tfg_drake.slam.keyframe import without_tags
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
+from tfg_drake.slam.map_solver import solve
+from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.place_search import no_places
+from tfg_drake.slam.reunion import found_again
+from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
 
 # A room that is not alike from any two sides.
@@ -20,6 +29,12 @@ ROOM = np.array(
     dtype=float,
 )
 PERIOD = 0.1
+# A robot that was kidnapped maps on, and later sees what it had mapped before beside what it has mapped since.
+SEEN, X_AD = 5.5, np.array([0.01, -0.02, 0.1])
+PLACES = np.array([[0.0, 0.0, 0.3], [3.0, 0.0, -0.4], [14.0, 0.0, 1.0], [17.0, 0.0, 2.0], [8.5, 0.0, 0.5]])
+# What the robot believes of where it was put, against where it is.
+GUESS = np.array([2.0, -1.0, 0.6])
+BETWEEN = way(np.random.default_rng(4), se2.between(se2.compose(PLACES[3], X_AD), PLACES[4]))
 
 
 class Robot:
@@ -71,3 +86,70 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
+
+
+def observation(rng, points, X):
+    p_ML = se2.transform(se2.inverse(PLACES[0]), points)
+    X_MA = se2.between(PLACES[0], X)
+    return observed(rng, p_ML, X_MA, X_AD, np.flatnonzero(np.hypot(*(points - X[:2]).T) < SEEN))
+
+
+@pytest.fixture
+def kidnapped():
+    """Graph and map after two views, a lift by 11 m, and two more views; the view that sees both parts; the tags."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-4, 21, 60), rng.uniform(-4, 4, 60)])
+    graph, estimate = empty_graph(exactly_known()), empty_map(exactly_known())
+    for k, X in enumerate(PLACES[:4]):
+        seen = observation(rng, points, X)
+        if k > 0:
+            X_DA = se2.between(se2.compose(PLACES[k - 1], X_AD), X)
+            between = unknown_way(se2.compose(X_DA, GUESS))[0].keyframe if k == 2 else way(rng, X_DA)
+            graph, estimate, _ = updated(graph, estimate, between, is_view=False)
+        graph, estimate, rejected = updated(graph, estimate, seen)
+        assert len(rejected) == 0
+        graph, estimate = solve(graph, float(k), NOTHING)
+    return graph, estimate, observation(rng, points, PLACES[4]), se2.transform(se2.inverse(PLACES[0]), points)
+
+
+def before_the_view(graph, estimate, seen):
+    """Graph and map as they are put together where the robot has come to a view by a way that it knows."""
+    state = SimpleNamespace(graph=graph, map=estimate, placed=0.0, stamp=9.0)
+    return found_again(state, ((SimpleNamespace(keyframe=BETWEEN), None),), seen)[:2]
+
+
+def joined(graph, estimate, seen):
+    between = BETWEEN
+    graph, estimate, _ = updated(graph, estimate, between, is_view=False)
+    graph, _, rejected = updated(graph, estimate, seen)
+    return *solve(graph, 9.0, NOTHING), rejected
+
+
+def test_what_was_mapped_since_moves_to_its_place_and_no_tag_is_left_out(kidnapped):
+    graph, estimate, seen, p_ML = kidnapped
+    assert np.hypot(*(graph.p_ML - p_ML[graph.ids - 100]).T).max() > 2.0
+    whole, _, rejected = joined(*before_the_view(graph, estimate, seen), seen)
+    assert len(rejected) == 0
+    assert np.hypot(*(whole.p_ML - p_ML[whole.ids - 100]).T).max() < 0.2
+    # Without the move, a linearisation about the guess takes the old tags for moved ones.
+    _, _, rejected = joined(graph, estimate, seen)
+    assert len(rejected) > 0
+
+
+def test_nothing_moves_where_the_view_does_not_say_where_to(kidnapped):
+    graph, estimate, seen, _ = kidnapped
+    since = np.concatenate([one.ids for one in graph.keyframes[4:]])
+    only_new = without_tags(seen, np.setdiff1d(graph.ids, since))
+    assert before_the_view(graph, estimate, only_new)[0] is graph
+    assert before_the_view(empty_graph(exactly_known()), estimate, seen)[1] is estimate
+    whole, after, _ = joined(*before_the_view(graph, estimate, seen), seen)
+    assert before_the_view(whole, after, seen)[0] is whole
+
+
+def test_a_misread_id_moves_nothing(kidnapped):
+    graph, estimate, seen, _ = kidnapped
+    first = np.concatenate([one.ids for one in graph.keyframes[:3]])
+    row = int(np.flatnonzero(np.isin(seen.ids, first))[0])
+    y_AL = seen.y_AL.copy()
+    y_AL[row] += 3.0
+    assert before_the_view(graph, estimate, replace(seen, y_AL=y_AL))[0] is graph

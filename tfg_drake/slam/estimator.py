@@ -72,7 +72,7 @@ from tfg_drake.slam.localizer import (
     step_localizer,
 )
 from tfg_drake.slam.loop_search import with_loops_closed
-from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere, realigned
+from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of, finished, is_looser, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
@@ -660,7 +660,6 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         turn = _found_meanwhile(state, turn)
         way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
     before, known, way = found_again(state, way, keyframe)
-    before, known = realigned(before, known, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources: tuple[Source | None, ...] = state.sources
     walls = state.walls

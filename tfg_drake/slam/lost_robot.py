@@ -8,10 +8,6 @@ Relocalisation is by geometry, from mapped tags and how far the robot can have g
 give a pose, and one gives a ring of them. Each is judged by how many tags agree with it and by how far from the
 expected pose it is: beyond some distance that counts no more, as the robot may have been kidnapped. Wrong ids and
 outliers are outvoted, and where there are several answers none is known.
-
-Nothing ties the part of the map made since a kidnapping to the rest; its place and heading are a guess. An observation
-of tags of both parts measures their relative pose, but the guess may be wrong by more than a linearisation allows. So
-the newer part is first moved as a whole, realigned; then the observation is added like any other.
 """
 
 from __future__ import annotations
@@ -24,12 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tfg_drake.geometry import se2
-from tfg_drake.geometry.alignment import align
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, replace
 from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
 from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
-from tfg_drake.slam.keyframe_graph import WITNESSES, KeyframeGraph, decoupled, moved_part
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, decoupled
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, restart_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import Prior, find_places, is_elsewhere, seen_at_once, tells_place
@@ -86,9 +81,6 @@ STEPS = 8
 # much more.
 KNOWN = np.array([0.3, 0.3, 0.1])
 AHEAD = 6.0
-# Tags of either part that a view must see, and how well they must fit, m: an id may have been misread.
-LEAST_TAGS = 3
-FIT = 0.3
 
 _log, _operator = logging.getLogger("tfg_drake.slam"), logging.getLogger("tfg_drake.operator")
 
@@ -432,40 +424,9 @@ def known_points(graph: KeyframeGraph) -> FloatArray:
     return map_points(graph, range(j) if j >= 0 else None)
 
 
-def realigned(graph: KeyframeGraph, estimate: MapEstimate, observation: Keyframe) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and estimate with the part mapped since the last kidnapping moved to fit an observation that is not yet in
-    them. They are returned as they were where no part is adrift or the observation does not tell its place."""
-    keyframes, j = graph.keyframes, adrift(graph)
-    if j < 0 or not len(graph.ids):
-        return graph, estimate
-    before, since = seen_by(graph, keyframes[:j]), seen_by(graph, keyframes[j + 1 :])
-    row, known = rows_of(observation.ids, graph.ids)
-    known &= is_tag(observation.ids)
-    old, new = known & before[row] & ~since[row], known & since[row] & ~before[row]
-    if (before & since).sum() >= WITNESSES or min(old.sum(), new.sum()) < LEAST_TAGS:
-        return graph, estimate
-    p_AL, p_ML = observation.given(graph.shared.mean)[0], estimate.p_ML[row]
-    by_old, by_new = align(p_ML[old], p_AL[old]), align(p_ML[new], p_AL[new])
-    if max(_misfit(by_old, p_AL[old], p_ML[old]), _misfit(by_new, p_AL[new], p_ML[new])) > FIT:
-        return graph, estimate
-    move = se2.compose(by_old, se2.inverse(by_new))
-    X_MN = graph.X_MN.copy()
-    X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
-    # The unknown way is given the motion that leads there.
-    way = replace(keyframes[j], y_AD=se2.between(X_MN[j], X_MN[j + 1]))
-    graph = replace(graph, keyframes=(*keyframes[:j], way, *keyframes[j + 1 :]), X_MN=X_MN, p_ML=estimate.p_ML)
-    graph = moved_part(graph, since & ~before, move)
-    return solve(graph, estimate.stamp, estimate.observation)
-
-
 def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
     """Which landmarks (n,) some keyframes have seen."""
     seen = np.zeros(len(graph.ids), dtype=bool)
     for one in keyframes:
         seen[rows_of(one.ids, graph.ids)[0]] = True
     return seen
-
-
-def _misfit(X_MA: FloatArray, p_AL: FloatArray, p_ML: FloatArray) -> float:
-    """How far (m) the worst of the points p_AL (n, 2), seen from X_MA (3,), is from where the map has it, (n, 2)."""
-    return float(np.hypot(*(se2.transform(X_MA, p_AL) - p_ML).T).max())
