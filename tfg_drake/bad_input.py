@@ -1,11 +1,11 @@
-"""What a user is told in one line: the commands print it and end with exit code 2."""
+"""Faults that a user can mend, in one line: the commands print it and end with exit code 2."""
 
 # Whoever writes a greater angle, rad, thinks of degrees.
 _TURN = 6.293
 
 
 class BadInput(Exception):
-    """What the user gave cannot be used; the message is one line that names the culprit and the mend."""
+    """The user's input cannot be used; the message is one line that names the culprit and the mend."""
 
 
 class EstimateLost(Exception):

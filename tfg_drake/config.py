@@ -123,7 +123,7 @@ class ScanConfig:
 
 @dataclasses.dataclass
 class StationConfig:
-    """What the simulated station is made of."""
+    """The parts of the simulated station."""
 
     # What it sees with, one of EYES. Saying `camera` also sets in the sections tags and scan what such a camera's data
     # sheet says; what is set after that holds.
@@ -281,7 +281,7 @@ class ChangeConfig:
 
 @dataclasses.dataclass
 class TagRealityConfig:
-    """What the simulated tag sensor does where its data sheet, TagSensorConfig, says otherwise; None: as that says."""
+    """The simulated tag sensor where it differs from its data sheet, TagSensorConfig; None: as that says."""
 
     range: float | None = None
     max_incidence: float | None = None
@@ -319,7 +319,7 @@ class TagRealityConfig:
 
 @dataclasses.dataclass
 class OdometryRealityConfig:
-    """What wheels and gyro of the simulated base do where OdometryConfig says otherwise; None: as that says."""
+    """Wheels and gyro of the simulated base where they differ from OdometryConfig; None: as that says."""
 
     distance_noise: float | None = None
     distance_scale: float | None = None
@@ -334,7 +334,7 @@ class OdometryRealityConfig:
 
 @dataclasses.dataclass
 class ScanRealityConfig:
-    """What the simulated scanner does where its data sheet, ScanConfig, says otherwise; None: as that says."""
+    """The simulated scanner where it differs from its data sheet, ScanConfig; None: as that says."""
 
     noise: float | None = None
     # Errors of two rays fall to 1/e of their correlation over this angle between them, rad; 0: white.
@@ -358,7 +358,7 @@ class ScanRealityConfig:
 
 @dataclasses.dataclass
 class CameraRealityConfig:
-    """What a rendered camera does besides showing what is there."""
+    """The faults of a rendered camera."""
 
     # How long a frame is exposed, s: meanwhile the robot turns, and the image is blurred by so much.
     exposure_time: float = 0.0

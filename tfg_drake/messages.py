@@ -1,4 +1,4 @@
-"""What the systems say to each other: frozen, stamped, in SI units.
+"""The messages between the systems: frozen, stamped, in SI units.
 
 Every message is a frozen dataclass whose arrays are read-only and whose deep copy is itself, so Drake may copy a
 context as often as it likes at no cost, and nobody can change what somebody else is reading.
@@ -161,7 +161,7 @@ class SaidPose:
 
 @message
 class Observation:
-    """What a turn, glance or piece of the way saw. ids: (n,) tags. stamps: (t,) s and X_AB: (t, 3), its poses in its
+    """Sightings of a turn, glance or piece of way. ids: (n,) tags. stamps: (t,) s and X_AB: (t, 3), its poses in its
     arrival frame A."""
 
     ids: Annotated[IntArray, "n"]
@@ -296,7 +296,7 @@ class MapEstimate:
 
     @property
     def local_p_ML(self) -> FloatArray:
-        """Those of the landmarks known jointly, (m, 2)."""
+        """The places of the landmarks known jointly, (m, 2)."""
         return self.p_ML[self.local]
 
 
@@ -499,7 +499,7 @@ class MissionStatus:
 
 @message
 class FollowerStatus:
-    """What the follower has done. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
+    """The progress of the follower. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
 
     turn_done: the turn of the running observation is complete. stalled: it has been told to move for some time and has
     not: something holds it up. left: m of the path ahead.

@@ -22,7 +22,7 @@ def outline(corners: FloatArray) -> FloatArray:
 
 
 def fault(corners: FloatArray) -> str:
-    """What keeps corners from being those of a polygon, "" if nothing does."""
+    """The reason why corners are not those of a polygon, "" if they are."""
     if len(corners) < 3:
         return f"has {len(corners)} corners"
     if np.abs(corners).max() > _FARTHEST:

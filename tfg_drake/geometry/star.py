@@ -111,7 +111,7 @@ def _inside(
 
 @njit(cache=True)
 def star_index(star_offsets: IntArray, star_vertices: FloatArray) -> StarIndex:
-    """What tells quickly which stars a point may lie in: their bounding boxes, the segment_grid of these, and the runs
+    """An index of the stars that a point may lie in: their bounding boxes, the segment_grid of these, and the runs
     of their edges. Star polygons as in `inside_any`."""
     boxes = _boxes(star_offsets, star_vertices)
     runs, reach = _runs_of_edges(star_offsets, star_vertices)

@@ -1,4 +1,4 @@
-"""What a turning scanner measured ray by ray, and the scan that it would have taken at one instant."""
+"""A scan that was measured ray by ray as the scanner turned, as it would be of one instant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be seen past wall segments: ray casting and line of sight.
+"""Ray casting and line of sight past wall segments.
 
 All points, angles and segments of a call are in one common frame, whichever the caller likes. A segment is a row
 (x0, y0, x1, y1) in metres. Walls that share an end point leave no gap: a ray through the point hits.

@@ -34,7 +34,7 @@ class Frontier:
 
 
 def classify(grid: GridMap) -> CellArray:
-    """What each cell is (h, w): UNKNOWN, FREE or OCCUPIED."""
+    """The class of each cell (h, w): UNKNOWN, FREE or OCCUPIED."""
     cells = np.full(grid.probability.shape, UNKNOWN, dtype=np.uint8)
     cells[grid.probability < FREE_BELOW] = FREE
     cells[grid.probability > OCCUPIED_ABOVE] = OCCUPIED

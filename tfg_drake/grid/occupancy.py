@@ -155,7 +155,7 @@ def log_odds(maps: TileMaps, particle: int) -> tuple[FloatArray, NDArray[np.int8
 
 
 def probability(steps: NDArray[np.int8]) -> NDArray[np.float32]:
-    """Of being occupied, for log odds in steps."""
+    """The probability of being occupied, for log odds in steps."""
     table = 1.0 / (1.0 + np.exp(-STEP * np.arange(-128, 128)))
     return np.asarray(table.astype(np.float32)[steps.astype(np.int64) + 128])
 

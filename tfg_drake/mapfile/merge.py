@@ -87,7 +87,7 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
 
 
 def _looks(saved: SavedMap) -> set[bytes]:
-    """What its keyframes measured, but for those of a way without landmarks: no two looks are the same to the bit."""
+    """Its keyframes' measurements, but for those of a way without landmarks: no two looks are the same to the bit."""
     return {one.y_AL.tobytes() + one.information.tobytes() for one in saved.graph.keyframes if len(one.ids)}
 
 

@@ -35,7 +35,7 @@ class Standing(NamedTuple):
 
 
 def standing_in(saved: SavedMap) -> Standing:
-    """What stands in a map."""
+    """All that stands in a map."""
     return Standing(saved.tfg.segments, saved.X_MA)
 
 
@@ -65,7 +65,7 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
 
 
 def _seen_in(of: Standing) -> Seen:
-    """What a robot that stands at some of the views sees."""
+    """All that a robot at some of the views sees."""
     views = of.X_MV[:: max(len(of.X_MV) // VIEWS, 1)]
     seen = nothing_seen()
     for X in views:

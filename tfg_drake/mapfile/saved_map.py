@@ -97,7 +97,7 @@ class SavedMap:
 
     @property
     def entropy(self) -> float:
-        """Of the landmarks, nats."""
+        """The entropy of the landmarks, nats."""
         return self.graph.entropy
 
     @property

@@ -65,7 +65,7 @@ def _walls(sigma: FloatArray) -> str:
 
 
 def _calibration(saved: SavedMap) -> str:
-    """What the map's estimator has learnt of the tag sensor."""
+    """The tag sensor as the map's estimator has learnt it."""
     if not saved.compared:
         return "none"
     share, sigma = saved.graph.shared.mean[RANGE_SCALE], saved.graph.shared.sigma[RANGE_SCALE]

@@ -24,7 +24,7 @@ AUTHORS_NATS = 5.0 * math.log(100.0)
 
 
 def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:
-    """What Theorem 1 of the paper tends to as the prior of new landmarks grows; arguments and result of exact_gain.
+    """The limit of the paper's Theorem 1 as the prior of new landmarks grows; arguments and result of exact_gain.
 
         1/2 log|I + Sigma_o A_o - Sigma_o H_o Bo'^-1 H_o^T| + 1/2 n_x log|I + sigma_u a_u|
             - 1/2 log(|Bo' + B_u| / |Bo'|)

@@ -1,4 +1,4 @@
-"""What time and distance are left of a mission's budget, and what they allow (the paper's q(u) <= c)."""
+"""Time and distance left of a mission's budget, and what they allow (the paper's q(u) <= c)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AT_HOME = 0.3
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """What is left: until when the mission may last, s, how much time, s, and how far the robot may drive, m; inf where
+    """The rest: until when the mission may last, s, how much time, s, and how far the robot may drive, m; inf where
     there is no budget. stay: s that a goal costs besides the way to it. recalled: none of it may be spent on a goal."""
 
     end: float

@@ -193,7 +193,7 @@ def frontier_seen(points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor
 def _each_seen(
     points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Of each entry of `frontiers` the length, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
+    """The length of each entry of `frontiers`, m, as of `frontier_seen`, and the sum of each of the points (c,)."""
     point = np.repeat(np.arange(len(points)), frontiers.count)
     d = tfg.frontiers.take(frontiers.index, axis=0) - points.take(point, axis=0)
     distance = np.hypot(d[:, 0], d[:, 1])

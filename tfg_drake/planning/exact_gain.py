@@ -268,7 +268,7 @@ def most_gain(
     reach: FloatArray,
     noise: FloatArray,
 ) -> FloatArray:
-    """What a turn at each point (c, 2), m in M, brings at most by known and by new landmarks, (c, 2), nats, whatever
+    """The most that a turn at each point (c, 2), m in M, brings by known and by new landmarks, (c, 2), nats, whatever
     hides some of them: with z the measurements,
 
         I(L; z) <= I(L; x) + I(L; z | x),   I(L; z | x) <= the sum over all landmarks that could be in view.

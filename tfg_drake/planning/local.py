@@ -1,4 +1,4 @@
-"""What lies round the newest view: of a large map planning works on that alone, wherever it is enough.
+"""The surroundings of the newest view: of a large map planning works on that alone, wherever it is enough.
 
 What is near `tfg_drake.tfg.near` says. A place within a radius is judged by what can be seen from there: by landmarks,
 surfaces and free space within the radius and the sensor's range. Whatever lies within a circle hides nothing from

@@ -1,4 +1,4 @@
-"""What odometry adds to the uncertainty of a pose over a straight way."""
+"""The drift of a pose by odometry over a straight way."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tfg_drake.messages import FloatArray
 def straight_drift(
     distance: FloatArray, time: FloatArray, odometry: OdometryConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What odometry adds over straight ways of a distance, m, and a time, s, of any shape: the variances along and
+    """The drift of odometry over straight ways of a distance, m, and a time, s, of any shape: the variances along and
     across the way, m^2, their covariance with the heading, m rad (of across alone), and the variance of that, rad^2.
 
     The along-track error is the encoders', the heading's the gyro's random walk and bias, the cross-track error the

@@ -324,7 +324,7 @@ def path_is_free(
 def unmapped_obstacles(
     points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray
 ) -> FloatArray:
-    """What blocks a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
+    """Obstacles on a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
     The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
     it may touch, neighbours too close for the robot to pass between them joined to a surface; behind the former, a

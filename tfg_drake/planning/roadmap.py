@@ -536,7 +536,7 @@ def _checked(
 def _measure(
     edges: IntArray, points: FloatArray, node_need: FloatArray, segments: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of the edges (e, 2) between points (n, 2): the clearance (e,) from segments (m, 4), m, as far as it is less than
+    """Of edges (e, 2) between points (n, 2): the clearance (e,) from segments (m, 4), m, as far as it is less than
     COMFORT or than what any of them needs; and the clearance (e,) that they need, m, the greater of both ends'
     node_need (n,)."""
     has, need, reach = np.empty(len(edges)), np.empty(len(edges)), COMFORT
@@ -578,7 +578,7 @@ def _with_needed(edges: Edges, least: float, home: int, here: int, count: int) -
 
 
 def _entry(views: IntArray) -> int:
-    """Of the views (a,) that are near, the first since the robot was last elsewhere."""
+    """The first of the views (a,) that are near since the robot was last elsewhere."""
     return int(views[np.flatnonzero(np.diff(views) > 1).max(initial=-1) + 1])
 
 

@@ -256,7 +256,7 @@ def roadmap_message(
     driven: float = 0.0,
     home: Routes | None = None,
 ) -> Roadmap:
-    """What the goal selector and the pictures need of a roadmap and the routes through it.
+    """A roadmap and the routes through it for goal selector and pictures.
 
     driven: m, so far. home: the routes from where the robot began, where it must come back.
     """

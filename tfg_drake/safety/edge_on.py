@@ -59,7 +59,7 @@ def _in_line(i: int, p_BM: FloatArray, age: FloatArray, told: IntArray) -> int:
 
 @njit(cache=True)
 def _told(p_BM: FloatArray, angles: FloatArray, ranges: FloatArray) -> int:
-    """What the nearest rays on both sides of a place (2,) say of it: _PASSED, _BEHIND, or _UNKNOWN if they disagree."""
+    """The verdict of the nearest rays on both sides of a place (2,): _PASSED, _BEHIND, or _UNKNOWN if they disagree."""
     bearing, away = math.atan2(p_BM[1], p_BM[0]), math.hypot(p_BM[0], p_BM[1])
     first, passed = np.searchsorted(angles, bearing), 0
     for k, step in ((first - 1, -1), (first, 1)):

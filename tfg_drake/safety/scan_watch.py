@@ -31,7 +31,7 @@ HELD = (
 
 @message
 class ScanWatch:
-    """What is known of a scanner.
+    """The state of a watch over a scanner.
 
     newest: stamp of its newest scan, s. believed: the newest scan that was believed, taken at X_OS (3,). content: the
     first scan of those that say the same as the newest one, X_OC (3,) where the robot was when its wheels last rested

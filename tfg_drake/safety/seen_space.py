@@ -1,4 +1,4 @@
-"""What was seen to be free round the robot: a short memory of its scans, carried along by odometry.
+"""Space seen to be free round the robot: a short memory of its scans, carried along by odometry.
 
 What is not seen is not free. A ray that met something at a range, or nothing within the scanner's reach, says that the
 way up to there is free; a ray that says nothing (nan) says nothing of any place. The memory is a square window of cells

@@ -133,5 +133,5 @@ def _measured(
 
 
 def no_scan(config: ScanConfig) -> LaserScan:
-    """What the scanner shows before its first scan: no ray, stamped -inf."""
+    """The scanner's output before its first scan: no ray, stamped -inf."""
     return LaserScan(-math.inf, np.zeros(0), np.zeros(0), config.range, config.noise)

@@ -92,7 +92,7 @@ def initial_state(X_WS: FloatArray) -> FloatArray:
 
 
 def message(state: FloatArray) -> Odometry:
-    """What the state (STATE_SIZE,) says to the robot."""
+    """The message of a state (STATE_SIZE,)."""
     return Odometry(
         stamp=float(state[TIME]),
         X_OB=state[INTEGRATED : INTEGRATED + 3],

@@ -184,7 +184,7 @@ def detect(
 
 
 def detected_share(distance: FloatArray, ahead: FloatArray, detection_range: float) -> FloatArray:
-    """What share (n,) of the tags in view are detected, by how large they seem: all at twice the size of a tag that is
+    """The share (n,) of the tags in view are detected, by how large they seem: all at twice the size of a tag that is
     looked at straight from detection_range (m), half at that size, none at two thirds of it, smoothly between.
 
     distance: (n,) m from the sensor, ahead: (n,) m of that along the tag's normal. The shape is made up; that detectors
@@ -203,6 +203,6 @@ def correlated(before: FloatArray, fresh: FloatArray, interval: float, correlati
 
 
 def no_detections() -> TagDetections:
-    """What the sensor shows before its first frame: nothing, stamped -inf."""
+    """The sensor's output before its first frame: nothing, stamped -inf."""
     none = np.zeros(0)
     return TagDetections(-math.inf, np.zeros(0, dtype=np.int64), none, none, none, none)

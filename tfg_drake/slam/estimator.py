@@ -601,7 +601,7 @@ def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
 
 
 def _prior(state: EstimatorState) -> Shared:
-    """What is known of the parameters without any keyframe: by the data sheets and by the scan."""
+    """The parameters as known without any keyframe: by the data sheets and by the scan."""
     if not state.ranges.pairs:
         return state.sheet
     return state.sheet.with_information(*scan_information(state.ranges, state.noise.now.worth))

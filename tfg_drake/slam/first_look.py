@@ -52,7 +52,7 @@ class Agreement:
 
 
 def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Agreement, Verdict]:
-    """What the tags and what the scans of a first look say, one that says nothing like one that agrees. known: s, how
+    """The verdicts of the tags and the scans of a first look, one that says nothing like one that agrees. known: s, how
     far the camera's clock is ahead of the odometry's as far as is known: `ahead` comes on top."""
     odometry = [one for one in messages if isinstance(one, Odometry)]
     stamps = np.array([one.stamp for one in odometry])
@@ -69,7 +69,7 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
 
 
 def remedies(tags: Agreement, scan: Verdict) -> list[str]:
-    """What somebody can mend, a line each."""
+    """Remedies that somebody can take, a line each."""
     if tags.against and scan.against:
         return [BOTH_AGAINST]
     lines = [TAGS_AGAINST] if tags.against else []
@@ -118,5 +118,5 @@ def agreement(seen: FloatArray, stamps: FloatArray, heading: FloatArray) -> Agre
 
 
 def _cost(error: FloatArray) -> FloatArray:
-    """Of errors (k, n), rad, the sum (k,) of squares, that of an outlier bounded."""
+    """The sum (k,) of squared errors (k, n), rad, that of an outlier bounded."""
     return np.asarray(np.minimum(wrap_angle(error) ** 2, OUTLIER**2).sum(axis=1))

@@ -143,7 +143,7 @@ class GtsamSystem:
 
     @property
     def log_determinant(self) -> float:
-        """Of the information on all unknowns."""
+        """The logarithm of the determinant of the information on all unknowns."""
         return 2.0 * float(self.system.eliminateSequential().logDeterminant())
 
     def step(self, gradient: FloatArray) -> FloatArray:

@@ -85,7 +85,7 @@ def empty_map(prior: Shared | None = None) -> MapEstimate:
 
 
 def no_observation() -> Observation:
-    """What nobody has seen."""
+    """An observation of nothing."""
     return empty(Observation)
 
 

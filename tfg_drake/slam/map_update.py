@@ -42,7 +42,7 @@ LEAST_TOLD = 1e-9
 
 @message
 class _Told:
-    """What a keyframe says in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
+    """A keyframe in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
     of these u^T s = told within one, u: (13, r)."""
 
     mean: FloatArray

@@ -44,12 +44,12 @@ class Noise:
 
     @property
     def frame_worth(self) -> float:
-        """What share of an independent frame one of many in a row tells, after the first."""
+        """The share of an independent frame that one of many in a row tells, after the first."""
         return (1.0 - self.correlation) / (1.0 + self.correlation)
 
     @property
     def worth(self) -> float:
-        """What share of what it tells by the data sheet one frame of many in a row tells."""
+        """The share that one frame of many in a row tells of what it does by the data sheet."""
         return self.frame_worth / self.tags**2
 
     def in_a_row(self, detections: TagDetections) -> TagDetections:

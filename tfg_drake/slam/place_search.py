@@ -76,7 +76,7 @@ def seen_at_once(points: FloatArray) -> Seen:
 
 
 def seen_by_views(graph: KeyframeGraph, after: int = -1) -> Seen:
-    """What the views of a graph have seen, in M, of those behind one of its keyframes."""
+    """All that the views of a graph have seen, in M, of those behind one of its keyframes."""
     keyframes, first = np.unique(graph.view_keyframe, return_index=True)
     eyes, points = [np.empty((0, 2))], [np.empty((0, 4))]
     for k, view in zip(keyframes, first, strict=True):

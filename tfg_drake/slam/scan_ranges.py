@@ -1,4 +1,4 @@
-"""What the laser scan tells of the tags' ranges and of the camera's mount: tags stand on the surfaces that it meets.
+"""The tags' ranges and the camera's mount as the laser scan tells them: tags stand on the surfaces that it meets.
 
 A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
 error; a few turns beside a scan tell it to a part in a thousand. The comparison of one sighting with the scan is off by

@@ -1,4 +1,4 @@
-"""What every solver of the keyframe graph works on and is: all keyframes in flat arrays, and the protocol.
+"""Keyframe graphs as solvers take them, all keyframes in flat arrays, and the protocol of a solver.
 
 A `Solver` linearises the factors and eliminates; all else of a solve is in `map_solver`, whichever it is. The keyframes
 are linearised in compiled loops.
@@ -108,7 +108,7 @@ class System(Protocol):
 
     @property
     def log_determinant(self) -> float:
-        """Of the information on all unknowns."""
+        """The logarithm of the determinant of the information on all unknowns."""
 
     def step(self, gradient: FloatArray) -> FloatArray:
         """(u,) the step of Gauss and Newton for a gradient (u,)."""
@@ -132,7 +132,7 @@ class Solver(Protocol):
         """
 
     def log_determinant_given_landmarks(self, values: Values) -> float:
-        """Of the information on all unknowns but the landmarks, given these."""
+        """The same of all unknowns but the landmarks, given these."""
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """Gradient (u,) of the cost and twice the cost at some values."""

@@ -88,7 +88,7 @@ class _Problem(NamedTuple):
 
 
 class _Ties(NamedTuple):
-    """What ties t poses, m sightings and the parameters, by some noise.
+    """Ties between t poses, m sightings and the parameters, by some noise.
 
     X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (13,) and
     information (13, 13) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 8) its bearing, range,
@@ -146,7 +146,7 @@ class _Solution(NamedTuple):
 
 @message
 class TurnFrame:
-    """What was seen at one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
+    """The sightings of one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
     frame's tags. offset: s, the camera's clock was taken to be so much ahead: the frame's own stamp is later by that.
     lines: (k, 11) of a scan of that instant, see `scan_lines`, points: (p, 4), see `scan_points`. only_scan: the camera
     took no frame then."""
@@ -367,7 +367,7 @@ def _ties(
     z: FloatArray,
     looks: Looks,
 ) -> _Ties:
-    """What ties poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
+    """Ties between poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
         order, frame = np.lexsort([node, tag]), z[:, 7]

@@ -76,7 +76,7 @@ class Part:
 
 
 def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
-    """What of the graph lies within a radius (m) of the newest view of the estimate, or was seen by that."""
+    """The part of the graph that lies within a radius (m) of the newest view of the estimate, or was seen by that."""
     X_MA = estimate.X_MA
 
     def near(points: FloatArray) -> BoolArray:

@@ -215,7 +215,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
 
 @dataclasses.dataclass(frozen=True)
 class _Newest:
-    """What the newest view of the estimate changes of the frontiers, in M.
+    """The changes of the frontiers by the newest view of the estimate, in M.
 
     segments: (s, 4) of the surfaces, the newest included, m. star: the newest view's, stars: of all views that say
     something of the robot's surroundings. weak: (k,) which views are weakly tied.
@@ -450,7 +450,7 @@ class _Placed:
 
     @functools.cached_property
     def segments(self) -> FloatArray:
-        """Those pieces (h, 4)."""
+        """The pieces (h, 4) that are."""
         return self.pieces[self.here]
 
 
