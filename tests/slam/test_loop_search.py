@@ -123,6 +123,14 @@ def test_a_way_is_bent_to_its_loops_evenly(back):
     np.testing.assert_allclose(kept, old.X_AB, atol=0.1)
 
 
+def test_a_loop_within_one_keyframe_bends_nothing():
+    """Its views are in a keyframe that others were fused with."""
+    graph, truth = driven(6)
+    graph = replace(graph, view_keyframe=np.array([0, 0, 2, 3, 4, 5]))
+    within, other = loops(truth, [(0, 1), (2, 5)])
+    np.testing.assert_array_equal(bent(graph, (within,), (other,)).X_MN, bent(graph, (), (other,)).X_MN)
+
+
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (1.0, 0.6, 0.0)], ids=["true", "false"])
 def test_a_loop_stays_only_where_the_surfaces_agree(back, monkeypatch, off):
     graph, truth = back
