@@ -116,7 +116,7 @@ def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) 
     X_AB = se2.compose(se2.compose(graph.X_AV[old], X_AB), se2.inverse(graph.X_AV[newest]))
     first, second = graph.view_keyframe[old], graph.view_keyframe[newest]
     apart = first != second  # Views of one keyframe, which were fused, lie as they do.
-    information = np.tile(np.diag(TIE**-2.0), (np.count_nonzero(apart), 1, 1))
+    information = np.tile(np.diag(TIE**-2.0), (int(np.count_nonzero(apart)), 1, 1))
     ties = Ties(first[apart], second[apart], X_AB[apart], information)
     bare = replace(empty_graph(graph.prior), keyframes=ways, X_MN=X_MN, ties=ties)
     bare, _ = solved(bare, DissectionSolver(bare), np.zeros(0, dtype=np.int64), len(ways))
