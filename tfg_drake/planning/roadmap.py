@@ -536,7 +536,7 @@ def _checked(
 def _measure(
     edges: IntArray, points: FloatArray, node_need: FloatArray, segments: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of edges (e, 2) between points (n, 2): the clearance (e,) from segments (m, 4), m, as far as it is less than
+    """The clearance (e,) of edges (e, 2) between points (n, 2) from segments (m, 4), m, as far as it is less than
     COMFORT or than what any of them needs; and the clearance (e,) that they need, m, the greater of both ends'
     node_need (n,)."""
     has, need, reach = np.empty(len(edges)), np.empty(len(edges)), COMFORT
