@@ -46,7 +46,7 @@ CALIBRATED = (
 )
 # And of what is learnt of the noise: random walks, m per root m and rad per root s; the tags' deviations over those of
 # the data sheet, and the correlation of one's noise from frame to frame.
-NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation")
+NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation", "wall_look_noise")
 
 
 def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, proces
 from tfg_drake.slam.estimator_state import initial_state
 from tfg_drake.slam.keyframe import linearised, without_tags
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.slam.noise import Noise
+from tfg_drake.slam.noise import LOOKS, Noise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import random_walks
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import (
@@ -540,7 +540,7 @@ def test_between_views_the_pose_is_told_by_walls():
     assert np.sqrt(np.trace(by_walls.covariance[:2, :2])) < 0.02
 
 
-@pytest.mark.parametrize("level", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("level", [0.5, 1.0, 4.0, 16.0])
 def test_the_floor_is_found_by_walls_seen_again(level):
     """Walls, each off by errors of the floor beside others; whatever the floor is taken to be meanwhile."""
     rng, floor = np.random.default_rng(3), np.diag(np.square(FLOOR))
@@ -550,6 +550,25 @@ def test_the_floor_is_found_by_walls_seen_again(level):
         off = rng.multivariate_normal(np.zeros(4), two + level**2 * of_floor)
         walls = walls.seen_again(off, two + 0.5**2 * of_floor, 0.5)
     assert walls.floor == pytest.approx(level, rel=0.3)
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0, 8.0])
+def test_the_noise_of_looks_is_learnt_from_how_they_agree_in_a_turn(factor):
+    """Looks that are off by so many times what their rays tell: outliers at first, all of them believed at last."""
+    rng, known = np.random.default_rng(7), noise_by_data_sheet(NOISE.walks)
+    for _ in range(12):
+        begin, frames, end = turn()
+        off = []
+        for frame in frames:
+            lines = frame.lines.copy()
+            by_angle, by_distance = factor * lines[:, 5:7].T * rng.normal(size=(2, len(lines)))
+            lines[:, 0] += by_angle
+            lines[:, 1] += by_distance + by_angle * lines[:, 4]
+            off.append(replace(frame, lines=lines))
+        known = known.with_sample(reduced(known.now, begin, tuple(off), end, SHEET).sample)
+        known = replace(known, samples=known.samples[-4:], due=known.seen).learnt()
+    assert known.now.looks == pytest.approx(factor, rel=0.1)
+    assert known.sigma[LOOKS] < 0.05
 
 
 def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():

@@ -56,7 +56,7 @@ class OpenObservation:
 @message
 class Source:
     """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
-    it was reduced, level: (4,) of the noise and floor of looks at walls likewise. names: of its walls."""
+    it was reduced, level: (5,) of the noise and floor of looks at walls likewise. names: of its walls."""
 
     seen: OpenObservation
     end: TurnFrame

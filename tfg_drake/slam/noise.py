@@ -1,4 +1,4 @@
-"""The noise of odometry and tags, learnt while the mission goes on.
+"""The noise of odometry, tags and looks at walls, learnt while the mission goes on.
 
 Data sheets say how far wheels and gyro wander and how far a sighting is off; floors, blur and detectors say otherwise.
 Levels and correlation are those that make the frames of the newest turns and pieces most likely, each with its poses,
@@ -15,13 +15,14 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 
-# What is learnt: logarithms of the deviations of distance, heading and tags over those told, and Fisher's z of the
-# correlation of a tag's noise from frame to frame; prior deviations, and the least and the most that is believed. What
-# errs little in the seconds of a sample may drift in minutes: nothing is much better than its data sheet.
-DISTANCE, HEADING, TAGS, CORRELATION = range(4)
-PRIOR = np.array([0.35, 0.35, 0.3, 0.7])
-LEAST = np.array([-0.35, -0.35, -0.35, -0.1])
-MOST = np.array([1.6, 1.6, 1.6, 1.7])
+# What is learnt: logarithms of the deviations of distance, heading, tags and looks at walls over those told, the last
+# but one Fisher's z of the correlation of a tag's noise from frame to frame; prior deviations, and the least and the
+# most that is believed. What errs little in the seconds of a sample may drift in minutes: nothing is much better than
+# its data sheet. Furniture may look like walls: looks may be far worse than their rays tell.
+DISTANCE, HEADING, TAGS, CORRELATION, LOOKS = range(5)
+PRIOR = np.array([0.35, 0.35, 0.3, 0.7, 0.7])
+LEAST = np.array([-0.35, -0.35, -0.35, -0.1, 0.0])
+MOST = np.array([1.6, 1.6, 1.6, 1.7, 2.5])
 # Samples kept. The noise is learnt anew when there have been so many times more.
 MOST_SAMPLES = 32
 GROWTH = 3
@@ -36,11 +37,13 @@ DIFFERENCE = 0.01
 @message
 class Noise:
     """walks: (3,) of `random_walks`. tags: deviations of sightings are so many times those told. correlation: of a
-    tag's noise in one frame with that in the frame before."""
+    tag's noise in one frame with that in the frame before. looks: deviations of looks at walls are so many times those
+    that their rays tell."""
 
     walks: FloatArray
     tags: float = 1.0
     correlation: float = 0.0
+    looks: float = 1.0
 
     @property
     def frame_worth(self) -> float:
@@ -71,7 +74,7 @@ class Sample(Protocol):
 
 @message
 class LearntNoise:
-    """The noise as it is known, now: the most likely. sheet: (3,) walks of the data sheet. level, sigma: (4,) of what
+    """The noise as it is known, now: the most likely. sheet: (3,) walks of the data sheet. level, sigma: (5,) of what
     is learnt and its standard deviations. samples: the newest, seen: how many there have been, due: how many there are
     when it is learnt next."""
 
@@ -85,10 +88,10 @@ class LearntNoise:
 
     @property
     def values(self) -> tuple[FloatArray, FloatArray]:
-        """(4,) the random walks of distance and heading, the tags' deviations over those told and the correlation, and
-        their standard deviations."""
-        values = np.array([*self.now.walks[:2], self.now.tags, self.now.correlation])
-        slopes = np.append(values[:3], 1.0 - values[3] ** 2)
+        """(5,) the random walks of distance and heading, the tags' deviations over those told, the correlation and the
+        looks' deviations over those told, and their standard deviations."""
+        values = np.array([*self.now.walks[:2], self.now.tags, self.now.correlation, self.now.looks])
+        slopes = np.where(np.arange(len(values)) == CORRELATION, 1.0 - values**2, values)
         return values, slopes * self.sigma
 
     def with_sample(self, sample: Sample | None) -> LearntNoise:
@@ -124,7 +127,7 @@ class LearntNoise:
         return sum(one.misfit(noise) for one in self.samples) + 0.5 * float(np.sum((level / PRIOR) ** 2))
 
     def _differences(self, level: FloatArray, cost: float) -> tuple[FloatArray, FloatArray]:
-        """Gradient (4,) and Hessian (4, 4) of the cost. Where that is not definite, its eigenvalues' sizes are
+        """Gradient (5,) and Hessian (5, 5) of the cost. Where that is not definite, its eigenvalues' sizes are
         taken, and no direction is known worse than by the prior."""
         n, step = len(level), DIFFERENCE * np.eye(len(level))
         ahead = np.array([self._cost(level + one) for one in step])
@@ -145,6 +148,6 @@ def noise_by_data_sheet(walks: FloatArray) -> LearntNoise:
 
 
 def _at(sheet: FloatArray, level: FloatArray) -> Noise:
-    """The noise at some levels (4,) beside walks (3,) of the data sheet."""
+    """The noise at some levels (5,) beside walks (3,) of the data sheet."""
     walks = sheet * np.array([math.exp(level[DISTANCE]), math.exp(level[HEADING]), 1.0])
-    return Noise(walks, math.exp(level[TAGS]), math.tanh(level[CORRELATION]))
+    return Noise(walks, math.exp(level[TAGS]), math.tanh(level[CORRELATION]), math.exp(level[LOOKS]))

@@ -202,6 +202,7 @@ class Sample:
         marginalised out."""
         ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z, self.looks)
         own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
+        own += float(np.sum(np.log(ties.looks.seen[:, 7:9])))
         return own + misfit_of_chain(ties, self.X_AB, self.border)
 
 
@@ -367,7 +368,7 @@ def _ties(
     z: FloatArray,
     looks: Looks,
 ) -> _Ties:
-    """Ties between poses at a clock (t,), by some noise; z: with the sensor's sigmas."""
+    """Ties between poses at a clock (t,), by some noise; z, looks: with the sensor's sigmas."""
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
         order, frame = np.lexsort([node, tag]), z[:, 7]
@@ -375,8 +376,10 @@ def _ties(
         after = order[again + 1]
         before[after] = order[again]
         left[after] = noise.correlation ** (frame[after] - frame[order[again]])
-    z = z.copy()
+    z, seen = z.copy(), looks.seen.copy()
     z[:, 2:4] *= noise.tags
+    seen[:, 7:9] *= noise.looks
+    looks = looks._replace(seen=seen)
     return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left, looks)
 
 

@@ -33,8 +33,8 @@ DRIFT = 0.02
 # What all looks of a keyframe at one wall share: its direction (rad) and distance (m) as a scanner sees it, no surface
 # being quite a plane. How walls agree that are seen again says which of some multiples it is; their prior.
 FLOOR = np.array([1e-3, 2e-3])
-FLOORS = np.array([0.5, 1.0, 2.0, 4.0])
-PRIOR = np.array([0.25, 0.4, 0.25, 0.1])
+FLOORS = np.exp2(np.arange(-1.0, 6.0))
+PRIOR = np.array([0.25, 0.4, 0.25, 0.1, 0.1, 0.1, 0.1])
 # A wall is the map's where the squared error of angle and distance is less than this (2 freedoms: 1 in 3000), its
 # direction differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
 GATE = 16.0
@@ -87,10 +87,10 @@ class Looks(NamedTuple):
 
 @message
 class Walls:
-    """How well walls agree. by_floor: (4,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
+    """How well walls agree. by_floor: (7,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
     of these the most likely, between them. least_looks: that a new wall needs."""
 
-    by_floor: Annotated[FloatArray, 4]
+    by_floor: Annotated[FloatArray, 7]
     floor: float = 1.0
     least_looks: int = LEAST_LOOKS
 
