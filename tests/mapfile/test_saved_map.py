@@ -336,6 +336,18 @@ def test_other_schemas_and_contradictions(path, changes, complaint):
     assert error_of(path) == complaint
 
 
+def test_a_map_of_before_is_read(path, small_map):
+    """Without scatter, and of walls that could be off by no more than four times."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if not name.startswith("graph.keyframes.scatter")}
+    arrays["walls.by_floor"] = np.array([-3.0, 0.0, -1.0, -2.0])
+    np.savez(path, **arrays)
+    read = load_map(path)
+    assert not any(one.scatter.any() for one in read.graph.keyframes)
+    np.testing.assert_array_equal(read.walls.by_floor, [-3.0, 0.0, -1.0, -2.0, -2.0, -2.0, -2.0])
+    assert read.graph.X_MN.tobytes() == small_map.graph.X_MN.tobytes()
+
+
 def test_the_format_is_described(small_map):
     table = FORMAT.read_text().split("## The arrays")[1]
     documented = dict(re.findall(r"^\| `([^`]+)` \| (.+?) \|", table, re.MULTILINE))

@@ -26,7 +26,7 @@ from tfg_drake.slam.keyframe import of_places
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import LEAST_SIGMA, METRES, SHARED, Shared, exactly_known
-from tfg_drake.slam.walls import Walls
+from tfg_drake.slam.walls import FLOORS, Walls
 from tfg_drake.table import take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
@@ -34,6 +34,7 @@ from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
 SCHEMA = 14
+BY_FLOOR = "walls.by_floor"
 SCATTER = "graph.keyframes.scatter"
 # One before is read, too.
 OLDER = 13
@@ -210,6 +211,8 @@ def load_map(path: Path) -> SavedMap:
     if f"{SCATTER}@shape" not in arrays:  # Of a map from before a keyframe's scans were put together.
         count = np.size(arrays.get("graph.keyframes.unit", ()))
         arrays |= {SCATTER: np.zeros(9 * count), f"{SCATTER}@shape": np.full((count, 2), 3)}
+    if len(FLOORS) > np.size(arrays.get(BY_FLOOR, ())) > 0:  # From before walls could be off by more than four times.
+        arrays[BY_FLOOR] = np.pad(arrays[BY_FLOOR], (0, len(FLOORS) - len(arrays[BY_FLOOR])), mode="edge")
     try:
         return whole_map(arrays) if schema == SCHEMA else _older_map(arrays)
     except ArraysError as error:
