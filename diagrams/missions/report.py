@@ -45,7 +45,7 @@ CALIBRATED = (
     "scanner_sweep_s_per_rad",
 )
 # And of what is learnt of the noise: random walks, m per root m and rad per root s; the tags' deviations over those of
-# the data sheet, and the correlation of one's noise from frame to frame.
+# the data sheet, the correlation of one's noise from frame to frame, and deviations of looks over those of their rays.
 NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation", "wall_look_noise")
 
 

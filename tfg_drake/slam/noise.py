@@ -15,9 +15,9 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 
-# What is learnt: logarithms of the deviations of distance, heading, tags and looks at walls over those told, the last
-# but one Fisher's z of the correlation of a tag's noise from frame to frame; prior deviations, and the least and the
-# most that is believed. What errs little in the seconds of a sample may drift in minutes: nothing is much better than
+# Logarithms of the deviations of distance, heading, tags and looks at walls over those told, and Fisher's z of the
+# correlation of a tag's noise from frame to frame, are learnt; prior deviations, and the least and the most that is
+# believed. What errs little in the seconds of a sample may drift in minutes: nothing is much better than
 # its data sheet. Furniture may look like walls: looks may be far worse than their rays tell.
 DISTANCE, HEADING, TAGS, CORRELATION, LOOKS = range(5)
 PRIOR = np.array([0.35, 0.35, 0.3, 0.7, 0.7])
