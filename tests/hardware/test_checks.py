@@ -1,11 +1,13 @@
 """Checks before the wheels may be enabled: each fault by its name and with its mend."""
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
 
 from tests.hardware.fake_robot import base_state
+from tests.integration.robot_explorer import wait_until
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.checks import Heard, check, judged, refuse, tag_factors
 from tfg_drake.hardware.device import DeviceError
@@ -32,6 +34,12 @@ def one_in(number):
 def frames(ids_of):
     """20 frames of three tags, by the number of the frame."""
     return {TagDetections: Heard([replace(TAGS, ids=np.array(ids_of(k))) for k in range(20)], 0.1)}
+
+
+def is_late(source):
+    """Whether a scan that is 0.7 s old arrives: those sent before the fault may still be on their way."""
+    now = time.monotonic()
+    return any(now - one.stamp > 0.7 for one in source.take(LaserScan, now))
 
 
 WELL = {
@@ -134,6 +142,7 @@ def test_an_emulated_robot_is_well_until_something_is_wrong_with_it():
                 "tags": lambda tags: replace(tags, range=3.0 * tags.range),
             }
             emulator.base.cliff = 2
+            wait_until(lambda: is_late(devices.scan), "no scan of the slow clock arrives")
             told = "\n".join(str(one) for one in check(devices) if one.mend)
         finally:
             devices.close()
