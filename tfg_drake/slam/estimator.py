@@ -316,7 +316,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stage=estimate.stage,
         new_ids=new_ids,
         p_MU=p_MU,
-        places=state.places if state.known is not None and state.at is None else -1,
+        places=state.hypotheses.likely if state.known is not None and state.at is None else -1,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.messages import (
     FloatArray,
+    Hypotheses,
     IntArray,
     LaserScan,
     MapEstimate,
@@ -128,8 +129,8 @@ class EstimatorState:
     its wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and
     of all surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight.
     loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that
-    the session began with, until it is part of this one; at: where in it that is, once it is known; places: in how
-    many places of it that may be, 0 for none or any.
+    the session began with, until it is part of this one; at: where in it that is, once it is known; hypotheses:
+    where in it that may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -173,7 +174,7 @@ class EstimatorState:
     deviation: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     known: KnownMap | None = None
     at: Placed | None = None
-    places: int = 0
+    hypotheses: Hypotheses = dataclasses.field(default_factory=lambda: empty(Hypotheses))
 
 
 def initial_state(

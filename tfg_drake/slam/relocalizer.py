@@ -17,7 +17,17 @@ import numpy as np
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.se2 import rotation
-from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, SaidPose, TagDetections, is_tag, replace
+from tfg_drake.messages import (
+    WALLS_BELOW,
+    FloatArray,
+    Hypotheses,
+    IntArray,
+    MapEstimate,
+    SaidPose,
+    TagDetections,
+    is_tag,
+    replace,
+)
 from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
 from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
 from tfg_drake.slam.keyframe import joined_reach, placed, rows_of, without_tags
@@ -26,11 +36,20 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere, nothing_seen, seen_by_views
+from tfg_drake.slam.place_search import (
+    WRONG,
+    Places,
+    Prior,
+    Seen,
+    find_places,
+    is_elsewhere,
+    nothing_seen,
+    seen_by_views,
+)
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.turn import no_detections, reduced
 from tfg_drake.slam.walls import Names, identified, named, no_lines
-from tfg_drake.table import concat, take
+from tfg_drake.table import concat, empty, take
 
 # A pose that says nothing of where to look.
 ANYWHERE = Expected(np.array([1e6, 0.0, 0.0]), None, np.ones(3))
@@ -42,8 +61,8 @@ BY_WALLS = np.array([0.05, 0.05, 0.005])
 FRAMES, TURNED = 4, 1.0
 # And after each of the first views, so many, and then after each of so many.
 EACH_VIEW, LATER = 4, 4
-# The place that somebody says is so much likelier than others, as a logarithm. Places are likely that are so probable.
-ELSEWHERE, LIKELY = -4.0, 0.05
+# The place that somebody says is so much likelier than others, as a logarithm.
+ELSEWHERE = -4.0
 # One that was believed is so as long as it is this probable.
 STILL = 0.9
 
@@ -184,10 +203,11 @@ def _with_place(state: EstimatorState, found: Placement | None, places: Places |
             return replace(state, at=replace(state.at, X=places.X[nearest]))
         if state.at is not None:
             _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
-        count = 0 if places is None else int(np.count_nonzero(places.probability > LIKELY))
-        if count > 1 and count != state.places:
+        hypotheses = _not_refuted(state.known, places)
+        count = hypotheses.likely
+        if count > 1 and count != state.hypotheses.likely:
             _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)
-        return replace(state, at=None, placed=-math.inf, places=count)
+        return replace(state, at=None, placed=-math.inf, hypotheses=hypotheses)
     if state.at is None:
         x, y, _ = found.X_AB if state.map is None else se2.compose(found.X_AB, state.map.X_MD)
         by = "surfaces" if places is not None else "tags"
@@ -199,7 +219,17 @@ def _with_place(state: EstimatorState, found: Placement | None, places: Places |
             off = math.dist(found.X_AB[:2], said.X[:2])
             _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     placed = state.stamp if state.at is None else state.placed
-    return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)
+    return replace(
+        state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, hypotheses=empty(Hypotheses)
+    )
+
+
+def _not_refuted(known: KnownMap | None, places: Places | None) -> Hypotheses:
+    """Those of the places that keep the session from believing in another one."""
+    if known is None or places is None:
+        return empty(Hypotheses)
+    left = places.probability > WRONG
+    return Hypotheses(places.X[left], places.probability[left], known.surfaces)
 
 
 def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
