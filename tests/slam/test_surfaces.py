@@ -612,7 +612,7 @@ def test_the_solver_has_pieces_and_ties_as_a_dense_system_has(tag_error):
     unit = 1.0 / np.sqrt(np.diag(H))
     expected = unit * np.linalg.solve(unit[:, None] * H * unit, -unit * gradient)
     deviation = np.sqrt(unit**2 * np.diag(np.linalg.inv(unit[:, None] * H * unit)))
-    np.testing.assert_allclose(system.step(system.gradient)[at] / deviation, expected / deviation, atol=1e-6)
+    np.testing.assert_allclose(system.solution(-system.gradient)[at] / deviation, expected / deviation, atol=1e-6)
     log_determinant = np.linalg.slogdet(unit[:, None] * H * unit)[1] - 2.0 * np.log(unit).sum()
     assert system.log_determinant == pytest.approx(log_determinant, abs=1e-6)
     # And without them it is another.
