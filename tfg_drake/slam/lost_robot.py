@@ -21,7 +21,15 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, replace
-from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import (
+    KIDNAPPED,
+    EstimatorState,
+    OpenObservation,
+    newest_of,
+    opened,
+    reduced_now,
+    unknown_way,
+)
 from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, decoupled
@@ -30,8 +38,6 @@ from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import Prior, find_places, is_elsewhere, seen_at_once, tells_place
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.surface_fit import map_points, surface_points
-from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.walls import no_lines
 from tfg_drake.table import take
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -71,8 +77,6 @@ WRONG = 0.01
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
 # logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
 DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
-# So many of the newest frames are looked at.
-MOST_FRAMES = 50
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
 # Steps to the least squares.
@@ -139,16 +143,9 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
-    distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
     if not state.lost and not anywhere and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
         return replace(state, contradictions=0, suspect=None)
-    if anywhere:
-        _tell_place(stamp, found.X_MB, f"{len(tags.ids)} mapped tags")
-    else:
-        _log.warning(
-            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
-            stamp, distance, angle, len(tags.ids),
-        )  # fmt: skip
+    _tell_place(state, stamp, found.X_MB, error, f"{len(tags.ids)} mapped tags")
     # The ties of the newest views to the others may be wrong as well.
     graph = state.graph if anywhere else decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
@@ -175,15 +172,11 @@ def _found_among_walls(
     looks = sum(len(frame.lines) > 0 for frame in suspect.frames)
     if looks % LOOKS and not at_last:
         return state
-    now, shared, newest = state.noise.now, state.graph.shared, suspect.frames[-MOST_FRAMES:]
-    # Not what was seen while the robot was being moved.
-    begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
-    one = reduced(now, begin, newest, instant(state), shared, state.walls.floor, state.graph.unevenness).keyframe
-    seen = surface_points(one, shared.mean)
+    newest = newest_of(suspect)
+    seen = surface_points(reduced_now(state, newest).keyframe, state.graph.shared.mean)
     if not tells_place(seen):
         return state
-    expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
-    anywhere = math.isnan(state.placed)
+    expected, anywhere = newest.X_MB, math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
     places = find_places(known_points(state.graph), seen_at_once(seen), prior)
     if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
@@ -194,26 +187,23 @@ def _found_among_walls(
             return state
         _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
         return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
-    off = X_MA - expected
-    distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
-    if anywhere:
-        _tell_place(stamp, X_MA, "the walls")
-        state = replace(state, placed=stamp)
-    else:
-        _log.warning(
-            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
-            stamp, distance, angle,
-        )  # fmt: skip
-    X_MB = se2.compose(X_MA, se2.between(begin.X_OB, state.X_OB))
+    _tell_place(state, stamp, X_MA, X_MA - expected, "the walls")
+    X_MB = se2.compose(X_MA, se2.between(newest.begin.X_OB, state.X_OB))
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
-    state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return begun_elsewhere(state, OpenObservation(begin, X_MA, PLACED, newest))
+    placed = stamp if anywhere else state.placed
+    state = replace(state, localizer=localizer, placed=placed, contradictions=0, lost=False, suspect=None)
+    return begun_elsewhere(state, replace(newest, X_MB=X_MA, sigma=PLACED))
 
 
-def _tell_place(stamp: float, X_MB: FloatArray, by: str) -> None:
-    """Tells the operator where in its map the robot is."""
-    x, y, _ = X_MB
-    _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
+def _tell_place(state: EstimatorState, stamp: float, X_MB: FloatArray, error: FloatArray, by: str) -> None:
+    """Tells where in its map the robot has found itself, which was anywhere, or how far (3,) from where it was thought
+    to be."""
+    (x, y, _), (dx, dy, turn) = X_MB, error
+    if math.isnan(state.placed):
+        _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
+        return
+    message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
+    _log.warning(message, stamp, math.hypot(dx, dy), abs(float(se2.wrap_angle(turn))), by)
 
 
 def _restarted(

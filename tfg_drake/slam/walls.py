@@ -348,6 +348,23 @@ def identified(
     return Names(np.array(provisional, dtype=np.int64), np.array(ids, dtype=np.int64)), walls
 
 
+def renamed(
+    one: Keyframe, walls: Walls, estimate: MapEstimate, X_MA: FloatArray, covariance: FloatArray
+) -> tuple[Names, Walls]:
+    """The names of a keyframe's walls, in their order, where it begins at X_MA (3,) of another map, known with this
+    covariance (3, 3): those of the map's walls where they agree, new ones where that is not clear; the walls then."""
+    joint = estimate.covariance.copy()
+    joint[-3:], joint[:, -3:] = 0.0, 0.0
+    joint[-3:, -3:] = covariance
+    # No look counts: none of them is new to `identified`, which leaves what is not clear.
+    none = np.zeros(len(one.ids), dtype=np.int64)
+    again, walls = identified(one, none, walls, replace(estimate, X_MD=X_MA, covariance=joint), 0.0)
+    ids = one.ids[: one.walls]
+    new = int(estimate.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
+    new[np.searchsorted(ids, again.provisional)] = again.ids
+    return Names(ids, new), walls
+
+
 @njit(cache=True)
 def compared(
     seen: FloatArray,
