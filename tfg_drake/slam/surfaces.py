@@ -99,21 +99,10 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     mean[:, 2:] /= np.maximum(length, COMMON)[:, None]
     # Those of one keyframe alone tie nothing, and what looks every way is no surface.
     kept = (np.diff(looks) > 1) & (length > COMMON)
-    some, moments = np.repeat(kept, np.diff(looks)), np.zeros((len(keyframe), 6))
-    worth = np.where(kind > 0, EDGE, 1.0)
-    _weigh(
-        np.flatnonzero(kept),
-        mean,
-        looks,
-        begin,
-        p_MP[rows],
-        points.p_AP[rows],
-        worth[rows],
-        FLOOR**2 + unevenness**2,
-        moments,
-    )
-    normal = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some]
-    keyframe, moments = keyframe[some], moments[some]
+    some, worth, floor = np.repeat(kept, np.diff(looks)), np.where(kind > 0, EDGE, 1.0), FLOOR**2 + unevenness**2
+    placed = p_MP[rows], points.p_AP[rows], worth[rows]
+    moments = _weighed(np.flatnonzero(kept), mean, looks, begin, *placed, floor)[some]
+    normal, keyframe = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some], keyframe[some]
     moments *= _worth(keyframe, normal, moments, X_MN, points.scatter)[:, None]
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe, moments)
 
@@ -205,7 +194,7 @@ def in_map(keyframe: IntArray, p_AP: FloatArray, X_MN: FloatArray) -> FloatArray
 
 
 @njit(cache=True)
-def _weigh(
+def _weighed(
     which: IntArray,
     frame: FloatArray,
     looks: IntArray,
@@ -214,10 +203,10 @@ def _weigh(
     p_AP: FloatArray,
     worth: FloatArray,
     floor: float,
-    moments: FloatArray,
-) -> None:
-    """Set the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,).
-    floor: m^2, the variance that they have in common."""
+) -> FloatArray:
+    """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,). floor: m^2,
+    the variance that they have in common."""
+    moments = np.zeros((looks[-1], 6))
     for g in which:
         first, last = begin[looks[g]], begin[looks[g + 1]]
         m_x, m_y, n_x, n_y = frame[g]
@@ -241,6 +230,7 @@ def _weigh(
                 of = moments[j]
                 of[0], of[1], of[2] = of[0] + w, of[1] + w * x, of[2] + w * y
                 of[3], of[4], of[5] = of[3] + w * x * x, of[4] + w * x * y, of[5] + w * y * y
+    return moments
 
 
 @njit(cache=True)

@@ -46,7 +46,7 @@ from tfg_drake.slam.shared import (
 )
 from tfg_drake.slam.surfaces import Ties, put_together
 from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
-from tfg_drake.table import empty
+from tfg_drake.table import concat, empty
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -218,21 +218,16 @@ def reduced(
     sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
-    seen = [frame.detections for frame in (*frames, end)]
-    counts = [len(detections.ids) for detections in seen]
-    z = np.empty((sum(counts), 8))
-    z[:, 0] = np.concatenate([detections.bearing for detections in seen])
-    z[:, 1] = np.concatenate([detections.range for detections in seen])
-    z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
-    z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
-    z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
-    z[:, 7] = np.repeat(np.cumsum([not frame.only_scan for frame in (*frames, end)]), counts)
-    ids = np.concatenate([detections.ids for detections in seen])
-
+    every = (*frames, end)
     X_AB = se2.between(X_OB[0], X_OB)
     twist = twists(stamps, X_AB, shared.mean)
-    z[:, 4:6] = np.repeat(twist[node], counts, axis=0)
-    lines = [frame.lines for frame in (*frames, end)]
+    seen, counts = concat(*(frame.detections for frame in every)), [len(frame.detections.ids) for frame in every]
+    of_frames = np.column_stack(
+        [twist[node], [frame.offset for frame in every], np.cumsum([not frame.only_scan for frame in every])]
+    )
+    measured = seen.bearing, seen.range, seen.sigma_bearing, seen.sigma_range
+    ids, z = seen.ids, np.column_stack([*measured, np.repeat(of_frames, counts, axis=0)])
+    lines = [frame.lines for frame in every]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
     looked = of_line, on_uneven(np.concatenate(lines), unevenness), twist[of_line]
     looks = grouped(*looked, X_AB)
@@ -259,9 +254,9 @@ def reduced(
     one, walls = _keyframe(solution, shared, floor)
     X_AB = solution.at.X_AB / np.array([scale, scale, 1.0])
     yaw, ahead, left = solution.parameters[SCANNER_YAW : SCANNER_Y + 1]
-    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, one in enumerate((*frames, end)) if len(one.points)]
+    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, frame in enumerate(every) if len(frame.points)]
     at = np.array(node, dtype=np.int64)[scanned]
-    of_scans = [moved_points(X_BS, (*frames, end)[k].points) for k in scanned]
+    of_scans = [moved_points(X_BS, every[k].points) for k in scanned]
     points, scatter = put_together(of_scans, X_AB[at], _ways(noise, shared, problem, X_AB, at), unevenness)
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
@@ -453,7 +448,8 @@ def solved_chain(
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
         if 0 < attempt < MOST_STEPS - 1 and not last and not new_cost <= cost + ROUNDING * (1.0 + cost):
             share *= 0.5
-            _move(X, border, step_X, step, -share)
+            X -= share * step_X
+            border -= share * step[3:]
             continue
         _eliminate(chain, rest)
         if last:
@@ -463,7 +459,8 @@ def solved_chain(
         _add_prior(with_prior, border, prior, of_prior)
         _factor(with_prior)
         last = _back_substitute(chain, with_prior, step_X, step) < LAST_STEP
-        _move(X, border, step_X, step, share)
+        X += share * step_X
+        border += share * step[3:]
     whole = np.empty((size, size))
     for a in range(size):
         for b in range(a, size):
@@ -520,12 +517,6 @@ def _add_prior(rest: FloatArray, border: FloatArray, prior: FloatArray, of_prior
         for b in range(SHARED):
             rest[3 + a, 3 + b] += of_prior[a, b]
             rest[3 + a, -1] += of_prior[a, b] * (border[b] - prior[b])
-
-
-@njit(cache=True)
-def _move(X: FloatArray, border: FloatArray, step_X: FloatArray, step: FloatArray, share: float) -> None:
-    X += share * step_X
-    border += share * step[3:]
 
 
 @njit(cache=True)
