@@ -238,9 +238,7 @@ def _of_views(graph: KeyframeGraph, views: IntArray) -> FloatArray:
 
 def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
     """(h, 2) m in M, of places that the map does not have."""
-    in_V = np.zeros((len(evidence.ids), 3))
-    in_V[:, :2] = evidence.p_AL
-    return se2.compose(_of_views(graph, evidence.view), in_V)[:, :2]
+    return se2.transform(_of_views(graph, evidence.view), evidence.p_AL)
 
 
 def _places_and_variance(seen: Sighted, graph: KeyframeGraph) -> tuple[FloatArray, FloatArray]:
