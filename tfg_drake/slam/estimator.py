@@ -269,7 +269,7 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
     if state.contradictions >= CONTRADICTIONS:
-        state = find_itself(state, state.stamp, at_last=True)
+        state = find_itself(state, at_last=True)
     turn = state.turn
     assert turn is not None
     return _add_view(state, turn, SPREAD if explored else 0)
@@ -522,7 +522,7 @@ def _step(
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
-        state = find_itself(state, stamp)
+        state = find_itself(state)
     state = looked_for(state)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:

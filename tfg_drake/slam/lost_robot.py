@@ -103,20 +103,20 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
-def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -> EstimatorState:
+def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
     """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose.
 
     at_last: what has been seen is about to be mapped. By walls it is mapped as if the robot were where it seems to be,
     unless it is found elsewhere or is known to be.
     """
-    estimate, suspect = state.map, state.suspect
+    estimate, suspect, stamp = state.map, state.suspect, state.stamp
     if estimate is None or suspect is None:
         return state
     if not any(rows_of(frame.detections.ids, estimate.ids)[1].any() for frame in suspect.frames):
-        return _found_among_walls(state, estimate, suspect, stamp, at_last=at_last)
+        return _found_among_walls(state, estimate, suspect, at_last=at_last)
     anywhere = math.isnan(state.placed)
     if at_last:
-        return _found_among_walls(state, estimate, suspect, stamp, at_last=True) if anywhere else state
+        return _found_among_walls(state, estimate, suspect, at_last=True) if anywhere else state
     seen = gathered(state, suspect)
     way = se2.between(suspect.begin.X_OB, state.X_OB)
     moved = np.sqrt(suspect.sigma**2 + PUSHES**2 + (suspect.unwatched * CARRIES) ** 2)
@@ -145,7 +145,7 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     error[2] = se2.wrap_angle(error[2])
     if not state.lost and not anywhere and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
         return replace(state, contradictions=0, suspect=None)
-    _tell_place(state, stamp, found.X_MB, error, f"{len(tags.ids)} mapped tags")
+    _tell_place(state, found.X_MB, error, f"{len(tags.ids)} mapped tags")
     # The ties of the newest views to the others may be wrong as well.
     graph = state.graph if anywhere else decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
@@ -165,11 +165,11 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
 
 
 def _found_among_walls(
-    state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, stamp: float, *, at_last: bool
+    state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, *, at_last: bool
 ) -> EstimatorState:
     """The state after a search for the pose by the surfaces seen since the first contradiction, once a second and at
     last."""
-    looks = sum(len(frame.lines) > 0 for frame in suspect.frames)
+    looks, stamp = sum(len(frame.lines) > 0 for frame in suspect.frames), state.stamp
     if looks % LOOKS and not at_last:
         return state
     newest = newest_of(suspect)
@@ -187,7 +187,7 @@ def _found_among_walls(
             return state
         _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
         return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
-    _tell_place(state, stamp, X_MA, X_MA - expected, "the walls")
+    _tell_place(state, X_MA, X_MA - expected, "the walls")
     X_MB = se2.compose(X_MA, se2.between(newest.begin.X_OB, state.X_OB))
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
     placed = stamp if anywhere else state.placed
@@ -195,10 +195,10 @@ def _found_among_walls(
     return begun_elsewhere(state, replace(newest, X_MB=X_MA, sigma=PLACED))
 
 
-def _tell_place(state: EstimatorState, stamp: float, X_MB: FloatArray, error: FloatArray, by: str) -> None:
+def _tell_place(state: EstimatorState, X_MB: FloatArray, error: FloatArray, by: str) -> None:
     """Tells where in its map the robot has found itself, which was anywhere, or how far (3,) from where it was thought
     to be."""
-    (x, y, _), (dx, dy, turn) = X_MB, error
+    (x, y, _), (dx, dy, turn), stamp = X_MB, error, state.stamp
     if math.isnan(state.placed):
         _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
         return
