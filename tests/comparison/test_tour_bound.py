@@ -17,20 +17,25 @@ from tfg_drake.messages import replace
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5))
 def test_the_shortest_chain_is_that_of_all_orders(seed, count):
     apart = np.random.default_rng(seed).uniform(0.0, 9.0, (count + 1, count + 1))
-    chains = (
-        sum(apart[a, b] for a, b in zip((0, *order), order, strict=False))
-        for order in itertools.permutations(range(1, count + 1))
-    )
+
+    def length(order):
+        driven = 0.0
+        for a, b in zip((0, *order), order, strict=False):
+            driven = max(driven + apart[a, b], apart[0, b])
+        return driven
+
+    chains = map(length, itertools.permutations(range(1, count + 1)))
     assert shortest_chain(apart) == pytest.approx(min(chains))
 
 
 def test_a_tag_far_down_a_corridor_has_to_be_gone_to():
     walls = np.array([[0.0, 0, 30, 0], [30, 0, 30, 2], [30, 2, 0, 2], [0, 2, 0, 0]])
-    tag = np.array([[30.0, 1.0]])
-    see = ToSee(tag, np.array([[-1.0, 0.0]]), np.array([[5.0, 1.0, 0.2]]), np.ones(1, dtype=bool), 0.99)
+    # The second one is seen wherever the first is.
+    tags, normals = np.array([[30.0, 1.0], [28.0, 2.0]]), np.array([[-1.0, 0.0], [0.0, -1.0]])
+    see = ToSee(tags, normals, np.array([[5.0, 1.0, 0.2], [12.0, 1.0, 0.0]]), np.ones(2, dtype=bool), 0.99)
     time, length = tour_bound(walls, np.array([1.0, 1.0]), see, ROBOT)
     # 24 m; at 0.5 m/s, reached with 0.5 m/s^2. Less what is allowed for roughness.
-    assert 23.5 < length <= 24.0
+    assert 23.4 < length <= 24.0
     assert time == pytest.approx(length / 0.5 + 0.5)
 
 

@@ -28,27 +28,50 @@ from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
-# Side of the squares that the points of an outline are rounded to, m: they are no farther from it than ROUGH, m.
-SQUARE = 0.15
-ROUGH = 0.75 * SQUARE
+# Side of the squares that the points of an outline are rounded to, m. With half of that between them nothing of the
+# outline is farther from one than ROUGH, m.
+SQUARE = 0.1
+ROUGH = SQUARE
+# A tag is looked at from this far off its wall, m.
+OFF_WALL = 2e-3
 # Rays of an outline, beside those to the ends of the walls.
 RAYS = 360
 # Things that are tried, and those that the bound is of, at most.
 TRIED, THINGS = 24, 11
+# Points of a region by which it is told that it lies within another one.
+INSIDE = 20
 
 
 def tour_bound(walls: FloatArray, start: FloatArray, see: ToSee, robot: RobotConfig) -> tuple[float, float]:
     """Time, s, and length, m, that no tour from start (2,) stays below; what of see can be seen at all must be."""
     walls = np.ascontiguousarray(walls)
     regions = [start[None]]
+    # What a region is seen from, how far, and points of it.
+    eyes, reach, inside = [start[None]], [0.0], [start[None]]
     for thing in _things(see, start, walls):
         region = _region(thing, see, walls, robot.radius - ROUGH)
         if len(region):
             regions.append(region)
-    length = _shortest_visit(_apart(walls, regions, robot.radius - ROUGH))
+            # From behind its wall nobody sees a tag.
+            eyes.append(see.points[thing] + OFF_WALL * see.normals[thing])
+            reach.append(float(see.limits[thing[0], 0]))
+            some = region if see.is_tag[thing[0]] else see.points[thing]
+            inside.append(some[:: max(1, len(some) // INSIDE)])
+    apart = _apart(walls, regions, robot.radius - ROUGH)
+    for i in range(len(regions)):
+        for j in range(len(regions)):
+            if any(_sees(walls, p, reach[j], inside[i]) for p in eyes[j]):  # the outlines of nested regions are apart
+                apart[i, j] = apart[j, i] = 0.0
+    length = _shortest_visit(apart)
     run_up = min(length, 0.5 * robot.max_speed**2 / robot.max_acceleration)
     time = math.sqrt(2.0 * run_up / robot.max_acceleration) + (length - run_up) / robot.max_speed
     return time, length
+
+
+def _sees(walls: FloatArray, p: FloatArray, reach: float, points: FloatArray) -> bool:
+    """Whether any of points (n, 2) is in sight of a point p (2,) within reach, m."""
+    near = points[np.hypot(*(points - p).T) <= reach]
+    return len(near) > 0 and bool(line_of_sight(walls, p, near).any())
 
 
 def _things(see: ToSee, start: FloatArray, walls: FloatArray) -> list[IntArray]:
@@ -83,8 +106,7 @@ def _spread(points: FloatArray, start: FloatArray, count: int) -> list[int]:
 def _region(rows: IntArray, see: ToSee, walls: FloatArray, room: float) -> FloatArray:
     """Points (n, 2), m, near the outline of the region from which some of these rows are seen, where a robot has room,
     m."""
-    # From behind its wall nobody sees a tag.
-    from_points, reach = see.points[rows] + 2e-3 * see.normals[rows], float(see.limits[rows[0], 0])
+    from_points, reach = see.points[rows] + OFF_WALL * see.normals[rows], float(see.limits[rows[0], 0])
     outlines = []
     for p in from_points:
         corners = _outline(p, reach, walls)
@@ -188,7 +210,7 @@ def _shortest_visit(apart: FloatArray) -> float:
 @njit(cache=True)
 def shortest_chain(apart: FloatArray) -> float:
     """Length of the shortest chain from row 0 through all other rows of distances (r, r), ending anywhere (Held and
-    Karp 1962)."""
+    Karp 1962). No row is reached sooner than straight from row 0: regions do not keep the triangle's inequality."""
     n = len(apart) - 1
     cost = np.full((1 << n, n), np.inf)
     for j in range(n):
@@ -198,6 +220,6 @@ def shortest_chain(apart: FloatArray) -> float:
             if cost[visited, j] < np.inf:
                 for k in range(n):
                     if not visited >> k & 1:
-                        more = cost[visited, j] + apart[j + 1, k + 1]
+                        more = max(cost[visited, j] + apart[j + 1, k + 1], apart[0, k + 1])
                         cost[visited | 1 << k, k] = min(cost[visited | 1 << k, k], more)
     return float(cost[(1 << n) - 1].min()) if n else 0.0
