@@ -480,7 +480,7 @@ def best_tour(
     see: ToSee,
     robot: RobotConfig,
     keep_out: FloatArray | None = None,
-    rounds: int = 60,
+    rounds: int = 30,
     restarts: int = 2,
     say: Callable[[str], object] = lambda line: None,
 ) -> BestTour:
