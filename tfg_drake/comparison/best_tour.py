@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from tfg_drake.comparison.curves import STEP, TURN, view_rows
 from tfg_drake.comparison.known_ways import known_ways
@@ -47,6 +48,8 @@ TAG_WEIGHT = 20
 ATTEMPTS = 12
 
 Stop = tuple[int, int]
+# Which points are seen, eight to a byte.
+Bits = NDArray[np.uint8]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,7 +252,7 @@ class Search:
         self._angles = np.linspace(0.0, math.pi, 181)
         self._bends = np.array([self._bend(angle) for angle in self._angles.tolist()])
         self._legs: dict[tuple[int, int], tuple[float, float, float]] = {}
-        self._views: dict[tuple[int, int, int], IntArray] = {}
+        self._views: dict[tuple[int, int, int], Bits] = {}
 
     def _seen_all_round(self, places: FloatArray, see: ToSee) -> BoolArray:
         """Which of t points is seen from each place, turning there: (p, t)."""
@@ -280,7 +283,7 @@ class Search:
             self._legs[i, j] = float(time), float(along[0]), float(along[-1])
         return self._legs[i, j]
 
-    def _view(self, i: int, j: int, look: int) -> IntArray:
+    def _view(self, i: int, j: int, look: int) -> Bits:
         """Bits of what is seen on the way from place i to place j, and by a look there."""
         key = i, j, look
         if key not in self._views:
@@ -293,7 +296,7 @@ class Search:
                 self._views[key] = self._bits(_thin(poses))
         return self._views[key]
 
-    def _bits(self, X_WB: FloatArray) -> IntArray:
+    def _bits(self, X_WB: FloatArray) -> Bits:
         see = self._see
         first = seen_from(X_WB, see.points, see.normals, see.limits, self._walls)
         return np.packbits(first < len(X_WB))
@@ -317,14 +320,14 @@ class Search:
                 heading, stands = to, True
         return time
 
-    def _all_views(self, stops: Sequence[Stop]) -> list[IntArray]:
+    def _all_views(self, stops: Sequence[Stop]) -> list[Bits]:
         begin = np.append(self.places[0], self._heading)[None]
         if (0, 0, -1) not in self._views:
             self._views[0, 0, -1] = self._bits(begin)
         chain = zip([(0, -1), *stops], stops, strict=False)
         return [self._views[0, 0, -1], *(self._view(a, b, look) for (a, _), (b, look) in chain)]
 
-    def lacks(self, seen: IntArray) -> float:
+    def lacks(self, seen: Bits) -> float:
         """By how many cells what is seen (bits) is not enough; see TAG_WEIGHT."""
         tags = int(np.bitwise_count(self._tags & ~seen).sum())
         cells = len(self._see.is_tag) - int(np.bitwise_count(seen).sum()) - tags
@@ -353,7 +356,7 @@ class Search:
             value = np.where(gain > 0, gain / (np.maximum(more, 0.0) / speed + 1.0), 0.0)
             value *= np.exp(NOISE * rng.standard_normal(value.shape))
             time = self.time(stops)
-            best, found = 0.0, None
+            best, found = 0.0, stops
             for flat in np.argsort(-value, axis=None)[: TRIED if len(stops) else 3 * TRIED].tolist():
                 at, place = divmod(flat, len(self.places))
                 if value[at, place] <= 0.0 or not math.isfinite(more[at, place]):
@@ -366,11 +369,11 @@ class Search:
                     worth = got / (max(0.0, self.time(tried) - time) + 0.3)
                     if worth > best:
                         best, found = worth, tried
-            if found is None:
+            if best == 0.0:
                 return None
             stops = found
 
-    def _looks_at(self, place: int, missed: IntArray) -> int:
+    def _looks_at(self, place: int, missed: Bits) -> int:
         """The number of the heading in which most of what is missed (bits) lies from a place."""
         rows = np.unpackbits(missed, count=len(self._see.points)).astype(np.bool_)
         d = self._see.points[rows] - self.places[place]
