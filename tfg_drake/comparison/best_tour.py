@@ -484,7 +484,7 @@ def best_tour(
     robot: RobotConfig,
     keep_out: FloatArray | None = None,
     rounds: int = 30,
-    restarts: int = 2,
+    restarts: int = 1,
     say: Callable[[str], object] = lambda line: None,
 ) -> BestTour:
     """The best tour found of a world.
