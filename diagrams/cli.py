@@ -422,8 +422,7 @@ def compare(
             command = _command_line(["compare", scenario], given)
             with run_folder.claimed(folder):
                 runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, interruption, show)
-                show("drawing and writing the comparison")
-                comparison_report.write_comparison(runs, tasks, folder, command)
+                comparison_report.write_comparison(runs, tasks, folder, command, show)
     for line in compare_command.closing_lines(runs, names):
         print(line)
     print(f"report: {folder / 'report.html'}")

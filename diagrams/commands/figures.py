@@ -125,7 +125,7 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         sweep = folder / name
         sweep.mkdir(parents=True, exist_ok=True)
         runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
-        write_comparison(runs, tasks, sweep, "tfg-drake figures")
+        write_comparison(runs, tasks, sweep, "tfg-drake figures", show)
         return runs
 
     runs = compared("table-2", scenarios, "paper", COMPARED)

@@ -15,6 +15,7 @@ from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
+from tfg_drake.diagrams.missions.best_tours import over_tours
 from tfg_drake.diagrams.missions.errors import EVERY
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
@@ -30,11 +31,19 @@ from tfg_drake.world.reachability import make_grid, reachable_cells
 _STRETCHES, _DISTANCE_STEP = 150, 0.5
 
 
-def write_comparison(runs: Sequence[Run], tasks: Sequence[Task], out: Path, command: str) -> None:
-    """Write runs.csv, the figures, report.md and report.html; command: what repeats it.
+def write_comparison(
+    runs: Sequence[Run],
+    tasks: Sequence[Task],
+    out: Path,
+    command: str,
+    show: Callable[[str], object] = lambda line: None,
+) -> None:
+    """Write runs.csv, the figures, report.md and report.html, and the worlds' best tours where they are not there yet.
 
-    Raises OSError where a file cannot be written.
+    command: what repeats it. show: is told how far it is. Raises OSError where a file cannot be written.
     """
+    runs = over_tours(runs, {task.seed: task.scenario for task in tasks}, out / "tours", show)
+    show("drawing and writing the comparison")
     methods = list(dict.fromkeys(task.method for task in tasks))
     write_atomic(out / "runs.csv", to_csv(runs))
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))

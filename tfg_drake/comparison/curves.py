@@ -70,7 +70,7 @@ def scan_coverage(
     """
     if not len(X_WB) or not len(p_WC):
         return np.zeros(0, dtype=np.int64), np.zeros(0)
-    rows = _samples(X_WB)
+    rows = view_rows(X_WB)
     walls = np.ascontiguousarray(walls)
     # Of a large building only the strip within range, and a bit, is looked at, across its longer side.
     axis = int(np.argmax(np.ptp(p_WC, axis=0)))
@@ -83,6 +83,17 @@ def scan_coverage(
         unseen[near] = ~_seen(pose, cells.take(near, axis=0), walls, scan_range, field_of_view)
         share[k] = 1.0 - np.count_nonzero(unseen) / len(cells)
     return rows, share
+
+
+def view_rows(X_WB: FloatArray) -> IntArray:
+    """Rows (k,) of poses (n, 3) that lie STEP or TURN from the one before, and the last: those whose views count."""
+    kept = [0]
+    for i, (x, y, heading) in enumerate(X_WB.tolist()):
+        x0, y0, heading0 = X_WB[kept[-1]]
+        turned = abs(np.remainder(heading - heading0 + np.pi, 2.0 * np.pi) - np.pi)
+        if turned >= TURN or np.hypot(x - x0, y - y0) >= STEP:
+            kept.append(i)
+    return np.array(kept if kept[-1] == len(X_WB) - 1 else [*kept, len(X_WB) - 1])
 
 
 def averaged(curve: Curve, step: float) -> Curve:
@@ -107,17 +118,6 @@ def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | 
     table = np.array([np.interp(x, curve.x, curve.y, right=curve.y[-1] if hold else np.nan) for curve in curves])
     common = float(min(curve.x[-1] for curve in curves))
     return Band(x, np.nanmean(table, axis=0), np.nanmin(table, axis=0), np.nanmax(table, axis=0), common)
-
-
-def _samples(X_WB: FloatArray) -> IntArray:
-    """Rows of poses (n, 3) that lie STEP or TURN from the one before, and the last."""
-    kept = [0]
-    for i, (x, y, heading) in enumerate(X_WB.tolist()):
-        x0, y0, heading0 = X_WB[kept[-1]]
-        turned = abs(np.remainder(heading - heading0 + np.pi, 2.0 * np.pi) - np.pi)
-        if turned >= TURN or np.hypot(x - x0, y - y0) >= STEP:
-            kept.append(i)
-    return np.array(kept if kept[-1] == len(X_WB) - 1 else [*kept, len(X_WB) - 1])
 
 
 def _seen(X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float) -> BoolArray:

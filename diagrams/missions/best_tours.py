@@ -1,0 +1,113 @@
+"""The best tours of the worlds that missions were in: computed once and kept as JSON, and the missions over them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tfg_drake.comparison.best_tour import BestTour, best_tour, to_see
+from tfg_drake.comparison.runs import Run
+from tfg_drake.comparison.tour_bound import tour_bound
+from tfg_drake.diagrams.missions.errors import EVERY, NEARLY_ALL, path_length
+from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
+from tfg_drake.io.files import FileError, read_object, write_atomic
+from tfg_drake.storage.trajectory import read_tum
+from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
+
+# Changes when the search does: what another one found is not taken for its own.
+SEARCH = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class KeptTour:
+    """A tour and the time, s, and length, m, that no tour stays below."""
+
+    tour: BestTour
+    bound_time: float
+    bound_length: float
+
+
+def kept_tour(scenario: Scenario, folder: Path, say: Callable[[str], object] = lambda line: None) -> KeptTour:
+    """The best tour of a scenario's world, robot, sensors and start, from its file in the folder; computed and written
+    where there is none. say: is told how far it is.
+
+    It sees NEARLY_ALL of the cells that `area_seen_s` counts, by the scanner, and each tag that can be reached. What
+    changes in a world while a mission goes on is left out. Raises OSError where the file cannot be written.
+    """
+    asked = _asked(scenario)
+    path = folder / f"tour-{hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]}.json"
+    try:
+        kept = read_object(path)
+        poses = np.array(kept["X_WB"], dtype=float).reshape(-1, 3)
+        tour = BestTour(np.array(kept["stamps"], dtype=float), poses, bool(kept["is_enough"]))
+        return KeptTour(tour, float(kept["bound_s"]), float(kept["bound_m"]))
+    except (FileError, KeyError, TypeError, ValueError):
+        pass
+    world = MakeWorld(scenario.world)
+    grid, keep_out = make_grid(world), HatchedKeepOut(scenario)
+    reachable = reachable_cells(grid, world, scenario.robot.radius, keep_out)
+    counted = np.zeros_like(reachable)
+    counted[::EVERY, ::EVERY] = reachable[::EVERY, ::EVERY]
+    tags = reachable_tags(world, grid, reachable, scenario.tags.range, scenario.tags.max_incidence)
+    see = to_see(grid.centers(counted), world, tags, NEARLY_ALL, scenario.scan, scenario.tags)
+    tour = best_tour(world, grid.centers(reachable), see, scenario.robot, keep_out, say=say)
+    say("a bound from below")
+    bound = tour_bound(world.walls, world.start[:2], see, scenario.robot)
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {"stamps": tour.stamps.round(3).tolist(), "X_WB": tour.X_WB.round(4).tolist(), "is_enough": tour.is_enough}
+    figures = {"time_s": tour.time, "distance_m": tour.distance, "bound_s": bound[0], "bound_m": bound[1]}
+    write_atomic(path, json.dumps({**figures, **found, "of": asked}) + "\n")
+    return KeptTour(tour, *bound)
+
+
+def over_tours(
+    runs: Sequence[Run], scenarios: dict[int, Scenario], folder: Path, say: Callable[[str], object]
+) -> list[Run]:
+    """Runs with `best_tour` in their summaries: its time and distance, their bounds, and those of the run until
+    everything was explored as multiples of the tour's. scenarios: by seed. Runs that never explored all have none.
+
+    Raises OSError where a tour cannot be written.
+    """
+    return [_over_tour(run, scenarios[run.seed], folder, say) for run in runs]
+
+
+def _over_tour(run: Run, scenario: Scenario, folder: Path, say: Callable[[str], object]) -> Run:
+    explored = None if run.summary is None or not run.counts else run.summary.get("explored_s")
+    if run.summary is None or explored is None:
+        return run
+    kept = kept_tour(scenario, folder, lambda line: say(f"the best tour, seed {run.seed}: {line}"))
+    tour = kept.tour
+    if not tour.is_enough or tour.time <= 0.0 or tour.distance <= 0.0:
+        return run
+    stamps, X_WB = read_tum(run.folder / "truth.tum")
+    over = {
+        "time_s": tour.time,
+        "distance_m": tour.distance,
+        "bound_s": kept.bound_time,
+        "bound_m": kept.bound_length,
+        "explored_over_time": explored / tour.time,
+        "explored_over_distance": path_length(X_WB[stamps <= explored]) / tour.distance,
+    }
+    return dataclasses.replace(run, summary=run.summary | {"best_tour": over})
+
+
+def _asked(scenario: Scenario) -> dict[str, Any]:
+    """All that a tour depends on."""
+    robot, scan, tags = (dataclasses.asdict(one) for one in (scenario.robot, scenario.scan, scenario.tags))
+    return {
+        "search": SEARCH,
+        "share": NEARLY_ALL,
+        "walls": [list(map(float, wall)) for wall in scenario.world.walls],
+        "tags": [[*map(float, tag.position), float(tag.facing)] for tag in scenario.world.tags],
+        "start": list(map(float, scenario.world.start)),
+        "keep_out": scenario.explorer.keep_out,
+        "robot": robot,
+        "scan": {name: scan[name] for name in ("range", "field_of_view")},
+        "tag_sensor": {name: tags[name] for name in ("range", "field_of_view", "max_incidence")},
+    }
