@@ -12,8 +12,8 @@ from tfg_drake.messages import FloatArray
 
 
 def fill_polygon(cells: NDArray[Any], corners: FloatArray, value: int) -> None:
-    """Gives a value to the cells (rows, columns) whose centres are in a polygon (n, 2): an odd number of its sides is to
-    their left."""
+    """Gives a value to the cells (rows, columns) whose centres are in a polygon (n, 2): an odd number of its sides is
+    to their left."""
     if len(corners) < 3:
         return
     size = cells.shape[::-1]
