@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -74,8 +74,8 @@ class DeviceError(BadInput, RuntimeError):
     """The robot cannot be used; the message is one line: what is wrong and how to mend it."""
 
 
-class Driver(Protocol):
-    """Interface of a robot's drivers; used by one thread. Those that inherit it need not say where they do nothing.
+class Driver:
+    """A robot's driver, used by one thread; one that has nothing to do need not say so.
 
     sources: name of each kind of message in a remark, such as "scan of /scan".
     """
@@ -88,9 +88,11 @@ class Driver(Protocol):
 
     def take(self) -> list[Message]:
         """The messages since the last call, those of a kind in the order they arrived."""
+        raise NotImplementedError
 
     def fault(self) -> str | None:
         """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
+        return None
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
@@ -100,6 +102,7 @@ class Driver(Protocol):
 
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call: what was refused, lost or found again."""
+        return []
 
     def close(self) -> None:
         """Lets go of the robot."""

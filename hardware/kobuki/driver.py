@@ -164,10 +164,6 @@ class KobukiDriver(Driver):
             self._connection.say(p.GeneralOutput(_POWER | lights))
         self._lights = lights
 
-    def remarks(self) -> list[str]:
-        """None: what the base has to say is in its messages."""
-        return []
-
     def close(self) -> None:
         """Stops the base, says good-bye and closes the port."""
         self._disconnect(_STOP, _TUNE_OFF, p.GeneralOutput(_POWER))

@@ -40,8 +40,7 @@ def open_driver(preset: Preset, host: str, port: int) -> GraphBaseDriver:
 
 
 class RosbridgeGraph(Graph):
-    """A client of a rosbridge server. JSON says all types; rosapi does not tell who listens, and what is published is
-    sent on reliably."""
+    """A client of a rosbridge server: rosapi does not tell who listens, and what is published is sent on reliably."""
 
     label = "rosbridge"
 
@@ -65,6 +64,9 @@ class RosbridgeGraph(Graph):
                 f"rosbridge: no server answers at ws://{host}:{port}: start it on the robot with "
                 "`ros2 launch rosbridge_server rosbridge_websocket_launch.xml`, or give its host and port"
             ) from None
+
+    def require(self, topic: Topic) -> None:
+        """Nothing: JSON says it all."""
 
     @property
     def connected(self) -> bool:

@@ -116,8 +116,8 @@ def sighted(
         if why:
             good[i] = False
             remarks[f"tag {tag}: {why}"] = None
-    columns = (column[good] for column in (tags.ids, distance, bearing, sigma_range, sigma_bearing))
-    return Sighting(TagDetections(stamp, *columns), tuple(remarks))
+    columns = (column[good] for column in (distance, bearing, sigma_range, sigma_bearing))
+    return Sighting(TagDetections(stamp, tags.ids[good], *columns), tuple(remarks))
 
 
 def nothing_sighted() -> Sighting:
