@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -74,23 +74,25 @@ class DeviceError(BadInput, RuntimeError):
     """The robot cannot be used; the message is one line: what is wrong and how to mend it."""
 
 
-class Driver(Protocol):
-    """Interface of a robot's drivers; used by one thread."""
+class Driver:
+    """A robot's driver, used by one thread; one that has nothing to do need not say so.
 
-    limits: Limits
+    sources: name of each kind of message in a remark, such as "scan of /scan".
+    """
 
-    @property
-    def sources(self) -> Mapping[type, str]:
-        """Name of each kind of message in a remark, such as "scan of /scan"."""
+    limits: Limits = Limits()
+    sources: Mapping[type, str]
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
 
     def take(self) -> list[Message]:
         """The messages since the last call, those of a kind in the order they arrived."""
+        raise NotImplementedError
 
     def fault(self) -> str | None:
         """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
+        return None
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
@@ -100,6 +102,7 @@ class Driver(Protocol):
 
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call: what was refused, lost or found again."""
+        return []
 
     def close(self) -> None:
         """Lets go of the robot."""
@@ -120,13 +123,18 @@ class Device:
 
     def __init__(self, open_driver: OpenDriver) -> None:
         """Starts the process, which opens the driver, and waits until odometry arrives; raises DeviceError."""
+        self._open_driver = open_driver
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
         self._odometry: collections.deque[Odometry] = collections.deque(maxlen=REMEMBERED)
-        self._locked: str | None = "not enabled yet"
         self._remarks: list[str] = []
         self.heard = self._answers = 0
+        self._open()
+
+    def _open(self) -> None:
+        """Does so, anew where there was a process that has ended."""
+        self._locked: str | None = "not enabled yet"
         # Since when the process takes no orders, s; None while it does.
         self._full: float | None = None
         self._ended: str | None = None
@@ -135,13 +143,14 @@ class Device:
         try:
             self._start()
         except (OSError, RuntimeError) as error:  # RuntimeError is what a thread raises that cannot be started
-            raise DeviceError(f"no process for it can be started: {error.args[-1]}; end other programs") from None
-        self._put(open_driver)
+            self._ended = f"no process for it can be started: {error.args[-1]}; end other programs"
+            raise DeviceError(self._ended) from None
+        self._put(self._open_driver)
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._ended is not None, START_TIMEOUT)
         if not self._ready:
             line = self._ended or f"the robot's process did not begin in {START_TIMEOUT:.0f} s"
-            self.close()
+            self._end()
             raise DeviceError(line)
 
     def _start(self) -> None:
@@ -247,6 +256,9 @@ class Device:
 
     def close(self) -> None:
         """Stops the robot and ends the process."""
+        self._end()
+
+    def _end(self) -> None:
         with contextlib.suppress(DeviceError):
             self._put(("close",))
         self._ended = self._ended or "closed"
@@ -255,7 +267,8 @@ class Device:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._reader.join()
+        if self._reader.is_alive():  # else it has ended, or could not be started
+            self._reader.join()
         self._announcements.close()
         self._connection.close()
 

@@ -5,28 +5,42 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
-from tfg_drake.hardware.device import DeviceError, Message
+from tfg_drake.hardware.device import DeviceError, Driver, Message
 from tfg_drake.hardware.plausible import Refusals
-from tfg_drake.hardware.watchdog import Limits
 
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
 
 
-class SensorReader:
-    """The part of a tfg_drake.hardware.device.Driver that does nothing for a sensor.
+class Inbox:
+    """Messages and lines for the operator until they are taken. refusals: of what arrived and cannot be used."""
 
-    name: of its source, such as "socket:127.0.0.1:5000". refusals: of what arrived and cannot be used.
-    """
-
-    limits = Limits()
-
-    def __init__(self, name: str, sources: Mapping[type, str]) -> None:
-        """sources: what the messages of a kind are called."""
-        self.name, self.sources = name, sources
+    def __init__(self) -> None:
         self.refusals = Refusals()
         self._remarks: list[str] = []
         self._messages: list[Message] = []
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        remarks, self._remarks = self._remarks, []
+        return [*remarks, *self.refusals.take()]
+
+    def take(self) -> list[Message]:
+        """The messages since the last call."""
+        taken, self._messages = self._messages, []
+        return taken
+
+
+class SensorReader(Inbox, Driver):
+    """A driver that drives nothing.
+
+    name: of its source, such as "socket:127.0.0.1:5000".
+    """
+
+    def __init__(self, name: str, sources: Mapping[type, str]) -> None:
+        """sources: what the messages of a kind are called."""
+        super().__init__()
+        self.name, self.sources = name, sources
         self._back_off, self._retry = BACK_OFF, 0.0
 
     def _connect_again(self, connect: Callable[[], None], left: float) -> None:
@@ -46,23 +60,3 @@ class SensorReader:
 
     def _remark(self, line: str) -> None:
         self._remarks.append(f"{self.name}: {line}")
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        remarks, self._remarks = self._remarks, []
-        return [*remarks, *self.refusals.take()]
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        taken, self._messages = self._messages, []
-        return taken
-
-    def fault(self) -> str | None:
-        """None: there is nothing to stop."""
-        return None
-
-    def send(self, speed: float, turn_rate: float) -> None:
-        """There is nothing to drive."""
-
-    def show(self, enabled: bool) -> None:
-        """A sensor has nothing to show."""

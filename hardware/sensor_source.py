@@ -11,15 +11,12 @@ import functools
 import threading
 import urllib.parse
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 from tfg_drake.config import HardwareConfig
-from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.messages import LaserScan, SaidPose, TagDetections
-
-T = TypeVar("T", LaserScan, Sweep, TagDetections, SaidPose)
+from tfg_drake.messages import LaserScan, TagDetections
 
 # What a source may be asked for, and what that is.
 KINDS = {"tags": TagDetections, "scan": LaserScan}
@@ -90,7 +87,7 @@ def _topic(text: str, topic: str) -> str:
     return topic
 
 
-class SensorSource:
+class SensorSource(Device):
     """Tags or scans, or both, of one connection. Stamps are the host's monotonic clock, s.
 
     Its process is started again where it ends or hangs; meanwhile nothing arrives.
@@ -98,81 +95,55 @@ class SensorSource:
 
     def __init__(self, name: str, open_driver: OpenDriver) -> None:
         """Waits until what is wanted arrives; raises DeviceError. name: of the connection, in remarks."""
-        self._name, self._open_driver = name, open_driver
-        self._device = Device(open_driver)
-        self._remarks: list[str] = []
+        super().__init__(open_driver)
+        self._name = name
         self._published: dict[str, dict[str, Any]] = {}
-        self._lock = threading.Lock()
         self._closed = threading.Event()
         self._keeper = threading.Thread(target=self._keep, daemon=True)
         self._keeper.start()
 
-    @property
-    def process_id(self) -> int:
-        """PID of the current process."""
-        return self._device.process_id
-
-    def newest(self, kind: type[T]) -> T | None:
-        """The newest message of a kind; None where none has arrived yet."""
-        return self._device.newest(kind)
-
-    def take(self, kind: type[T], until: float) -> list[T]:
-        """The messages of a kind that are stamped `until` (s) or before and were not taken yet, in order."""
-        return self._device.take(kind, until)
-
-    def take_remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        with self._lock:
-            remarks, self._remarks = self._remarks, []
-        return [*self._device.take_remarks(), *remarks]
-
     def publish(self, key: str, message: dict[str, Any]) -> None:
         """Publishes a message by its key in the preset's `publish`."""
         self._published[key] = message
-        self._device.publish(key, message)
+        super().publish(key, message)
 
     def close(self) -> None:
         """Ends the connection; once is enough."""
         self._closed.set()
-        # One that is being started may take long to find out that nothing is there; it ends by itself then.
+        # One that is being started may take long to find out that nothing is there; it is ended all the same.
         self._keeper.join(ANSWER_TIMEOUT)
-        self._device.close()
+        super().close()
 
     def _keep(self) -> None:
         """Looks after the process until `close`."""
         heard, silent = -1, 0
         while not self._closed.wait(_LOOK_EVERY):
-            device = self._device
             # Looks are counted, not seconds: the reading of what was said may be held up as this is.
-            heard, silent = device.heard, silent + 1 if device.heard == heard else 0
-            if device.ended is not None or silent > _SILENT_LOOKS:
-                self._remark("has ended" if device.ended is not None else "hangs", "; it is started again")
+            heard, silent = self.heard, silent + 1 if self.heard == heard else 0
+            if self.ended is not None or silent > _SILENT_LOOKS:
+                self._remark("has ended" if self.ended is not None else "hangs", "; it is started again")
                 self._start_again()
                 heard, silent = -1, 0
 
     def _start_again(self) -> None:
-        self._device.close()
+        self._end()
         delay, told = _BACK_OFF, ""
         while not self._closed.wait(delay):
             delay = min(2.0 * delay, _LONGEST_BACK_OFF)
             try:
-                device = Device(self._open_driver)
+                self._open()
             except DeviceError as error:
                 if str(error) != told:
                     self._remark("does not begin", f": {error}")
                 told = str(error)
                 continue
-            if self._closed.is_set():
-                device.close()
-                return
-            self._device = device
             for key, message in self._published.copy().items():
-                device.publish(key, message)
+                super().publish(key, message)
             self._remark("is back", "")
             return
 
     def _remark(self, what: str, more: str) -> None:
-        with self._lock:
+        with self._changed:
             self._remarks.append(f"the process that reads {self._name} {what}{more}")
 
 
@@ -218,8 +189,19 @@ def _opening(
     base: bool,
     hardware: HardwareConfig | None,
 ) -> OpenDriver:
-    if spec.transport in OWN:
-        return _opening_own(spec, hardware or HardwareConfig())
+    own = hardware or HardwareConfig()
+    if spec.transport == "camera":
+        from tfg_drake.hardware.camera_sensor import CameraDriver
+
+        return functools.partial(CameraDriver, spec.device, own.camera)
+    if spec.transport == "rplidar":
+        from tfg_drake.hardware.rplidar.driver import RplidarDriver
+
+        return functools.partial(RplidarDriver, spec.device, own.scanner)
+    if spec.transport == "realsense":
+        from tfg_drake.hardware.realsense_sensor import RealsenseDriver
+
+        return functools.partial(RealsenseDriver, spec.device, own.scanner)
     if spec.transport == "socket":
         from tfg_drake.hardware.socket_sensors import SocketDriver
 
@@ -228,17 +210,3 @@ def _opening(
 
     host = spec.host if spec.transport == "rosbridge" else None
     return functools.partial(sensors.open_driver, host, spec.port, tuple(topics), preset, base)
-
-
-def _opening_own(spec: SourceSpec, hardware: HardwareConfig) -> OpenDriver:
-    if spec.transport == "camera":
-        from tfg_drake.hardware.camera_sensor import CameraDriver
-
-        return functools.partial(CameraDriver, spec.device, hardware.camera)
-    if spec.transport == "rplidar":
-        from tfg_drake.hardware.rplidar.driver import RplidarDriver
-
-        return functools.partial(RplidarDriver, spec.device, hardware.scanner)
-    from tfg_drake.hardware.realsense_sensor import RealsenseDriver
-
-    return functools.partial(RealsenseDriver, spec.device, hardware.scanner)

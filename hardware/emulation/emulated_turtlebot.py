@@ -168,24 +168,16 @@ def _scan(header: Fields, scan: LaserScan) -> Fields:
 
 def _cloud(header: Fields, detections: TagDetections) -> Fields:
     """PointCloud2 that plain_detections reads."""
-    small = (detections.ids < 2**32).all()
-    layout = np.dtype([("id", "<u4" if small else "<f8")] + [(name, "<f8") for name in conversions.COLUMNS[1:]])
-    points = np.zeros(len(detections.ids), dtype=layout)
-    points["id"] = detections.ids
-    for name in conversions.COLUMNS[1:]:
-        points[name] = getattr(detections, name)
-    assert layout.fields is not None
-    fields = [
-        {"name": name, "offset": layout.fields[name][1], "datatype": 6 if name == "id" and small else 8, "count": 1}
-        for name in conversions.COLUMNS
-    ]
+    names = conversions.COLUMNS
+    points = np.column_stack([detections.ids, *(getattr(detections, name) for name in names[1:])]).astype("<f8")
+    fields = [{"name": name, "offset": 8 * k, "datatype": 8, "count": 1} for k, name in enumerate(names)]
     return {
         "header": header,
         "height": 1,
         "width": len(points),
         "fields": fields,
         "is_bigendian": False,
-        "point_step": layout.itemsize,
+        "point_step": 8 * len(names),
         "row_step": points.nbytes,
         "data": points.tobytes(),
         "is_dense": True,

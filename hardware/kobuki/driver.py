@@ -7,7 +7,7 @@ import math
 import time
 from multiprocessing.connection import wait
 
-from tfg_drake.hardware.device import BaseState, Device, DeviceError, Message
+from tfg_drake.hardware.device import BaseState, Device, DeviceError, Driver, Message
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import BAUD_RATE
@@ -39,7 +39,7 @@ def connect(port: str = "/dev/kobuki", limits: Limits | None = None) -> Device:
     return Device(functools.partial(KobukiDriver, port, limits or Limits()))
 
 
-class KobukiDriver:
+class KobukiDriver(Driver):
     """Holds the port open, and opens it again where the connection is lost; see tfg_drake.hardware.device.Driver.
 
     Odometry goes on where it was after a loss. The base obeys its last command for ever, so a guardian stops it where
@@ -163,10 +163,6 @@ class KobukiDriver:
         if lights != self._lights and self._connection is not None and self._guardian is not None:
             self._connection.say(p.GeneralOutput(_POWER | lights))
         self._lights = lights
-
-    def remarks(self) -> list[str]:
-        """None: what the base has to say is in its messages."""
-        return []
 
     def close(self) -> None:
         """Stops the base, says good-bye and closes the port."""

@@ -17,26 +17,11 @@ _BACKLOG = 200_000
 
 def sensor_line(message: TagDetections | LaserScan) -> bytes:
     """The line that says a message, with its newline."""
-    if isinstance(message, TagDetections):
-        fields = {
-            "type": "detections",
-            "stamp": message.stamp,
-            "ids": message.ids.tolist(),
-            "range": message.range.tolist(),
-            "bearing": message.bearing.tolist(),
-            "sigma_range": message.sigma_range.tolist(),
-            "sigma_bearing": message.sigma_bearing.tolist(),
-        }
-    else:
-        fields = {
-            "type": "scan",
-            "stamp": message.stamp,
-            "angles": message.angles.tolist(),
-            "ranges": [_range(distance) for distance in message.ranges.tolist()],
-            "range_max": message.range_max,
-            "sigma": message.sigma,
-        }
-    return json.dumps(fields, allow_nan=False).encode() + b"\n"
+    fields = {name: np.asarray(value).tolist() for name, value in vars(message).items()}
+    if isinstance(message, LaserScan):
+        fields["ranges"] = [_range(distance) for distance in fields["ranges"]]
+    kind = "scan" if isinstance(message, LaserScan) else "detections"
+    return json.dumps({"type": kind, **fields}, allow_nan=False).encode() + b"\n"
 
 
 def _range(distance: float) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
-from tfg_drake.hardware.device import DeviceError, Message
+from tfg_drake.hardware.device import DeviceError, Driver, Message
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import Preset, Topic
@@ -20,7 +20,8 @@ PATIENCE = 10.0
 
 
 class Graph(Protocol):
-    """A connection to a ROS graph, such as Ros2Graph or RosbridgeGraph, used by one thread. label: the transport's."""
+    """A connection to a ROS graph, such as Ros2Graph or RosbridgeGraph, used by one thread; what it says here holds for
+    one that cannot tell. label: the transport's."""
 
     label: str
 
@@ -35,9 +36,11 @@ class Graph(Protocol):
 
     def listeners(self, name: str) -> list[str] | None:
         """The types that a topic is listened to with; None where that cannot be told."""
+        return self.types(name)
 
     def best_effort(self, name: str) -> bool:
         """True if all publishers of a topic are best effort: a reliable subscriber gets nothing."""
+        return False
 
     def subscribe(self, topic: Topic, receive: Callable[[Any, float], None]) -> None:
         """receive(message, arrival), by `spin`; arrival s of the host's clock."""
@@ -52,7 +55,7 @@ class Graph(Protocol):
         """Leaves the graph."""
 
 
-class GraphDriver:
+class GraphDriver(Driver):
     """Takes in what a graph has to say; a subclass says what of it."""
 
     _intake: Intake
@@ -126,9 +129,6 @@ class GraphDriver:
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call."""
         return self._intake.remarks()
-
-    def show(self, enabled: bool) -> None:
-        """There is nothing to show it with."""
 
     def close(self) -> None:
         """Leaves the graph."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from tfg_drake.hardware.camera_sensor import tell
 from tfg_drake.hardware.device import Message
-from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
 from tfg_drake.hardware.ros.stamps import SENSOR_SILENCE, ClockJump, StampClock
+from tfg_drake.hardware.sensor_reader import Inbox
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.slam.odometry_rules import WatchedOdometry, watch
 from tfg_drake.vision.calibration import CameraCalibration
@@ -28,7 +28,7 @@ _ALARMS = {
 }
 
 
-class Intake:
+class Intake(Inbox):
     """Converts ROS messages of either transport; one thread may use it.
 
     clock_source: the topic that the clock is learned from, None where it is learned from them all. alarm: why the base
@@ -40,10 +40,10 @@ class Intake:
         "initial_pose". Sensors' clock and the robot's velocity are learned from the odometry where they have "clock",
         else the clock from them all.
         """
+        super().__init__()
         self.clock_source = next((topic.name for key, topic in topics if key in ("odometry", "clock")), None)
         self.clock = StampClock(SENSOR_SILENCE) if self.clock_source is None else StampClock()
         self._preset = preset
-        self._messages: list[Message] = []
         self._V_B = np.zeros(2)
         self._watched = WatchedOdometry()
         self._hazards = Hazards(-math.inf, 0, 0, 0)
@@ -56,8 +56,6 @@ class Intake:
         self._families: list[str] = []
         self._fault: str | None = None
         self.alarm: str | None = None
-        self._remarks: list[str] = []
-        self.refusals = Refusals()
         self.arrived: set[str] = set()
 
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
@@ -151,20 +149,10 @@ class Intake:
                 f"{topic.name} is in the frame {frame[:100]}, the preset has {expected}: set its frames.odom"
             )
 
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        taken, self._messages = self._messages, []
-        return taken
-
     def fault(self) -> str | None:
         """Why the robot must stop, once."""
         fault, self._fault = self._fault, None
         return fault
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        remarks, self._remarks = self._remarks, []
-        return [*remarks, *self.refusals.take()]
 
 
 def _kind(error: Exception) -> str:

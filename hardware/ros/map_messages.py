@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.geometry.raster import draw_segments, fill_polygon
 from tfg_drake.geometry.se2 import compose, inverse, pose_at
 from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
@@ -62,39 +63,9 @@ def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> F
     cells = np.full((height, width), UNKNOWN, dtype=np.int8)
     for j in range(len(tfg.star_centers)):
         star = tfg.star_vertices[tfg.star_offsets[j] : tfg.star_offsets[j + 1]]
-        _fill_polygon(cells, star / cell - low)
-    _draw_segments(cells, tfg.segments / cell - np.tile(low, 2))
+        fill_polygon(cells, star / cell - low, FREE)
+    draw_segments(cells, tfg.segments / cell - np.tile(low, 2), OCCUPIED)
     return _grid(cells, cell, low * cell, stamp, frames)
-
-
-def _fill_polygon(cells: Cells, corners: FloatArray) -> None:
-    """Makes the cells free whose centres are in the polygon (n, 2), in cells: an odd number of its sides is to their
-    left."""
-    if len(corners) < 3:
-        return
-    low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
-    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
-    rows = np.arange(low[1], high[1])
-    y = rows[:, None] + 0.5
-    row, side = np.nonzero((y0 > y) != (y1 > y))
-    x = x0[side] + (y[row, 0] - y0[side]) / (y1 - y0)[side] * (x1 - x0)[side]
-    # The first cell whose centre is to the right of the side.
-    column = np.ceil(x - 0.5).astype(int) - low[0]
-    sides = np.zeros((len(rows), high[0] - low[0] + 1), dtype=np.int64)
-    np.add.at(sides, (row, np.clip(column, 0, sides.shape[1] - 1)), 1)
-    inside = np.cumsum(sides, axis=1)[:, :-1] % 2 == 1
-    cells[low[1] : high[1], low[0] : high[0]][inside] = FREE
-
-
-def _draw_segments(cells: Cells, segments: FloatArray) -> None:
-    """Makes the cells occupied that the segments (m, 4), in cells, run through."""
-    start, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    # Four points a cell: what a segment only clips at a corner may be left out.
-    n = np.ceil(4.0 * np.hypot(*along.T)).astype(int) + 1
-    owner = np.repeat(np.arange(len(segments)), n)
-    share = (np.arange(len(owner)) - np.repeat(np.cumsum(n) - n, n)) / np.maximum(n - 1, 1)[owner]
-    column, row = np.floor(start[owner] + share[:, None] * along[owner]).astype(int).T
-    cells[row, column] = OCCUPIED
 
 
 def grid_of_cells(grid: GridMap, stamp: float, frames: Frames) -> Fields:

@@ -168,12 +168,8 @@ def load_preset(name_or_path: str | Path) -> Preset:
     try:
         preset: Preset = _read(tree, Preset, "")
         _check(preset.topics)
-        if preset.discovery not in DISCOVERY:
-            raise PresetError(f"discovery: unknown range {preset.discovery}; known are {', '.join(DISCOVERY)}")
-        if preset.scanner.unanswered not in UNANSWERED:
-            raise PresetError(
-                f"scanner.unanswered: unknown value {preset.scanner.unanswered}; known are {', '.join(UNANSWERED)}"
-            )
+        _check_known("discovery: unknown range", preset.discovery, DISCOVERY)
+        _check_known("scanner.unanswered: unknown value", preset.scanner.unanswered, UNANSWERED)
     except PresetError as error:
         raise PresetError(f"{path}: {error}") from None
     return preset
@@ -229,13 +225,16 @@ def _found(value: Any) -> str:
     return "missing" if value is None else f"found {value!r}"
 
 
+def _check_known(otherwise: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise PresetError(f"{otherwise} {value}; known are {', '.join(known)}")
+
+
 def _check(topics: Topics) -> None:
     for key, known in TYPES.items():
         entry = getattr(topics, key)
         for topic in entry if isinstance(entry, tuple) else (entry,) if entry is not None else ():
-            if topic.type not in known:
-                raise PresetError(f"topics.{key}: unknown type {topic.type}; known are {', '.join(known)}")
-            if topic.qos not in QOS:
-                raise PresetError(f"topics.{key}: unknown qos {topic.qos}; known are {', '.join(QOS)}")
+            _check_known(f"topics.{key}: unknown type", topic.type, known)
+            _check_known(f"topics.{key}: unknown qos", topic.qos, QOS)
     if topics.detections is not None and topics.detections.type.startswith("apriltag") and topics.camera_info is None:
         raise PresetError("topics.camera_info: missing; corners of tags say nothing without it")

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tfg_drake.hardware.device import WAITING, Device, DeviceError
-from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
+from tfg_drake.hardware.ros.graph_driver import Graph, GraphBaseDriver
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.io.extras import pip_install
 
@@ -39,8 +39,8 @@ def open_driver(preset: Preset, host: str, port: int) -> GraphBaseDriver:
     return GraphBaseDriver(RosbridgeGraph(host, port), preset)
 
 
-class RosbridgeGraph:
-    """A client of a rosbridge server, see tfg_drake.hardware.ros.graph_driver.Graph."""
+class RosbridgeGraph(Graph):
+    """A client of a rosbridge server: rosapi does not tell who listens, and what is published is sent on reliably."""
 
     label = "rosbridge"
 
@@ -112,14 +112,6 @@ class RosbridgeGraph:
         """The types that a topic has; None where rosapi does not run."""
         graph = self.names()
         return None if graph is None else [kind for one, kind in graph if one == name]
-
-    def listeners(self, name: str) -> list[str] | None:
-        """The same: rosapi does not tell who listens."""
-        return self.types(name)
-
-    def best_effort(self, name: str) -> bool:
-        """False: the server asks for what is published, and sends it on reliably."""
-        return False
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""

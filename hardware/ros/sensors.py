@@ -10,7 +10,7 @@ from tfg_drake.hardware.ros import graph_driver
 from tfg_drake.hardware.ros.announcer import Announcer
 from tfg_drake.hardware.ros.graph_driver import Graph, GraphDriver
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, TYPES, Preset, Topic
-from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import LaserScan, TagDetections
 
@@ -34,8 +34,6 @@ def open_driver(
 class SensorDriver(GraphDriver):
     """Listens, and drives nothing; see tfg_drake.hardware.device.Driver. It publishes what the explorer knows, see
     tfg_drake.hardware.announcements.Publisher."""
-
-    limits = Limits()
 
     def __init__(
         self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
@@ -107,9 +105,6 @@ class SensorDriver(GraphDriver):
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call."""
         return [*super().remarks(), *self._announcer.remarks()]
-
-    def send(self, speed: float, turn_rate: float) -> None:
-        """There is nothing to drive."""
 
     def close(self) -> None:
         """Leaves the graph."""

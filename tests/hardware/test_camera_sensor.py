@@ -117,7 +117,7 @@ def test_a_stream_in_a_process_of_its_own(stream, camera):
         is_right(source.newest(TagDetections))
     finally:
         source.close()
-    assert source._device._process.returncode == 0
+    assert source._process.returncode == 0
 
 
 def test_a_stream_that_stops_and_comes_back(stream, camera, monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.systems.test_visualizer import make_map, make_messages
 from tfg_drake.messages import replace
-from tfg_drake.pictures import scene
+from tfg_drake.pictures import scene, tables
 
 
 def choice_of(values, gains, node=0):
@@ -65,11 +65,11 @@ def test_there_is_nothing_to_explain_where_nothing_was_chosen():
 
 def test_gains_are_shares_of_the_most_and_only_of_places_that_the_roadmap_has():
     choice, roadmap = choice_of([1, 1, 1], [2, 8, -1]), roadmap_of(3)
-    layer = scene.gains(choice, roadmap)
-    np.testing.assert_allclose(layer["share"], [0.25, 1.0, 0.0])
-    layer = scene.gains(choice, replace(roadmap, points=roadmap.points[1:], ids=roadmap.ids[1:]))
-    np.testing.assert_allclose(layer["share"], [1.0, 0.0])
-    np.testing.assert_allclose(layer["points"], roadmap.points[1:])
+    told = tables.gains(choice, roadmap)
+    np.testing.assert_allclose(told.values[:, 2] * tables.SHARE, [0.25, 1.0, 0.0])
+    told = tables.gains(choice, replace(roadmap, points=roadmap.points[1:], ids=roadmap.ids[1:]))
+    np.testing.assert_allclose(told.values[:, 2] * tables.SHARE, [1.0, 0.0])
+    np.testing.assert_allclose(told.arrays["points"], roadmap.points[1:])
 
 
 def test_a_frontier_is_a_bar_across_its_normal():
@@ -81,13 +81,13 @@ def test_a_frontier_is_a_bar_across_its_normal():
     free = {"star_vertices": star, "star_offsets": np.array([0, 4]), "star_centers": np.array([[2.0, 2.5]])}
     frontiers = replace(tfg, frontier_normal=normal, frontier_length=np.array([0.2, 7.0]), **free)
     surface = np.array([[0.0, 3.25, 4.0, 3.25]])
-    bars = scene.frontiers(replace(frontiers, segments=surface))["segments"]
+    bars = tables.frontiers(replace(frontiers, segments=surface)).arrays["segments"]
     along = bars[:, 2:] - bars[:, :2]
     np.testing.assert_allclose(np.sum(along * normal, axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), [0.2, 0.4])
     middles = 0.5 * (bars[:, 2:] + bars[:, :2])
     np.testing.assert_allclose(middles, [tfg.frontiers[0] + 0.35 * normal[0], [2.0, 3.25]])
-    bare = scene.frontiers(replace(frontiers, segments=surface[:0]))["segments"][1]
+    bare = tables.frontiers(replace(frontiers, segments=surface[:0])).arrays["segments"][1]
     np.testing.assert_allclose(0.5 * (bare[:2] + bare[2:]), tfg.frontiers[1])
 
 
@@ -125,7 +125,7 @@ def test_free_space_is_told_again_only_where_it_has_moved():
 
 def test_a_landmarks_covariance_is_told_by_its_three_numbers():
     estimate = replace(make_map(1), landmark_covariance=np.array([[[4.0, 1.0], [1.0, 9.0]]]))
-    np.testing.assert_allclose(scene.landmarks(estimate)["covariance"], [[4.0, 1.0, 9.0]])
+    np.testing.assert_allclose(tables.landmarks(estimate).arrays["covariance"], [[4.0, 1.0, 9.0]])
 
 
 def test_a_scan_shows_its_rays_and_which_of_them_met_something():

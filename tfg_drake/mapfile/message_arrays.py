@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import types
 import typing
@@ -115,7 +116,8 @@ def _lower(array: Array) -> Array:
     return np.asarray(array[..., rows, columns])
 
 
-def _whole(lower: Array, size: int) -> Array:
+def _whole(lower: Array) -> Array:
+    size = _triangle_size(lower.shape[-1])
     rows, columns = np.tril_indices(size)
     array = np.empty((*lower.shape[:-1], size, size), lower.dtype)
     array[..., rows, columns] = lower
@@ -123,10 +125,8 @@ def _whole(lower: Array, size: int) -> Array:
     return array
 
 
-def _stored_size(shape: Sequence[int], lower: bool) -> int:
-    if not lower:
-        return math.prod(shape)
-    return math.prod(shape[:-2]) * _triangle_length(shape[-1])
+def _stored_shape(shape: Sequence[int], lower: bool) -> Sequence[int]:
+    return (*shape[:-2], _triangle_length(shape[-1])) if lower else shape
 
 
 class _Writer:
@@ -251,12 +251,9 @@ class _Reader:
         name = f"{path}@lower" if lower else path
         stored = self._take(name, dtype)
         if single:
-            if not lower:
-                return [stored]
-            size = _triangle_size(stored.shape[-1]) if stored.ndim else None
-            if size is None:
+            if lower and (not stored.ndim or stored.shape[-1] != _triangle_length(_triangle_size(stored.shape[-1]))):
                 raise ArraysError(f"{name} has the wrong shape")
-            return [_whole(stored, size)]
+            return [_whole(stored) if lower else stored]
         shapes = self._take(f"{path}@shape", np.dtype(np.int64))
         if shapes.ndim != 2 or len(shapes) != count or np.any(shapes < 0):
             raise ArraysError(f"{path}@shape has the wrong shape")
@@ -264,25 +261,18 @@ class _Reader:
             raise ArraysError(f"{path}@shape does not fit {name}")
         # Where one dimension is 0 the others may say what they like: an array of no numbers has no long side either.
         long = np.any(shapes > len(stored) + _WIDEST)
-        sizes = [_stored_size(shape, lower) for shape in shapes.tolist()]
-        if long or stored.ndim != 1 or sum(sizes) != len(stored):
+        parts = [_stored_shape(shape, lower) for shape in shapes.tolist()]
+        if long or stored.ndim != 1 or sum(map(math.prod, parts)) != len(stored):
             raise ArraysError(f"{path}@shape does not fit {name}")
-        values, start = [], 0
-        for shape, size in zip(shapes.tolist(), sizes, strict=True):
-            part = stored[start : start + size]
-            start += size
-            if lower:
-                values.append(_whole(part.reshape(*shape[:-2], _triangle_length(shape[-1])), shape[-1]))
-            else:
-                values.append(part.reshape(shape))
-        return values
+        ends = itertools.accumulate(map(math.prod, parts))
+        values = [stored[end - math.prod(part) : end].reshape(part) for part, end in zip(parts, ends, strict=True)]
+        return [_whole(value) for value in values] if lower else values
 
 
 def _triangle_length(size: int) -> int:
     return size * (size + 1) // 2
 
 
-def _triangle_size(length: int) -> int | None:
-    """The size of a matrix whose lower triangle has a length; None where there is none."""
-    size = (math.isqrt(8 * length + 1) - 1) // 2
-    return size if _triangle_length(size) == length else None
+def _triangle_size(length: int) -> int:
+    """The size of the largest matrix whose lower triangle has no more than a length."""
+    return (math.isqrt(8 * length + 1) - 1) // 2

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.polygon import outline
-from tfg_drake.geometry.star import inside_any
-from tfg_drake.mapfile.in_world import corners_of, tfg_in_world
+from tfg_drake.geometry.raster import draw_segments, fill_polygon
+from tfg_drake.mapfile.in_world import corners_of, stars_of, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import FloatArray
 
 # Side of a cell, m.
 CELL = 0.05
 # What map savers write, and their threshold, above which grey 205 is unknown.
 OCCUPIED, UNKNOWN, FREE, FREE_THRESH = 0, 205, 254, 0.196
-# Cells whose centres are placed at once.
-_AT_ONCE = 1_000_000
 
 
 def map_server_files(saved: SavedMap, image: str) -> tuple[str, bytes]:
@@ -32,10 +28,9 @@ def map_server_files(saved: SavedMap, image: str) -> tuple[str, bytes]:
     """
     tfg, (low, columns, rows) = tfg_in_world(saved), _extent(saved)
     level = np.full((rows, columns), UNKNOWN, dtype=np.uint8)
-    for some in np.array_split(np.arange(rows), math.ceil(rows * columns / _AT_ONCE)):
-        free = inside_any(_centres(low, columns, some), tfg.star_offsets, tfg.star_vertices)
-        level[some] = np.where(free, FREE, UNKNOWN).reshape(-1, columns)
-    _draw(level, low, tfg.segments)
+    for star in stars_of(tfg):
+        fill_polygon(level, (star - low) / CELL, FREE)
+    draw_segments(level, (tfg.segments - np.tile(low, 2)) / CELL, OCCUPIED)
     return _files(level, low, image)
 
 
@@ -48,9 +43,9 @@ def keep_out_files(saved: SavedMap, areas: Sequence[FloatArray], image: str) -> 
     low, columns, rows = _extent(saved)
     level = np.full((rows, columns), FREE, dtype=np.uint8)
     for corners in areas:
-        inside = Outline(corners).contains_points(_centres(low, columns, np.arange(rows)))
-        level[inside.reshape(rows, columns)] = OCCUPIED
-        _draw(level, low, outline(corners))
+        placed = (corners - low) / CELL
+        fill_polygon(level, placed, OCCUPIED)
+        draw_segments(level, outline(placed), OCCUPIED)
     return _files(level, low, image)
 
 
@@ -63,21 +58,6 @@ def _extent(saved: SavedMap) -> tuple[FloatArray, int, int]:
     low = CELL * (np.floor(low / CELL) - 1.0)
     columns, rows = (np.ceil((high - low) / CELL) + 1.0).astype(int).tolist()
     return low, columns, rows
-
-
-def _centres(low: FloatArray, columns: int, rows: IntArray) -> FloatArray:
-    """The centres (r * columns, 2) of the cells of some rows (r,), m in W."""
-    x, y = low[0] + CELL * (np.arange(columns) + 0.5), low[1] + CELL * (rows + 0.5)
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-
-def _draw(level: NDArray[np.uint8], low: FloatArray, segments: FloatArray) -> None:
-    """Makes the cells of a grid occupied through which segments (m, 4), m in W, pass."""
-    for piece in segments:
-        count = math.ceil(4.0 * math.hypot(*(piece[2:] - piece[:2])) / CELL) + 1
-        column, row = np.floor((np.linspace(piece[:2], piece[2:], count) - low) / CELL).astype(int).T
-        there = (column >= 0) & (row >= 0) & (column < level.shape[1]) & (row < level.shape[0])
-        level[row[there], column[there]] = OCCUPIED
 
 
 def _files(level: NDArray[np.uint8], low: FloatArray, image: str) -> tuple[str, bytes]:

@@ -10,15 +10,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import pose_at, transform
-from tfg_drake.geometry.star import inside_any
 from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
 from tfg_drake.grid.runs import row_runs
 from tfg_drake.messages import (
@@ -27,7 +25,6 @@ from tfg_drake.messages import (
     GridMap,
     IntArray,
     LaserScan,
-    MapEstimate,
     Path,
     PoseEstimate,
     Roadmap,
@@ -35,11 +32,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.pictures.drawing import polyline_segments
 from tfg_drake.planning.shortest_ways import joined
-from tfg_drake.tfg.frontier import PUSH, SPACING
 from tfg_drake.world.world import World
-
-if TYPE_CHECKING:
-    from tfg_drake.mapfile.saved_map import SavedMap
 
 Layer = Mapping[str, NDArray[Any]]
 
@@ -56,18 +49,6 @@ def walls(world: World) -> Layer:
     return {"segments": world.walls, "tags": world.p_WT, "tag_facing": world.tag_facing, "ids": world.tag_ids}
 
 
-def landmarks(estimate: MapEstimate | SavedMap) -> Layer:
-    """points: (n, 2). covariance: (n, 3) of xx, xy, yy, m^2. doubtful: (n,). ids: (n,)."""
-    P = estimate.landmark_covariance
-    covariance = np.stack([P[:, 0, 0], P[:, 0, 1], P[:, 1, 1]], axis=1)
-    return {"points": estimate.p_ML, "covariance": covariance, "doubtful": estimate.is_doubtful, "ids": estimate.ids}
-
-
-def surfaces(tfg: TfgMap) -> Layer:
-    """segments: (m, 4). kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark, 3 area not to be entered."""
-    return {"segments": tfg.obstacles, "kind": np.append(tfg.segment_kind, np.full(len(tfg.keep_out), 3))}
-
-
 def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
     """The normals (n, 2) of the tags with these ids (n,), ascending: of the longest surface that a tag is on or, where
     it is on none, towards where it was seen from."""
@@ -82,19 +63,6 @@ def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
     there = np.isin(ends, ids)
     normals[np.searchsorted(ids, ends[there])] = left[there]
     return normals
-
-
-def frontiers(tfg: TfgMap) -> Layer:
-    """segments: (f, 4), a bar at each of the frontier's points: on the border of what is known, or of one that lies in
-    free space, in front of a surface, on that surface."""
-    p, normal = np.array(tfg.frontiers), tfg.frontier_normal
-    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    in_free = inside_any(p, tfg.star_offsets, tfg.star_vertices)
-    to_surface = clearance(np.hstack([p, p]), tfg.segments, PUSH) % PUSH  # 0 where there is none
-    p = p + np.where(in_free, -to_surface, PUSH)[:, None] * normal
-    # A point may stand for that of several views, which lies round about.
-    half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
-    return {"segments": np.hstack([p - half, p + half])}
 
 
 def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
@@ -121,15 +89,6 @@ def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:
     some = [stars[i] for i in which]
     points = np.vstack(some) if some else np.zeros((0, 2))
     return {"index": which, "count": np.array([len(star) for star in some], dtype=np.int64), "points": points}
-
-
-def gains(choice: GoalChoice, roadmap: Roadmap) -> Layer:
-    """points: (c, 2) candidates. share: (c,) of the most gain, in [0, 1]."""
-    rows = roadmap.nodes(choice.candidates)
-    known = rows >= 0
-    best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
-    share = np.clip(choice.gain / best, 0.0, 1.0)
-    return {"points": roadmap.points[rows[known]], "share": share[known]}
 
 
 def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:

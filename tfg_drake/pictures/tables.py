@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.rows import Table
+from tfg_drake.tfg.frontier import PUSH, SPACING
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
@@ -28,14 +31,14 @@ LEAST = 1e-8
 
 
 def landmarks(estimate: MapEstimate | SavedMap) -> Table:
-    """points, covariance, doubtful, ids: see `scene.landmarks`."""
-    layer = scene.landmarks(estimate)
-    xx, xy, yy = layer["covariance"].T + np.array([[LEAST], [0.0], [LEAST]])
+    """points: (n, 2) m. covariance: (n, 3) of xx, xy, yy, m^2. doubtful: (n,). ids: (n,)."""
+    covariance, doubtful = estimate.landmark_covariance[:, [0, 0, 1], [0, 1, 1]], estimate.is_doubtful
+    xx, xy, yy = covariance.T + np.array([[LEAST], [0.0], [LEAST]])
     spread = np.column_stack([np.log(xx), np.log(yy)]) / VARIANCE
     correlation = xy / np.sqrt(xx * yy) / CORRELATION
-    values = np.column_stack([estimate.p_ML / POSITION, spread, correlation, 2.0 * layer["doubtful"]])
-    arrays = {**layer, "covariance": layer["covariance"].astype(np.float32)}
-    return Table(arrays, estimate.p_ML, values, estimate.ids)
+    values = np.column_stack([estimate.p_ML / POSITION, spread, correlation, 2.0 * doubtful])
+    told = {"covariance": covariance.astype(np.float32), "doubtful": doubtful}
+    return Table({"points": estimate.p_ML, **told, "ids": estimate.ids}, estimate.p_ML, values, estimate.ids)
 
 
 def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
@@ -47,8 +50,8 @@ def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
 
 
 def surfaces(tfg: TfgMap) -> Table:
-    """segments, kind: see `scene.surfaces`."""
-    segments, kind = scene.surfaces(tfg).values()
+    """segments: (m, 4) m. kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark, 3 area not to be entered."""
+    segments, kind = tfg.obstacles, np.append(tfg.segment_kind, np.full(len(tfg.keep_out), 3))
     values = np.column_stack([segments / POSITION, 2.0 * kind])
     return Table({"segments": segments, "kind": kind.astype(np.uint8)}, _middles(segments), values)
 
@@ -60,8 +63,16 @@ def facing(tfg: TfgMap, ids: IntArray, p_ML: FloatArray) -> Table:
 
 
 def frontiers(tfg: TfgMap) -> Table:
-    """segments: see `scene.frontiers`."""
-    segments = scene.frontiers(tfg)["segments"]
+    """segments: (f, 4) m, a bar at each of the frontier's points: on the border of what is known, or of one that lies
+    in free space, in front of a surface, on that surface."""
+    p, normal = np.array(tfg.frontiers), tfg.frontier_normal
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    in_free = inside_any(p, tfg.star_offsets, tfg.star_vertices)
+    to_surface = clearance(np.hstack([p, p]), tfg.segments, PUSH) % PUSH  # 0 where there is none
+    p = p + np.where(in_free, -to_surface, PUSH)[:, None] * normal
+    # A point may stand for that of several views, which lies round about.
+    half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
+    segments = np.hstack([p - half, p + half])
     return Table({"segments": segments}, tfg.frontiers, segments / POSITION)
 
 
@@ -80,10 +91,13 @@ def edges(roadmap: Roadmap) -> Table:
 
 def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
     """points: (c, 2) m, of the candidates. share: (c,) of the most gain, of 255."""
-    layer, ids = scene.gains(choice, roadmap), choice.candidates[roadmap.nodes(choice.candidates) >= 0]
-    values = np.column_stack([layer["points"] / NODE, layer["share"] / SHARE])
-    arrays = {"points": layer["points"], "share": np.rint(255.0 * layer["share"]).astype(np.uint8)}
-    return Table(arrays, layer["points"], values, ids)
+    rows = roadmap.nodes(choice.candidates)
+    known = rows >= 0
+    best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
+    points, share = roadmap.points[rows[known]], np.clip(choice.gain / best, 0.0, 1.0)[known]
+    values = np.column_stack([points / NODE, share / SHARE])
+    arrays = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
+    return Table(arrays, points, values, choice.candidates[known])
 
 
 def _middles(segments: FloatArray) -> FloatArray:

@@ -58,14 +58,13 @@ def scan_files(own: Sequence[Any]) -> tuple[str, descriptor_pb2.FileDescriptorSe
     return FoxgloveScan.DESCRIPTOR.full_name, files
 
 
-def scan_header(scan: LaserScan) -> bytes:
-    """Foxglove's fields of a scan besides its ranges, in protobuf's wire format: goes before those."""
-    written = FoxgloveScan(frame_id=BASE)
+def complete_scan(written: Any, scan: LaserScan) -> None:
+    """Says Foxglove's fields of a scan, too, which are all but its ranges."""
+    written.frame_id = BASE
     _stamp(written.timestamp, scan.stamp)
     written.pose.orientation.w = 1.0
     if len(scan.angles):
         written.start_angle, written.end_angle = float(scan.angles[0]), float(scan.angles[-1])
-    return bytes(written.SerializeToString())
 
 
 def pose_message(_time: float, pose: PoseEstimate) -> bytes:
@@ -135,13 +134,3 @@ def _lines(points: FloatArray, kind: Any, thickness: float, colour: tuple[float,
 
 def _scene(*entities: Any) -> bytes:
     return bytes(SceneUpdate(entities=entities).SerializeToString())
-
-
-def length(size: int) -> bytes:
-    """A number as protobuf writes it: seven bits a byte, the lowest first."""
-    written = bytearray()
-    while size > 0x7F:
-        written.append(size & 0x7F | 0x80)
-        size >>= 7
-    written.append(size)
-    return bytes(written)

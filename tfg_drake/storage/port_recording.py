@@ -11,11 +11,9 @@ The file grows by compressed chunks: of a program that is killed all is there bu
 from __future__ import annotations
 
 import dataclasses
-import functools
 import io
 import logging
 import math
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +26,6 @@ from mcap.exceptions import InvalidMagic
 from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 
 from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
 from tfg_drake.mapfile.message_arrays import hints_of
@@ -55,7 +52,7 @@ MAP_SHARE = 0.1
 
 _NS = 1e9
 _Field = descriptor_pb2.FieldDescriptorProto
-# Integers of fixed size, so that an array stands in the file as it stands in memory.
+# Integers of fixed size, as files of before have them.
 _TYPES: Mapping[Any, Any] = {
     float: _Field.TYPE_DOUBLE,
     int: _Field.TYPE_SFIXED64,
@@ -63,8 +60,6 @@ _TYPES: Mapping[Any, Any] = {
     np.float64: _Field.TYPE_DOUBLE,
     np.int64: _Field.TYPE_SFIXED64,
 }
-# How protobuf's wire format says what follows a field's number.
-_BYTE, _EIGHT_BYTES, _BLOCK = 0, 1, 2
 _log = logging.getLogger("tfg_drake.storage.port_recording")
 
 
@@ -130,7 +125,7 @@ class PortWriter:
         # The new file is in the place of the old one when it has all that stands there.
         beside = path if standing is None else path.with_name(f".{path.name}")
         self._file = open_inside(beside, "wb")
-        self._writer: Writer | None = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
+        self._is_open, self._writer = True, Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(library="tfg_drake")
         self._writer.add_metadata("run", {"robot": robot})
         self._channels: dict[str, int] = {}
@@ -159,7 +154,6 @@ class PortWriter:
 
     def _copy(self, path: Path, count: int) -> None:
         """Takes the first messages of another recording."""
-        assert self._writer is not None
         topics: dict[int, str] = {}
         with reading(path, RecordingError):
             for record in _records(path):
@@ -173,7 +167,6 @@ class PortWriter:
             raise RecordingError(f"{path}: has {self._count} of {count} messages; copy it again from where it was made")
 
     def _register(self, topic: str, name: str, files: Any) -> None:
-        assert self._writer is not None
         schema = self._writer.register_schema(name, "protobuf", files.SerializeToString())
         self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
 
@@ -209,18 +202,18 @@ class PortWriter:
         self._write_waiting()
         self._newest.clear()
         self._last_data.clear()
-        if self._writer is None:
+        if not self._is_open:
             return
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
         except OSError as error:
             self._give_up(error)
-        self._writer = None
+        self._is_open = False
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if self._writer is None:
+        if not self._is_open:
             return
         try:
             for port, time, value in waiting:
@@ -237,7 +230,6 @@ class PortWriter:
             self._give_up(error)
 
     def _add(self, topic: str, log_time: int, data: bytes, publish_time: int) -> None:
-        assert self._writer is not None
         self._last_data[topic] = data
         self._bytes = 0 if topic == foxglove.SURFACES else self._bytes + (len(data) if topic in PORTS else 0)
         self._writer.add_message(self._channels[topic], log_time, data, publish_time)
@@ -245,13 +237,12 @@ class PortWriter:
 
     def _flush(self) -> None:
         """Leaves all that was added to the operating system."""
-        assert self._writer is not None
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._whole = self._count
 
     def _give_up(self, error: OSError) -> None:
         _log.error("%s: cannot be written: %s; the run is not recorded any further", self._path, error.strerror)
-        self._writer, self.failure = None, error
+        self._is_open, self.failure = False, error
         try:
             self._file.close()
         except OSError:
@@ -371,38 +362,29 @@ def _unpacked(chunk: Chunk) -> Chunk:
 
 
 def _encoder(kind: type) -> Callable[[Any], bytes]:
-    """Encoder of a kind of message to protobuf's wire format: its arrays as they are in memory, an order of
-    magnitude quicker than by protobuf itself."""
-    parts: list[tuple[str, bytes, Any]] = []
-    for number, name, hint in _numbered(kind):
-        dtype = dtype_of(hint)
-        wire = _BLOCK if dtype is not None else _BYTE if hint is bool else _EIGHT_BYTES
-        write: Any
-        if dtype is not None:
-            write = functools.partial(_block, dtype.newbyteorder("<"))
-        else:
-            write = struct.Struct({float: "<d", int: "<q", bool: "<?"}[hint]).pack
-        parts.append((name, foxglove.length(number << 3 | wire), write))
+    """Encoder of a kind of message to protobuf's wire format."""
+    make, names = _proto_class(*_schema(kind)), list(hints_of(kind))
 
     def encode(value: Any) -> bytes:
-        fields = value.__dict__
-        return b"".join([piece for name, tag, write in parts for piece in (tag, write(fields[name]))])
+        written = make(**{name: np.asarray(getattr(value, name)).tolist() for name in names})
+        if kind is LaserScan:
+            foxglove.complete_scan(written, value)
+        return bytes(written.SerializeToString())
 
-    return encode if kind is not LaserScan else lambda scan: foxglove.scan_header(scan) + encode(scan)
+    return encode
 
 
-def _block(entries: np.dtype[Any], array: NDArray[Any]) -> bytes:
-    """An array's bytes after their number."""
-    data = array.astype(entries, copy=False).tobytes()
-    return foxglove.length(len(data)) + data
+def _proto_class(name: str, files: Any) -> Any:
+    """The protobuf class of a message by its declaration's name and the files with it."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 
 def _decoder(path: Path, port: str, schema: Schema) -> Any:
     """The protobuf class of a channel's messages. Raises RecordingError where they are not as this version's are."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-        pool.Add(file)
-    decoder = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    decoder = _proto_class(schema.name, descriptor_pb2.FileDescriptorSet.FromString(schema.data))
     there = [field.name for field in decoder.DESCRIPTOR.fields if field.name not in foxglove.ONLY_ITS]
     wanted = [field.name for field in dataclasses.fields(PORTS[port])]
     if sorted(there) != sorted(wanted):

@@ -177,13 +177,14 @@ class TimelineWriter:
         """Write the rest, and let go of it: Drake keeps the systems that hold the writer."""
         self.flush()
         self._rows = {}
+        self._let_go()
+
+    def _let_go(self) -> None:
         if self._file is not None:
             self._file.close()
             self._file = None
 
     def _end(self, error: OSError) -> None:
         self.failure = error
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        self._let_go()
         _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)

@@ -79,23 +79,12 @@ def calibrated(
         raise ValueError("the views do not determine the camera; tilt the board, by 30 degrees and more, to all sides")
     calibration = CameraCalibration(*size, np.asarray(K, dtype=float), "plumb_bob", np.asarray(distortion).ravel())
     focal_sigma = float(np.max(np.asarray(sigma).ravel()[:2]))
-    return ChessboardResult(
-        calibration,
-        len(views),
-        float(error),
-        focal_sigma,
-        tuple(_doubts(views, columns, size, calibration, error, focal_sigma)),
-    )
+    found = ChessboardResult(calibration, len(views), float(error), focal_sigma, ())
+    return dataclasses.replace(found, remarks=tuple(_doubts(found, views, columns)))
 
 
-def _doubts(
-    views: Sequence[FloatArray],
-    columns: int,
-    size: tuple[int, int],
-    calibration: CameraCalibration,
-    error: float,
-    focal_sigma: float,
-) -> list[str]:
+def _doubts(found: ChessboardResult, views: Sequence[FloatArray], columns: int) -> list[str]:
+    calibration, error, focal_sigma = found.calibration, found.error, found.focal_sigma
     remarks = []
     if error > GOOD_ERROR:
         remarks.append(f"corners err by {error:.2f} pixels, more than {GOOD_ERROR:g}: is the board flat and sharp?")
@@ -103,7 +92,7 @@ def _doubts(
         share = 100.0 * focal_sigma / calibration.focal
         remarks.append(f"the focal length is known to {share:.1f} %, if at all: tilt the board by 30 degrees and more")
     corners = np.concatenate(views)
-    spans = np.ptp(corners, axis=0) / size
+    spans = np.ptp(corners, axis=0) / (calibration.width, calibration.height)
     if spans.min() < GOOD_SPAN:
         remarks.append(
             f"corners span {percent(spans[0], 0):.0f} x {percent(spans[1], 0):.0f} % of the image: show the board at"

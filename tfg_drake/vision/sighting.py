@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tfg_drake.messages import BoolArray, FloatArray, TagDetections, message
+from tfg_drake.messages import FloatArray, TagDetections, message
+from tfg_drake.table import empty
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.tag_position import tag_positions
@@ -84,7 +85,7 @@ def sighted(
             f"the image has {tags.width} x {tags.height} pixels, the calibration {calibration.width} x "
             f"{calibration.height}: no tag is used; set the camera to the calibration's size or calibrate anew"
         )
-        return Sighting(_message(stamp, tags, np.zeros(len(tags.ids), dtype=bool)), (remark,))
+        return Sighting(empty(TagDetections, stamp=stamp), (remark,))
     side = np.array([sizes.of(int(i), family) or np.nan for i, family in zip(tags.ids, tags.families, strict=True)])
     p_CT, unit = tag_positions(tags.corners, side, calibration)
     unit *= (1.0 + (noise.unlike / noise.pixels) ** 2 * (1.0 - tags.likeness))[:, None, None]
@@ -115,13 +116,13 @@ def sighted(
         if why:
             good[i] = False
             remarks[f"tag {tag}: {why}"] = None
-    return Sighting(_message(stamp, tags, good, distance, bearing, sigma_range, sigma_bearing), tuple(remarks))
+    columns = (column[good] for column in (distance, bearing, sigma_range, sigma_bearing))
+    return Sighting(TagDetections(stamp, tags.ids[good], *columns), tuple(remarks))
 
 
 def nothing_sighted() -> Sighting:
     """What a camera shows before its first image, stamped -inf."""
-    none = np.zeros(0)
-    return Sighting(TagDetections(-np.inf, np.zeros(0, dtype=np.int64), none, none, none, none), ())
+    return Sighting(empty(TagDetections, stamp=-np.inf), ())
 
 
 def in_plane(
@@ -141,8 +142,3 @@ def in_plane(
         np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along)),
         np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across)) / np.maximum(distance, LEAST_RANGE),
     )
-
-
-def _message(stamp: float, tags: TagsInImage, good: BoolArray, *columns: FloatArray) -> TagDetections:
-    values = [column[good] for column in columns] or [np.zeros(0)] * 4
-    return TagDetections(stamp, tags.ids[good], *values)

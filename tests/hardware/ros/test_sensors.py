@@ -48,9 +48,9 @@ def test_tags_and_scans_of_one_graph(transport):
         taken = []
         transport.wait_for(lambda: taken.extend(source.take(LaserScan, math.inf)) or len(taken) > 6)
         assert (np.diff([one.stamp for one in taken]) > 0.0).all()
-        assert source._device.newest(Odometry) is None
+        assert source.newest(Odometry) is None
         with pytest.raises(DeviceError, match="no odometry"):
-            source._device.enable()
+            source.enable()
     finally:
         source.close()
 
