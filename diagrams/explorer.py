@@ -76,6 +76,7 @@ def MakeTfgExplorer(
         - follower_status
         - mission
         - landmarks
+        - hypotheses
         - estimator_state
         - tfg_graph
 
@@ -87,8 +88,9 @@ def MakeTfgExplorer(
     For whoever wants to look: pose: PoseEstimate, map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
     local_roadmap: Roadmap, as much of roadmap as planning needs at a stage.
-    landmarks: MapEstimate of tags and walls. estimator_state: EstimatorState and tfg_graph: TfgGraph, what a map's file
-    keeps besides; of an estimator of one's own that has no estimator_state the file keeps its map.
+    landmarks: MapEstimate of tags and walls. hypotheses: Hypotheses, in which places of a known map the robot may be.
+    estimator_state: EstimatorState and tfg_graph: TfgGraph, what a map's file keeps besides; of an estimator of one's
+    own that has no estimator_state the file keeps its map.
 
     Each of the others is a function of the scenario that makes a part in place of the usual one, a System. It has any
     of that one's inputs, and its outputs. One more input may have the name of any port of the station, such as

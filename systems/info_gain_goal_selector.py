@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
+from tfg_drake.messages import GoalChoice, Hypotheses, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.information_gain import density_shown
@@ -45,6 +45,7 @@ class InfoGainGoalSelector(LeafSystem):
         - roadmap
         - local_roadmap
         - mission
+        - hypotheses
         - recall
         - requested_goal
         output_ports:
@@ -52,7 +53,8 @@ class InfoGainGoalSelector(LeafSystem):
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, local_roadmap: Roadmap, mission: MissionStatus, goal: GoalChoice,
     all in M. local_roadmap: as much of roadmap as planning works on. landmarks: MapEstimate of tags and walls,
-    optional; without it, and with the approximations to the exact gain, tags alone count.
+    optional; without it, and with the approximations to the exact gain, tags alone count. hypotheses: Hypotheses,
+    optional, in which places of a known map the robot may be, see `tfg_drake.planning.which_place`.
 
     On a large map the goal is looked for near the newest view first, see `tfg_drake.planning.goal_choice.choose_near`.
     recall: (1,), 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any
@@ -85,6 +87,7 @@ class InfoGainGoalSelector(LeafSystem):
             roadmap=Roadmap,
             local_roadmap=Roadmap,
             mission=MissionStatus,
+            hypotheses=Hypotheses,
             requested_goal=RequestedGoal,
         )
         self._recall = self.DeclareVectorInputPort("recall", 1)
@@ -129,14 +132,15 @@ class InfoGainGoalSelector(LeafSystem):
         if not promise.believed:
             explorer = dataclasses.replace(explorer, stop_gain=math.inf)
         parameters = dataclasses.replace(parameters, explorer=explorer)
+        hypotheses = self._inputs.optional(context, "hypotheses")
         if math.isfinite(radius):
             part = local(landmarks, tfg, radius, parameters.sensor.range)
-            now = self._frontiers(Situation(*part, near, parameters, is_large))
+            now = self._frontiers(Situation(*part, near, parameters, is_large, hypotheses))
             goal = choose_near(now, previous, radius, recalled=recalled)
             if goal is not None:
                 return goal
         roadmap = self._inputs(context, "roadmap")
-        now = self._frontiers(Situation(landmarks, tfg, roadmap, parameters, is_large))
+        now = self._frontiers(Situation(landmarks, tfg, roadmap, parameters, is_large, hypotheses))
         return choose(now, previous, recalled=recalled, kept=promise.kept)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:

@@ -60,13 +60,15 @@ class SlamEstimator(LeafSystem):
         - pose
         - map
         - landmarks
+        - hypotheses
         - estimator_state
 
     odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
     unconnected: once it says that all is explored, more of a large map is known jointly. said_pose: SaidPose, likewise:
     where in a map that it began with, and maps apart from, somebody says that the robot is. pose: PoseEstimate at the
     newest odometry, with in how many places of a known map the robot may be. map: MapEstimate of the tags after the
-    newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags and walls then. estimator_state:
+    newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags and walls then. hypotheses:
+    Hypotheses, where in a known map the robot may be as long as it is more than one place. estimator_state:
     EstimatorState, all it knows, for whoever keeps the map. A turn is open while the mission is in phase "observe" or
     "glance"; in phase "map" it is solved and the map's stage becomes the mission's stage plus one. Messages are taken
     once each, by their stamps.
@@ -117,6 +119,7 @@ class SlamEstimator(LeafSystem):
         nothing = empty_map(prior)
         self._state.declare_output(self, "map", lambda now: now.published or nothing)
         self._state.declare_output(self, "landmarks", lambda now: now.map or nothing)
+        self._state.declare_output(self, "hypotheses", lambda now: now.hypotheses)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 

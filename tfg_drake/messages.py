@@ -145,6 +145,28 @@ class PoseEstimate:
     places: int = -1
 
 
+# A place is likely that is so probable.
+LIKELY = 0.05
+
+
+@message
+class Hypotheses:
+    """In which places of the map K that it began with a session may be, none once it knows.
+
+    X_KM: (k, 3) poses of the session's frame there, probability: (k,) of each. surfaces: (p, 4) of the map, m in K,
+    with normals.
+    """
+
+    X_KM: Annotated[FloatArray, "k", 3]
+    probability: Annotated[FloatArray, "k"]
+    surfaces: Annotated[FloatArray, "p", 4]
+
+    @property
+    def likely(self) -> int:
+        """How many of them are likely."""
+        return int(np.count_nonzero(self.probability > LIKELY))
+
+
 @message
 class SaidPose:
     """A pose that somebody says the robot has, in the world W of the map that the session began with.

@@ -258,7 +258,7 @@ def locate(map_file: MapArgument, other: MapArgument) -> None:
         print(error)
         tagged = None
     if tagged is not None:
-        x, y, yaw = compose(a.X_WM, tagged.X_AB)
+        x, y, yaw = compose(a.X_WM, tagged.X)
         print(f"by the tags of both: it begins at ({x:.2f}, {y:.2f}) m, {yaw:.3f} rad")
         return
     places = places_of(a, b)

@@ -368,7 +368,9 @@ class Mission:
     def places(self) -> int:
         """In how many places of the map that it began with the robot may be, 0 for none or any."""
         state = self.estimator_state()
-        return 0 if state is None else state.places
+        if not self.apart:
+            return 1
+        return 0 if state is None else state.hypotheses.likely
 
     def open_edges(self) -> list[dict[str, Any]] | None:
         """Each edge of free space that is no surface: its place in W, its length, and why it is open; None for a method

@@ -4,14 +4,14 @@ import pytest
 from gtsam.symbol_shorthand import L, S, X
 
 from tests.slam.rings import reckoned, ring
+from tfg_drake.config import SOLVERS
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
-from tfg_drake.slam.dissection import DissectionSolver
-from tfg_drake.slam.gtsam_solver import GtsamSolver, map_graph
+from tfg_drake.slam.gtsam_solver import map_graph
 from tfg_drake.slam.keyframe import moved_points, way
 from tfg_drake.slam.map_solver import solved
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Values, factors_of
+from tfg_drake.slam.solver import factors_of
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def graph():
     """A ring of tags, and short surfaces beside it that scan points tell."""
     keyframes, _, X_MN = ring(2, laps=1.05)
     bare, rng = reckoned(keyframes), np.random.default_rng(0)
-    bare = solved(bare, DissectionSolver(bare), np.arange(3), 1)[0]
+    bare = solved(bare, np.arange(3), 1)[0]
     middle = X_MN[::2, :2] + rng.uniform(-2.0, 2.0, (len(X_MN[::2]), 2))
     angle, along = rng.uniform(0.0, 2.0 * np.pi, len(middle)), np.arange(-0.5, 0.5, 0.05)
     n = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -37,7 +37,7 @@ def graph():
 def test_both_solvers_come_to_the_same(graph, local):
     rows, last = np.arange(len(graph.ids))[local], len(graph.keyframes)
     (expected, by_dissection), (found, by_gtsam) = (
-        solved(graph, kind(graph), rows, last) for kind in (DissectionSolver, GtsamSolver)
+        solved(replace(graph, solver=solver), rows, last) for solver in SOLVERS
     )
     np.testing.assert_allclose(found.p_ML, expected.p_ML, atol=1e-6)
     np.testing.assert_allclose(found.X_MN, expected.X_MN, atol=1e-6)
@@ -51,12 +51,8 @@ def test_a_pose_that_hangs_on_nothing_is_held_likewise(graph):
     unknown = replace(unknown, information=np.zeros_like(unknown.information))
     last = len(graph.keyframes) + 1
     adrift = replace(graph, keyframes=(*graph.keyframes, unknown), X_MN=np.vstack([graph.X_MN, [5.0, 1.0, 0.2]]))
-    with pytest.raises(np.linalg.LinAlgError):
-        GtsamSolver(adrift).linearised(
-            Values(adrift.X_MN, adrift.p_ML, adrift.shared.mean, np.zeros_like(adrift.p_ML)), 0.0
-        )
     rows = np.arange(len(graph.ids))
-    expected, found = (solved(adrift, kind(adrift), rows, last)[0] for kind in (DissectionSolver, GtsamSolver))
+    expected, found = (solved(replace(adrift, solver=solver), rows, last)[0] for solver in SOLVERS)
     np.testing.assert_allclose(found.X_MN, expected.X_MN, atol=1e-6)
     np.testing.assert_allclose(found.p_ML, expected.p_ML, atol=1e-6)
 
@@ -64,7 +60,7 @@ def test_a_pose_that_hangs_on_nothing_is_held_likewise(graph):
 def test_the_map_is_the_optimum_of_the_graph_that_a_user_gets(graph):
     best = graph
     for _ in range(3):  # Pieces of surface are grouped by the values that a solve begins with.
-        best = solved(best, DissectionSolver(best), np.arange(len(graph.ids)), 1)[0]
+        best = solved(best, np.arange(len(graph.ids)), 1)[0]
     factors, values = map_graph(best)
     assert factors.size() == 1 + len(best.keyframes) + len(factors_of(best).pieces.frame) > 1 + len(best.keyframes)
     np.testing.assert_array_equal(values.atVector(X(len(best.keyframes))), best.X_MN[-1])
@@ -79,5 +75,5 @@ def test_the_map_is_the_optimum_of_the_graph_that_a_user_gets(graph):
 
 
 def test_errors_of_tags_are_refused(graph):
-    with pytest.raises(ValueError, match="take DissectionSolver"):
-        GtsamSolver(replace(graph, tag_error=np.array([0.01, 0.003])))
+    with pytest.raises(ValueError, match="take the default solver"):
+        solved(replace(graph, solver="gtsam", tag_error=np.array([0.01, 0.003])), np.arange(3), 1)

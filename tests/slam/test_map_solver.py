@@ -9,6 +9,7 @@ from tests.walls import walls_between
 from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.slam import map_solver
+from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe import of_places, way
 from tfg_drake.slam.keyframe_graph import fused
 from tfg_drake.slam.map_solver import known_jointly, solve
@@ -282,7 +283,7 @@ def test_a_step_that_raises_the_error_is_halved_until_it_lowers_it(best, share):
     """The error grows with the square of the distance from a share of the step."""
     graph = reckoned(ring(1, views=2)[0])
     start = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros(graph.p_ML.shape))
-    unknowns = map_solver.solver_of(graph).unknowns
+    unknowns = DissectionSolver(graph).unknowns
     step = np.ones(unknowns.shared_at + SHARED)
 
     def gradient(values):

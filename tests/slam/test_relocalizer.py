@@ -9,7 +9,7 @@ from tests.slam.test_reunion import ROOM, Robot
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import as_one_keyframe
-from tfg_drake.messages import MapEstimate, Odometry, SaidPose, replace
+from tfg_drake.messages import Hypotheses, MapEstimate, Odometry, SaidPose, replace
 from tfg_drake.slam.estimator import begin_turn, pose_estimate, process_odometry
 from tfg_drake.slam.estimator_state import KnownMap, Placed, initial_state
 from tfg_drake.slam.place_search import seen_by_views
@@ -96,7 +96,8 @@ def test_in_another_building_it_maps_apart(known, monkeypatch):
     state = robot.view(robot.begun(known))
     assert (state.at, state.placed) == (None, -np.inf)
     assert state.known is known
-    assert pose_estimate(replace(state, places=3)).places == 3
+    three = Hypotheses(np.zeros((3, 3)), np.full(3, 0.3), known.surfaces)
+    assert pose_estimate(replace(state, hypotheses=three)).places == 3
     np.testing.assert_allclose(state.map.X_MA[0], np.zeros(3), atol=0.02)
     assert len(known_walls(state.map)[0]) == 4
 

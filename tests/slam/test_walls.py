@@ -31,7 +31,7 @@ from tfg_drake.slam.shared import (
     Shared,
     by_data_sheet,
 )
-from tfg_drake.slam.turn import TAGS, TurnFrame, no_detections, reduced, solved_chain
+from tfg_drake.slam.turn import TAGS, Sample, TurnFrame, no_detections, reduced, solved_chain
 from tfg_drake.slam.turn import _ties as ties_of
 from tfg_drake.slam.walls import (
     FLOOR,
@@ -121,8 +121,9 @@ def test_normal_equations_are_those_of_numerical_differences():
     looks = grouped(node, lines, twist, X_OB)
     none = np.zeros(0, dtype=np.int64)
     prior = np.zeros(SHARED)
-    ties = ties_of(NOISE, stamps, X_OB, prior, np.eye(SHARED), none, none, np.zeros((0, 8)), looks)
     border = np.append(0.01 * rng.normal(size=SHARED), looks.first(X_OB).ravel())
+    frames = Sample(stamps, X_OB, X_OB, none, none, np.zeros((0, 8)), border, prior, np.eye(SHARED), looks)
+    ties = ties_of(NOISE, frames)
 
     def residuals(x):
         X, parameters = np.vstack([np.zeros(3), x[:12].reshape(-1, 3)]), x[12 : 12 + SHARED]

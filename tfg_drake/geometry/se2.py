@@ -63,9 +63,13 @@ def _inverted(X_AB: list[float]) -> list[float]:
 
 
 def transform(X_AB: FloatArray, p_BP: FloatArray) -> FloatArray:
-    """p_AP (n, 2) or (2,) of points p_BP (n, 2) or (2,) in B, for one pose X_AB (3,)."""
-    p_BP = np.asarray(p_BP, dtype=float)
-    return p_BP @ rotation(float(X_AB[2])).T + np.asarray(X_AB[:2])
+    """p_AP (n, 2) or (2,) of points p_BP (n, 2) or (2,) in B, for one pose X_AB (3,), or for one each, (n, 3)."""
+    X_AB, p_BP = np.asarray(X_AB, dtype=float), np.asarray(p_BP, dtype=float)
+    if X_AB.ndim == 1:
+        return np.asarray(p_BP @ rotation(float(X_AB[2])).T + X_AB[:2])
+    (x, y, theta), (dx, dy) = X_AB.T, p_BP.T
+    c, s = np.cos(theta), np.sin(theta)
+    return np.column_stack([x + c * dx - s * dy, y + s * dx + c * dy])
 
 
 def pose_at(pose: PoseEstimate, stamp: float) -> FloatArray:

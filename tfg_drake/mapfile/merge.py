@@ -17,16 +17,16 @@ from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.placement import by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
-from tfg_drake.messages import WALLS_BELOW, FloatArray, MapEstimate, replace
+from tfg_drake.messages import FloatArray, MapEstimate, replace
 from tfg_drake.slam.estimator import MOST_TAKEN_BACK
 from tfg_drake.slam.estimator_state import unknown_way
 from tfg_drake.slam.evidence import contradicted, disputed
 from tfg_drake.slam.keyframe import Keyframe, along_walls, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.relocalizer import Placement, by_tags
+from tfg_drake.slam.relocalizer import by_tags
 from tfg_drake.slam.shared import exactly_known
-from tfg_drake.slam.walls import Names, Walls, identified, named
+from tfg_drake.slam.walls import Names, named, renamed
 from tfg_drake.table import concat, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import joined, resolve
@@ -60,16 +60,18 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
             "the walls fit nowhere or in several places: map more of what both have, or hang up three tags there"
         )
     told = solve(second.graph, second.stamp, no_observation(), joint=len(second.graph.ids))[1]
-    own = as_one_keyframe(told, exactly_known()).keyframes[0]
-    one, names, walls = _with_walls_of(first, without_tags(own, found.wrong), found)
+    own = without_tags(as_one_keyframe(told, exactly_known()).keyframes[0], found.moved)
+    before = solve(first.graph, first.stamp, no_observation(), joint=known_jointly(first.graph))[1]
+    names, walls = renamed(own, first.walls, before, found.X, found.covariance)
+    one = named(own, names)
     views, X_BV = first.tfg_graph.stage, told.X_MA[: second.tfg_graph.stage]
-    unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X_AB))[0].keyframe
-    graph = extended(first.graph, unknown, found.X_AB, is_view=False)
-    graph = extended(graph, one, se2.compose(found.X_AB, told.X_MD), is_view=False)
+    unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X))[0].keyframe
+    graph = extended(first.graph, unknown, found.X, is_view=False)
+    graph = extended(graph, one, se2.compose(found.X, told.X_MD), is_view=False)
     view_keyframe = np.append(graph.view_keyframe[:views], np.full(len(X_BV), len(graph.keyframes) - 1))
     graph = replace(graph, view_keyframe=view_keyframe, X_AV=np.vstack([graph.X_AV[:views], X_BV]))
     graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
-    wrong = found.wrong
+    wrong = found.moved
     for _ in range(MOST_TAKEN_BACK):
         if (sighting := contradicted(graph)) is None:
             break
@@ -89,23 +91,6 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
 def _looks(saved: SavedMap) -> set[bytes]:
     """Its keyframes' measurements, but for those of a way without landmarks: no two looks are the same to the bit."""
     return {one.y_AL.tobytes() + one.information.tobytes() for one in saved.graph.keyframes if len(one.ids)}
-
-
-def _with_walls_of(first: SavedMap, one: Keyframe, at: Placement) -> tuple[Keyframe, Names, Walls]:
-    """B's keyframe with the names of A's walls where they agree and new ones where that is not clear, the names, in the
-    order of B's walls, and the walls of both."""
-    estimate = solve(first.graph, first.stamp, no_observation(), joint=known_jointly(first.graph))[1]
-    covariance = estimate.covariance.copy()
-    covariance[-3:], covariance[:, -3:] = 0.0, 0.0
-    covariance[-3:, -3:] = at.covariance
-    at_B = replace(estimate, X_MD=at.X_AB, covariance=covariance)
-    # No look counts: none of them is new to `identified`, which leaves what is not clear.
-    again, walls = identified(one, np.zeros(len(one.ids), dtype=np.int64), first.walls, at_B, 0.0)
-    ids = one.ids[: one.walls]
-    new = int(first.graph.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
-    new[np.searchsorted(ids, again.provisional)] = again.ids
-    names = Names(ids, new)
-    return named(one, names), names, walls
 
 
 def _with_names(saved: SavedMap, one: Keyframe, names: Names, estimate: MapEstimate, X_MB: FloatArray) -> TfgGraph:

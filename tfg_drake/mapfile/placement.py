@@ -9,6 +9,7 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
+from tfg_drake.slam.estimator_state import Placed
 from tfg_drake.slam.place_search import (
     LOOSELY,
     UNTIED,
@@ -19,7 +20,7 @@ from tfg_drake.slam.place_search import (
     nothing_seen,
     seen_by_views,
 )
-from tfg_drake.slam.relocalizer import BY_WALLS, Placement
+from tfg_drake.slam.relocalizer import BY_WALLS
 from tfg_drake.slam.surface_fit import Surfaces, map_points, points_along
 from tfg_drake.slam.walls import directions
 
@@ -50,7 +51,7 @@ def places_of(a: SavedMap, b: SavedMap) -> Places:
     return find_places(surfaces_of(a), seen_by_views(b.graph))
 
 
-def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
+def by_walls(in_A: Standing, in_B: Standing) -> Placed | None:
     """How B lies in A by the walls of both; None where they do not tell it, or more than one place looks like it.
 
     What is seen from the views of one is looked for in the other, either way: one may be a small part of the other.
@@ -61,7 +62,7 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placement | None:
     if not found or is_elsewhere(np.array(found), found[0]).any():
         return None
     X, _, _ = Surfaces(of_A).fitted(of_B, found[0], UNTIED, LOOSELY)
-    return Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))
+    return Placed(X, np.diag(BY_WALLS**2))
 
 
 def _seen_in(of: Standing) -> Seen:

@@ -67,7 +67,7 @@ def in_survey(saved: SavedMap, survey: MapEstimate) -> Surveyed:
     ids, in_W, in_M = np.intersect1d(survey.ids, saved.ids, return_indices=True)
     if found is None:
         raise BadInput(f"{len(ids)} surveyed tags are in the map, too few or too near to each other: survey more of it")
-    p_WL, p_ML, right = survey.p_ML[in_W], saved.p_ML[in_M], ~np.isin(ids, found.wrong)
+    p_WL, p_ML, right = survey.p_ML[in_W], saved.p_ML[in_M], ~np.isin(ids, found.moved)
     X_WM = align(p_WL[right], p_ML[right])
     p = se2.transform(X_WM, p_ML)
     a, b = (one[right] - one[right].mean(axis=0) for one in (p_WL, p))
@@ -80,4 +80,4 @@ def in_plan(saved: SavedMap, plan: OccupancyMap) -> SavedMap:
     found = by_walls(Standing(plan.walls, np.empty((0, 3))), standing_in(saved))
     if found is None:
         raise BadInput("the walls of the map fit the plan nowhere, or in several places: align it by tags")
-    return replace(saved, X_WM=found.X_AB)
+    return replace(saved, X_WM=found.X)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, Hypotheses, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.expected_view import Visibility, expected_tags
@@ -43,13 +43,15 @@ class GoalParameters:
 @dataclasses.dataclass(frozen=True)
 class Situation:
     """The input of a choice at one stage: map, TFG and roadmap of that stage, or what is near of them, and the
-    parameters. landmarks: the map with or without its walls. is_large: not all tags of the map are known jointly."""
+    parameters. landmarks: the map with or without its walls. is_large: not all tags of the map are known jointly.
+    hypotheses: in which places of a map that it began with the robot may be."""
 
     landmarks: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
     parameters: GoalParameters
     is_large: bool = False
+    hypotheses: Hypotheses | None = None
 
     @functools.cached_property
     def estimate(self) -> MapEstimate:

@@ -25,6 +25,7 @@ from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
+from tfg_drake.planning.which_place import LEAST_TOLD, place_information
 from tfg_drake.table import empty
 
 # After so many times the tag sensor's range of way without a landmark or a surface there is no building here. Views say
@@ -121,11 +122,15 @@ def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
     # As long as any place is worth going to, every place will do for a goal drawn at random.
     anywhere = explorer.goal == "random" and bool(worth.any())
     open_to = preferred(affordable if anywhere else worth & affordable, candidates.tags, explorer.least_tags)
+    telling = np.zeros(len(open_to))
+    telling[open_to] = place_information(candidates.points[open_to], now.hypotheses, parameters.scan_range)
     value, look = _values(candidates, stay, open_to, tfg, roadmap, parameters.robot, explorer)
     if anywhere:
         value = np.random.default_rng((parameters.seed, estimate.stage)).random(len(candidates.nodes))
         # It goes all the way there: what it comes to is no candidate any more.
         value[candidates.node_ids == previous.node] = 1.0
+    if (telling > LEAST_TOLD).any():
+        value, look = telling / (candidates.time + stay), np.ones(len(tfg.frontiers), dtype=np.bool_)
     best = pick(value, open_to, candidates.time)
     if explorer.goal == "tour" and best >= 0 and now.is_large:
         nearer = _nearer_before(best, candidates, open_to, previous)

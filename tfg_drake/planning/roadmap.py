@@ -25,6 +25,7 @@ from tfg_drake.config import (
     RobotConfig,
     TagSensorConfig,
 )
+from tfg_drake.geometry import se2
 from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
 from tfg_drake.geometry.read_only import read_only_arguments
@@ -621,9 +622,7 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
     """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
-    X = X_MA.take(anchor, axis=0)
-    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
-    return np.stack([X[:, 0] + c * p_AN[:, 0] - s * p_AN[:, 1], X[:, 1] + s * p_AN[:, 0] + c * p_AN[:, 1]], axis=1)
+    return se2.transform(X_MA.take(anchor, axis=0), p_AN)
 
 
 def _to_anchor(p_MN: FloatArray, anchor: IntArray, X_MA: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from scipy.linalg import blas, lapack
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Factors, Unknowns, Values, assemble, batch_gradient, factors_of
+from tfg_drake.slam.solver import Unknowns, Values, assemble, batch_gradient, factors_of
 from tfg_drake.slam.surfaces import add_pieces, add_ties
 
 # Keyframes of a front that has no halves, at most.
@@ -117,16 +117,13 @@ class Elimination:
 
 
 @dataclasses.dataclass(frozen=True)
-class DissectedSystem(Elimination):
-    """See `solver.System`."""
+class System(Elimination):
+    """A graph's system linearised at some values, and eliminated. gradient: (u,) of the cost, error: twice the cost.
+    places: (., 2, 3) Hessian and gradient of each keyframe on each of its tags."""
 
     gradient: FloatArray
     error: float
     places: FloatArray
-
-    def step(self, gradient: FloatArray) -> FloatArray:
-        """(u,) the step of Gauss and Newton for a gradient (u,)."""
-        return self.solution(-gradient)
 
 
 def leaves(points: FloatArray, variable: IntArray, keyframe: IntArray, most: int = LEAF) -> IntArray:
@@ -295,14 +292,14 @@ def extend_add(whole: FloatArray, part: FloatArray, at: IntArray) -> None:
 
 
 class DissectionSolver:
-    """See `solver.Solver`."""
+    """What eliminates one graph. Values may move as far as keeps_for, m or rad, until it does so anew."""
 
     keeps_for = 0.05
 
     def __init__(self, graph: KeyframeGraph, *, landmarks: bool = True) -> None:
         """landmarks: whether they are unknowns."""
         self._graph = graph
-        self.factors: Factors = factors_of(graph)
+        self.factors = factors_of(graph)
         n, k, rows = len(graph.ids), len(graph.keyframes), self.factors.keyframes.rows
         seen_by = np.repeat(np.arange(k), np.diff(self.factors.keyframes.offsets))
         # Landmarks, their errors, nodes 1 to k, the parameters.
@@ -328,8 +325,11 @@ class DissectionSolver:
         landmark_at, error_at, node_at, shared_at = np.split(self._dissection.at, [n, 2 * n, 2 * n + k])
         self.unknowns = Unknowns(landmark_at, np.append(-1, node_at), int(shared_at[0]), error_at)
 
-    def linearised(self, values: Values, damping: float) -> DissectedSystem:
-        """See `solver.Solver`."""
+    def linearised(self, values: Values, damping: float) -> System:
+        """The system at some values, with `damping` added to the information on each unknown.
+
+        Raises numpy.linalg.LinAlgError where it is singular.
+        """
         factors, u, size = self.factors, self.unknowns, self._dissection.size
         gradient, error = np.zeros(size), 0.0
         places = np.empty((len(factors.keyframes.rows), 2, 3))
@@ -364,14 +364,14 @@ class DissectionSolver:
         first = next(front for front in self._dissection.fronts if not front.halves)
         elimination = eliminated(self._dissection, block, damping)
         error += factors.priors(values, u, gradient)
-        return DissectedSystem(elimination.parts, elimination.log_determinant, gradient, error, places)
+        return System(elimination.parts, elimination.log_determinant, gradient, error, places)
 
     def log_determinant_given_landmarks(self, values: Values) -> float:
-        """See `solver.Solver`."""
+        """The logarithm of the determinant of the information on all unknowns but the landmarks, given these."""
         return DissectionSolver(self._graph, landmarks=False).linearised(values, 0.0).log_determinant
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
-        """See `solver.Solver`."""
+        """Gradient (u,) of the cost and twice the cost at some values."""
         gradient = np.zeros(self._dissection.size)
         error = batch_gradient(self.factors.keyframes, values, self.unknowns, gradient)
         pieces = self.factors.pieces

@@ -39,6 +39,7 @@ from tfg_drake.slam.estimator_state import (
     Source,
     instant,
     opened,
+    reduced_now,
     unknown_way,
 )
 from tfg_drake.slam.evidence import (
@@ -91,7 +92,7 @@ from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, uneve
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.turn import SAME_INSTANT, Reduced, TurnFrame, no_detections, reduced
+from tfg_drake.slam.turn import SAME_INSTANT, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
@@ -268,7 +269,7 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
     if state.contradictions >= CONTRADICTIONS:
-        state = find_itself(state, state.stamp, at_last=True)
+        state = find_itself(state, at_last=True)
     turn = state.turn
     assert turn is not None
     return _add_view(state, turn, SPREAD if explored else 0)
@@ -316,7 +317,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stage=estimate.stage,
         new_ids=new_ids,
         p_MU=p_MU,
-        places=state.places if state.known is not None and state.at is None else -1,
+        places=state.hypotheses.likely if state.known is not None and state.at is None else -1,
     )
 
 
@@ -521,7 +522,7 @@ def _step(
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
-        state = find_itself(state, stamp)
+        state = find_itself(state)
     state = looked_for(state)
     piece = state.piece
     if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
@@ -582,7 +583,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
         way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma),)
     else:
-        solution = _solve(state, piece)
+        solution = reduced_now(state, piece)
         source = Source(piece, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
         seen = Sighted(solution.keyframe, solution.sightings)
         state = replace(state, noise=state.noise.with_sample(solution.sample))
@@ -590,14 +591,6 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
             seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
         way = (*state.way, (seen, source))
     return replace(state, piece=opened(state), way=way)
-
-
-def _solve(state: EstimatorState, turn: OpenObservation) -> Reduced:
-    """A turn or piece solved by itself."""
-    graph = state.graph
-    return reduced(
-        state.noise.now, turn.begin, turn.frames, instant(state), graph.shared, state.walls.floor, graph.unevenness
-    )
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -650,7 +643,7 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
 
 def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
     """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
-    solution = _solve(state, turn)
+    solution = reduced_now(state, turn)
     source = Source(turn, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
     state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
     keyframe = solution.keyframe

@@ -8,8 +8,10 @@ from typing import Annotated
 import numpy as np
 
 from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.geometry import se2
 from tfg_drake.messages import (
     FloatArray,
+    Hypotheses,
     IntArray,
     LaserScan,
     MapEstimate,
@@ -28,12 +30,14 @@ from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
-from tfg_drake.slam.turn import TurnFrame, no_detections
-from tfg_drake.slam.walls import Names, Walls, no_walls
+from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
+from tfg_drake.slam.walls import Names, Walls, no_lines, no_walls
 from tfg_drake.table import empty
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
+# So many of the newest frames tell where the robot is.
+MOST_FRAMES = 50
 # A camera that is mounted, and whose clock runs, as is believed.
 EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
 
@@ -76,8 +80,8 @@ class FirstLook:
 
 @message
 class Placed:
-    """How the frame M of a session lies in the map K that it began with: X_KM (3,) and its covariance (3, 3). moved:
-    ids of the tags that stand elsewhere by now."""
+    """How the frame of a map lies in another, as M of a session in the map K that it began with: X_KM (3,) and its
+    covariance (3, 3). moved: ids of the tags that stand elsewhere by now."""
 
     X: Annotated[FloatArray, 3]
     covariance: Annotated[FloatArray, 3, 3]
@@ -128,8 +132,8 @@ class EstimatorState:
     its wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and
     of all surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight.
     loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that
-    the session began with, until it is part of this one; at: where in it that is, once it is known; places: in how
-    many places of it that may be, 0 for none or any.
+    the session began with, until it is part of this one; at: where in it that is, once it is known; hypotheses:
+    where in it that may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -173,7 +177,7 @@ class EstimatorState:
     deviation: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     known: KnownMap | None = None
     at: Placed | None = None
-    places: int = 0
+    hypotheses: Hypotheses = dataclasses.field(default_factory=lambda: empty(Hypotheses))
 
 
 def initial_state(
@@ -231,3 +235,17 @@ def opened(state: EstimatorState) -> OpenObservation:
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:
     """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
     return Sighted(way(X_DA, np.diag(sigma**2)), np.empty(0, dtype=np.int64)), None
+
+
+def reduced_now(state: EstimatorState, seen: OpenObservation) -> Reduced:
+    """An observation, up to the filters' instant, solved by itself."""
+    now, graph, floor = state.noise.now, state.graph, state.walls.floor
+    return reduced(now, seen.begin, seen.frames, instant(state), graph.shared, floor, graph.unevenness)
+
+
+def newest_of(seen: OpenObservation) -> OpenObservation:
+    """The newest frames of an observation as one of their own, but for what was seen as it began: the robot may have
+    been moved then."""
+    frames = seen.frames[-MOST_FRAMES:]
+    begin = replace(frames[0], detections=no_detections(frames[0].stamp), lines=no_lines())
+    return OpenObservation(begin, se2.compose(seen.X_MB, se2.between(seen.begin.X_OB, begin.X_OB)), seen.sigma, frames)

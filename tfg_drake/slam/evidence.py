@@ -72,26 +72,13 @@ LEAST_CHANCE = 1e-4
 def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
     """The detections without those that are not finite, have no positive range or deviation, or share their id with
     another one of the frame (which of the two is wrong cannot be told); and how many those were."""
-    good = _good(detections.ids, detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing)
+    _, which, count = np.unique(detections.ids, return_inverse=True, return_counts=True)
+    good = np.isfinite(detections.bearing) & (count[which] == 1)
+    for positive in (detections.range, detections.sigma_range, detections.sigma_bearing):
+        good &= (positive > 0.0) & (positive < np.inf)
     if good.all():
         return detections, 0
     return take(detections, good), int(np.count_nonzero(~good))
-
-
-@njit(cache=True)
-def _good(
-    ids: IntArray, range_: FloatArray, bearing: FloatArray, sigma_range: FloatArray, sigma_bearing: FloatArray
-) -> BoolArray:
-    good = np.empty(len(ids), dtype=np.bool_)
-    for i in range(len(ids)):
-        good[i] = (
-            0.0 < range_[i] < np.inf
-            and np.isfinite(bearing[i])
-            and 0.0 < sigma_range[i] < np.inf
-            and 0.0 < sigma_bearing[i] < np.inf
-            and np.sum(ids == ids[i]) == 1
-        )
-    return good
 
 
 @message
@@ -251,9 +238,7 @@ def _of_views(graph: KeyframeGraph, views: IntArray) -> FloatArray:
 
 def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
     """(h, 2) m in M, of places that the map does not have."""
-    in_V = np.zeros((len(evidence.ids), 3))
-    in_V[:, :2] = evidence.p_AL
-    return se2.compose(_of_views(graph, evidence.view), in_V)[:, :2]
+    return se2.transform(_of_views(graph, evidence.view), evidence.p_AL)
 
 
 def _places_and_variance(seen: Sighted, graph: KeyframeGraph) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""The keyframe graph by GTSAM alone: it linearises, eliminates and marginalises; see `solver.Solver`.
+"""The keyframe graph by GTSAM alone: it linearises, eliminates and marginalises.
 
 No stock factor holds a keyframe, so each is a `gtsam.CustomFactor`: its error is a square root of the keyframe's
 information times its residual. All unknowns are vectors, so that covariances are those of the messages.
@@ -6,7 +6,6 @@ information times its residual. All unknowns are vectors, so that covariances ar
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import gtsam
@@ -18,11 +17,13 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Factors, Unknowns, Values, factors_of
+from tfg_drake.slam.solver import LEAST_DAMPING, Values, factors_of
 from tfg_drake.slam.surfaces import add_pieces
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
 LEAST_SHARE = 1e-13
+# Steps are made until one lowers the error by less than this share.
+LEAST_DECREASE = 1e-10
 
 
 def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -55,18 +56,13 @@ def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.Nonlinear
     pieces = factors_of(graph).pieces
     for first, last, frame in zip(pieces.looks[:-1], pieces.looks[1:], pieces.frame, strict=True):
         factors.add(_piece(frame, pieces.keyframe[first:last], pieces.moments[first:last]))
-    values = Values(graph.X_MN, graph.p_ML, graph.shared.mean, np.zeros_like(graph.p_ML))
-    return factors, _values_of(values, names)
-
-
-def _values_of(values: Values, names: list[int]) -> gtsam.Values:
     where = gtsam.Values()
-    for name, p_ML in zip(names, values.p_ML, strict=True):
+    for name, p_ML in zip(names, graph.p_ML, strict=True):
         where.insert(name, p_ML)
-    for j, X_MN in enumerate(values.X_MN[1:], 1):
+    for j, X_MN in enumerate(graph.X_MN[1:], 1):
         where.insert(X(j), X_MN)
-    where.insert(S(0), values.shared)
-    return where
+    where.insert(S(0), graph.shared.mean)
+    return factors, where
 
 
 def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
@@ -129,90 +125,33 @@ def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(size + 1), keys, error)
 
 
-@dataclasses.dataclass(frozen=True)
-class GtsamSystem:
-    """See `solver.System`. at: where the unknowns of each key are. newton: (u,) the step."""
-
-    system: gtsam.GaussianFactorGraph
-    at: dict[int, slice]
-    gradient: FloatArray
-    error: float
-    newton: FloatArray
-    # Constant errors of tags are looked for by the default solver only.
-    places: FloatArray | None = None
-
-    @property
-    def log_determinant(self) -> float:
-        """The logarithm of the determinant of the information on all unknowns."""
-        return 2.0 * float(self.system.eliminateSequential().logDeterminant())
-
-    def step(self, gradient: FloatArray) -> FloatArray:
-        """(u,) the step of Gauss and Newton; the gradient is the system's own."""
-        del gradient
-        return self.newton
-
-    def covariance(self, at: IntArray) -> FloatArray:
-        """(c, c) joint, of some unknowns (c,)."""
-        asked = sorted(key for key, where in self.at.items() if np.any((at >= where.start) & (at < where.stop)))
-        joint = gtsam.Marginals(self.system, gtsam.Values()).jointMarginalCovariance(asked).fullMatrix()
-        place = np.concatenate([np.arange(self.at[key].start, self.at[key].stop) for key in asked])
-        rows = np.argsort(place)[np.searchsorted(np.sort(place), at)]
-        return np.asarray(joint[np.ix_(rows, rows)])
-
-
-class GtsamSolver:
-    """See `solver.Solver`. It is chosen by `explorer.solver` and takes six to seven times as long as the default."""
-
-    keeps_for = 0.0
-
-    def __init__(self, graph: KeyframeGraph) -> None:
-        """Raises ValueError where tags have constant errors, which are not in `map_graph`."""
-        if graph.tag_error.any():
-            raise ValueError("GTSAM alone solves no graph whose tags have constant errors: take DissectionSolver.")
-        self.factors: Factors = factors_of(graph)
-        n, k = len(graph.ids), len(graph.keyframes)
-        nodes = 2 * n + 3 * np.arange(k)
-        self.unknowns = Unknowns(2 * np.arange(n), np.append(-1, nodes), 2 * n + 3 * k, np.full(n, -1))
-        self._graph = map_graph(graph)[0]
-        self._at = {L(i): slice(2 * i, 2 * i + 2) for i in range(n)}
-        self._at |= {X(j + 1): slice(at, at + 3) for j, at in enumerate(nodes.tolist())}
-        self._at[S(0)] = slice(2 * n + 3 * k, 2 * n + 3 * k + SHARED)
-        # A step that lowers the error leads to where the next one begins.
-        self._newest: tuple[Values, tuple[gtsam.GaussianFactorGraph, FloatArray, float]] | None = None
-
-    def linearised(self, values: Values, damping: float) -> GtsamSystem:
-        """See `solver.Solver`."""
-        linear, gradient, error = self._linear(values)
-        system, step = gtsam.GaussianFactorGraph(), np.empty(len(gradient))
-        system.push_back(linear)
-        for key, at in self._at.items() if damping else ():
-            width = at.stop - at.start
-            system.push_back(gtsam.HessianFactor(key, damping * np.eye(width), np.zeros(width), 0.0))
-        try:
-            found = system.optimize()
-        except RuntimeError as singular:
-            raise np.linalg.LinAlgError(str(singular)) from None
-        for key, at in self._at.items():
-            step[at] = found.at(key)
-        return GtsamSystem(system, self._at, gradient, error, step)
-
-    def gradient(self, values: Values) -> tuple[FloatArray, float]:
-        """See `solver.Solver`."""
-        return self._linear(values)[1:]
-
-    def _linear(self, values: Values) -> tuple[gtsam.GaussianFactorGraph, FloatArray, float]:
-        """The linear factors at some values, their gradient and twice the cost."""
-        if self._newest is None or values is not self._newest[0]:
-            where = _values_of(values, [L(row) for row in range(len(values.p_ML))])
-            linear, gradient = self._graph.linearize(where), np.empty(self._at[S(0)].stop)
-            found = linear.gradientAtZero()
-            for key, at in self._at.items():
-                gradient[at] = found.at(key)
-            self._newest = values, (linear, gradient, 2.0 * self._graph.error(where))
-        return self._newest[1]
-
-    def log_determinant_given_landmarks(self, values: Values) -> float:
-        """See `solver.Solver`."""
-        # In the order of the keys, in which landmarks come first.
-        information, first = self._linear(values)[0].hessian()[0], int(self.unknowns.node_at[1])
-        return float(np.linalg.slogdet(information[first:, first:])[1])
+def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, FloatArray, float]:
+    """As `map_solver.solution`, by GTSAM alone, which is chosen by `explorer.solver` and takes six to seven times as
+    long. Raises ValueError where tags have constant errors, which are not in `map_graph`."""
+    if graph.tag_error.any():
+        raise ValueError("GTSAM alone solves no graph whose tags have constant errors: take the default solver.")
+    factors, start = map_graph(graph)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(LEAST_DECREASE)
+    found = gtsam.LevenbergMarquardtOptimizer(factors, start, parameters).optimize()
+    linear = factors.linearize(found)
+    try:
+        marginals = gtsam.Marginals(linear, found)
+    except RuntimeError:  # Some part of the map hangs on nothing: all is held by as little as it takes.
+        for key in found.keys():  # noqa: SIM118 it is no dictionary
+            width = len(found.atVector(key))
+            linear.push_back(gtsam.HessianFactor(key, LEAST_DAMPING * np.eye(width), np.zeros(width), 0.0))
+        marginals = gtsam.Marginals(linear, found)
+    n, m = len(graph.ids), 2 * len(local)
+    # In the order of the keys: landmarks, parameters, pose.
+    asked = [*(L(row) for row in local.tolist()), S(0), X(node)]
+    joint = marginals.jointMarginalCovariance(asked).fullMatrix()
+    at = np.concatenate([np.arange(m), m + SHARED + np.arange(3), m + np.arange(SHARED)])
+    log_information = 0.0
+    if len(local) < n:
+        of_others = linear.hessian()[0][2 * n :, 2 * n :]
+        log_information = 2.0 * linear.eliminateSequential().logDeterminant() - np.linalg.slogdet(of_others)[1]
+    X_MN = [graph.X_MN[0], *(found.atVector(X(j)) for j in range(1, len(graph.X_MN)))]
+    p_ML = np.array([found.atVector(L(row)) for row in range(n)]).reshape(n, 2)
+    values = Values(np.array(X_MN), p_ML, found.atVector(S(0)), np.zeros((n, 2)))
+    return values, np.asarray(joint[np.ix_(at, at)]), float(log_information)

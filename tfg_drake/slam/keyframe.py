@@ -148,9 +148,8 @@ def is_unknown(one: Keyframe) -> bool:
 
 
 def moved_points(X_FA: FloatArray, points: FloatArray) -> FloatArray:
-    """Points with normals (p, 4) of A as they are in F: X_FA (3,)."""
-    turned = np.array([0.0, 0.0, X_FA[2]])
-    return np.hstack([se2.transform(X_FA, points[:, :2]), se2.transform(turned, points[:, 2:])])
+    """Points with normals (p, 4) of A, or each of its own, as they are in F: X_FA (3,), or (p, 3)."""
+    return np.hstack([se2.transform(X_FA, points[:, :2]), se2.transform(X_FA * [0.0, 0.0, 1.0], points[:, 2:])])
 
 
 def moves_of_origin(X_AB: FloatArray) -> FloatArray:

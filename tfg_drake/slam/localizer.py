@@ -18,10 +18,10 @@ import scipy.linalg
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, message, replace
 from tfg_drake.slam.keyframe import along_walls, placed, rows_of
-from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map, whereabouts
+from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
-from tfg_drake.slam.wall_correction import correct_by_walls, seen_through, walls_seen
+from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
 from tfg_drake.slam.walls import FLOOR, Walls, no_walls
 from tfg_drake.table import empty, take
 
@@ -123,12 +123,12 @@ def step_localizer(
     state. A sighting outside its gate is ignored.
     """
     now, ids = localizer, detections.ids
-    map_ids = now.map.ids[now.map.local]
-    row, column, entry = whereabouts(ids, map_ids, now.seen, now.local_ids)
-    new = np.sort(row[(row >= 0) & (column < 0)])
-    if len(new):
-        now = _with_seen(now, np.append(now.seen, new))
-        row, column, entry = whereabouts(ids, map_ids, now.seen, now.local_ids)
+    row, known = rows_of(ids, now.map.ids[now.map.local])
+    row, entry = np.where(known, row, -1), np.where(known, -1, _places(ids, now.local_ids, POSE))
+    new = known & (_places(row, now.seen, SHARED) < 0)
+    if new.any():
+        now = _with_seen(now, np.append(now.seen, np.sort(row[new])))
+    column = _places(row, now.seen, SHARED)
     (mean, covariance, sensitivity), accepted = filtered(
         now.state,
         (now.map.shared, now.considered),
@@ -159,6 +159,15 @@ def step_localizer(
     return _keep_local(now, keep), int(np.count_nonzero(known)), int(np.count_nonzero(known & ~accepted))
 
 
+def _places(these: IntArray, among: IntArray, first: int) -> IntArray:
+    """Where the two entries of each of these (m,) begin among those of others (k,), which begin at `first`; -1 where it
+    is none of them."""
+    places = np.full(len(these), -1)
+    i, k = np.nonzero(these[:, None] == among)
+    places[i] = first + 2 * k
+    return places
+
+
 def corrected_by_walls(
     localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray
 ) -> tuple[Localizer, int, int]:
@@ -169,10 +178,7 @@ def corrected_by_walls(
     twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
     """
     now, shared = localizer, localizer.map.shared
-    seen = now.mean[:POSE], shared, twist, lines
-    known = now.walls, now.p_DC, now.reach
-    wall = walls_seen(*seen, *known)
-    through = seen_through(*seen, wall, *known)
+    wall, through = walls_seen(now.mean[:POSE], shared, twist, lines, now.walls, now.p_DC, now.reach)
     found = wall >= 0
     if not found.any():
         return now, through, through

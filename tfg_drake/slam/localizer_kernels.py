@@ -29,32 +29,14 @@ Considered = tuple[FloatArray, FloatArray]
 Motion = tuple[FloatArray, float, FloatArray]
 # twist (2,) of the robot at a frame, m/s and rad/s, and how much the camera's clock was taken to be ahead, s.
 Instant = tuple[FloatArray, float]
-# Where the tags (m,) of a frame are, the last two of `whereabouts`, and p_DL (s, 2), where the landmarks seen are.
+# Of each tag (m,) of a frame where it begins in W's columns if it is a landmark seen, and where in the state if it is a
+# local tag, -1 where it is not there; and p_DL (s, 2), where the landmarks seen are.
 Places = tuple[IntArray, IntArray, FloatArray]
 # Bearings and ranges (m,) of a frame, rad and m, and their standard deviations.
 Frame = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 POSE = 3
 # Squared deviations beyond which a sighting is ignored (2 degrees of freedom): 1 in 270 000 good ones.
 GATE = 25.0
-
-
-@njit(cache=True)
-def whereabouts(
-    ids: IntArray, map_ids: IntArray, seen: IntArray, local_ids: IntArray
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Of each tag (m,) its row among map_ids, ascending, where it begins in W's columns if it is in the rows `seen`,
-    and where in the state if it is a local tag; -1 where it is not there."""
-    row, column, entry = np.full(len(ids), -1), np.full(len(ids), -1), np.full(len(ids), -1)
-    for i in range(len(ids)):
-        at = np.searchsorted(map_ids, ids[i])
-        if at < len(map_ids) and map_ids[at] == ids[i]:
-            row[i] = at
-            for k in np.flatnonzero(seen == at):
-                column[i] = SHARED + 2 * k
-        else:
-            for k in np.flatnonzero(local_ids == ids[i]):
-                entry[i] = POSE + 2 * k
-    return row, column, entry
 
 
 @njit(cache=True)

@@ -12,7 +12,6 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.dissection import DissectionSolver
 from tfg_drake.slam.keyframe import moved_points, rows_of, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, moved_part
 from tfg_drake.slam.map_solver import solve, solved
@@ -119,7 +118,7 @@ def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) 
     information = np.tile(np.diag(TIE**-2.0), (int(np.count_nonzero(apart)), 1, 1))
     ties = Ties(first[apart], second[apart], X_AB[apart], information)
     bare = replace(empty_graph(graph.prior), keyframes=ways, X_MN=X_MN, ties=ties)
-    bare, _ = solved(bare, DissectionSolver(bare), np.zeros(0, dtype=np.int64), len(ways))
+    bare, _ = solved(bare, np.zeros(0, dtype=np.int64), len(ways))
     last = np.zeros(len(graph.ids), dtype=np.int64)
     for k, one in enumerate(graph.keyframes):
         last[rows_of(one.ids, graph.ids)[0]] = k

@@ -21,7 +21,15 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, replace
-from tfg_drake.slam.estimator_state import KIDNAPPED, EstimatorState, OpenObservation, instant, opened, unknown_way
+from tfg_drake.slam.estimator_state import (
+    KIDNAPPED,
+    EstimatorState,
+    OpenObservation,
+    newest_of,
+    opened,
+    reduced_now,
+    unknown_way,
+)
 from tfg_drake.slam.evidence import renewed
 from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, decoupled
@@ -30,8 +38,6 @@ from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import Prior, find_places, is_elsewhere, seen_at_once, tells_place
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, seen_from_body
 from tfg_drake.slam.surface_fit import map_points, surface_points
-from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.walls import no_lines
 from tfg_drake.table import take
 
 # A pose found no farther than this from the estimate, in squared deviations, is no other place.
@@ -71,8 +77,6 @@ WRONG = 0.01
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
 # logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
 DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
-# So many of the newest frames are looked at.
-MOST_FRAMES = 50
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
 # Steps to the least squares.
@@ -99,20 +103,20 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
-def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -> EstimatorState:
+def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
     """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose.
 
     at_last: what has been seen is about to be mapped. By walls it is mapped as if the robot were where it seems to be,
     unless it is found elsewhere or is known to be.
     """
-    estimate, suspect = state.map, state.suspect
+    estimate, suspect, stamp = state.map, state.suspect, state.stamp
     if estimate is None or suspect is None:
         return state
     if not any(rows_of(frame.detections.ids, estimate.ids)[1].any() for frame in suspect.frames):
-        return _found_among_walls(state, estimate, suspect, stamp, at_last=at_last)
+        return _found_among_walls(state, estimate, suspect, at_last=at_last)
     anywhere = math.isnan(state.placed)
     if at_last:
-        return _found_among_walls(state, estimate, suspect, stamp, at_last=True) if anywhere else state
+        return _found_among_walls(state, estimate, suspect, at_last=True) if anywhere else state
     seen = gathered(state, suspect)
     way = se2.between(suspect.begin.X_OB, state.X_OB)
     moved = np.sqrt(suspect.sigma**2 + PUSHES**2 + (suspect.unwatched * CARRIES) ** 2)
@@ -139,16 +143,9 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     X_MB = expected.X_MB if state.lost else localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)[0]
     error = found.X_MB - X_MB
     error[2] = se2.wrap_angle(error[2])
-    distance, angle = float(np.hypot(error[0], error[1])), abs(float(error[2]))
     if not state.lost and not anywhere and error @ np.linalg.solve(found.covariance, error) < SAME_PLACE:
         return replace(state, contradictions=0, suspect=None)
-    if anywhere:
-        _tell_place(stamp, found.X_MB, f"{len(tags.ids)} mapped tags")
-    else:
-        _log.warning(
-            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %d mapped tags say so",
-            stamp, distance, angle, len(tags.ids),
-        )  # fmt: skip
+    _tell_place(state, found.X_MB, error, f"{len(tags.ids)} mapped tags")
     # The ties of the newest views to the others may be wrong as well.
     graph = state.graph if anywhere else decoupled(state.graph, np.diag(KIDNAPPED**2), tags.ids)
     if graph is not state.graph:
@@ -168,22 +165,18 @@ def find_itself(state: EstimatorState, stamp: float, *, at_last: bool = False) -
 
 
 def _found_among_walls(
-    state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, stamp: float, *, at_last: bool
+    state: EstimatorState, estimate: MapEstimate, suspect: OpenObservation, *, at_last: bool
 ) -> EstimatorState:
     """The state after a search for the pose by the surfaces seen since the first contradiction, once a second and at
     last."""
-    looks = sum(len(frame.lines) > 0 for frame in suspect.frames)
+    looks, stamp = sum(len(frame.lines) > 0 for frame in suspect.frames), state.stamp
     if looks % LOOKS and not at_last:
         return state
-    now, shared, newest = state.noise.now, state.graph.shared, suspect.frames[-MOST_FRAMES:]
-    # Not what was seen while the robot was being moved.
-    begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
-    one = reduced(now, begin, newest, instant(state), shared, state.walls.floor, state.graph.unevenness).keyframe
-    seen = surface_points(one, shared.mean)
+    newest = newest_of(suspect)
+    seen = surface_points(reduced_now(state, newest).keyframe, state.graph.shared.mean)
     if not tells_place(seen):
         return state
-    expected = se2.compose(suspect.X_MB, se2.between(suspect.begin.X_OB, begin.X_OB))
-    anywhere = math.isnan(state.placed)
+    expected, anywhere = newest.X_MB, math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
     places = find_places(known_points(state.graph), seen_at_once(seen), prior)
     if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
@@ -194,26 +187,23 @@ def _found_among_walls(
             return state
         _log.warning("%.2f s: the walls in view contradict the pose; the robot looks for itself", stamp)
         return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
-    off = X_MA - expected
-    distance, angle = float(np.hypot(off[0], off[1])), abs(float(se2.wrap_angle(off[2])))
-    if anywhere:
-        _tell_place(stamp, X_MA, "the walls")
-        state = replace(state, placed=stamp)
-    else:
-        _log.warning(
-            "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; the walls say so",
-            stamp, distance, angle,
-        )  # fmt: skip
-    X_MB = se2.compose(X_MA, se2.between(begin.X_OB, state.X_OB))
+    _tell_place(state, X_MA, X_MA - expected, "the walls")
+    X_MB = se2.compose(X_MA, se2.between(newest.begin.X_OB, state.X_OB))
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
-    state = replace(state, localizer=localizer, contradictions=0, lost=False, suspect=None)
-    return begun_elsewhere(state, OpenObservation(begin, X_MA, PLACED, newest))
+    placed = stamp if anywhere else state.placed
+    state = replace(state, localizer=localizer, placed=placed, contradictions=0, lost=False, suspect=None)
+    return begun_elsewhere(state, replace(newest, X_MB=X_MA, sigma=PLACED))
 
 
-def _tell_place(stamp: float, X_MB: FloatArray, by: str) -> None:
-    """Tells the operator where in its map the robot is."""
-    x, y, _ = X_MB
-    _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
+def _tell_place(state: EstimatorState, X_MB: FloatArray, error: FloatArray, by: str) -> None:
+    """Tells where in its map the robot has found itself, which was anywhere, or how far (3,) from where it was thought
+    to be."""
+    (x, y, _), (dx, dy, turn), stamp = X_MB, error, state.stamp
+    if math.isnan(state.placed):
+        _operator.warning("%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", stamp, x, y, by)
+        return
+    message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
+    _log.warning(message, stamp, math.hypot(dx, dy), abs(float(se2.wrap_angle(turn))), by)
 
 
 def _restarted(

@@ -1,7 +1,7 @@
 """The map: values of the whole keyframe graph and the joint Gaussian round a place.
 
 The values are the maximum a posteriori (the paper's Sec. II), to rounding, and the Gaussian is Laplace's approximation
-there (Sec. III-B). A `Solver` linearises and eliminates; everything else is here, whichever it is.
+there (Sec. III-B). Nested dissection eliminates, or GTSAM does all of it.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
-from tfg_drake.slam.dissection import DissectionSolver
+from tfg_drake.slam.dissection import DissectionSolver, System
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import distance_to, entropy_of, estimate_of
 from tfg_drake.slam.shared import SHARED, Shared, scale_of
-from tfg_drake.slam.solver import Keyframes, Solver, System, Unknowns, Values
+from tfg_drake.slam.solver import LEAST_DAMPING, Keyframes, Unknowns, Values
 from tfg_drake.slam.tag_error import learnt, suspected
 
 # Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
@@ -28,9 +28,7 @@ MOST_STEPS = 20
 SMALL_STEP = 2e-5
 # A step that fails to lower the error is halved, so many times at most.
 MOST_HALVINGS = 10
-# Where no step can be made, every unknown is held to its place by this information, and a hundred times as much each
-# time. The first holds what hangs on nothing by 100 m, or rad.
-LEAST_DAMPING = 1e-4
+# Where no step can be made, what holds every unknown grows each time, so far at most.
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
 
@@ -61,18 +59,8 @@ def solve(
         others = np.sort(by_distance[joint:])
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
-    graph, covariance = solved(graph, solver_of(graph), local, node)
+    graph, covariance = solved(graph, local, node)
     return graph, estimate_of(graph, stamp, observation, graph.p_ML, graph.X_MN[node], local, covariance)
-
-
-def solver_of(graph: KeyframeGraph) -> Solver:
-    """The graph's solver, by its name."""
-    if graph.solver == "dissection":
-        return DissectionSolver(graph)
-    # Its library is loaded only where it is asked for.
-    from tfg_drake.slam.gtsam_solver import GtsamSolver
-
-    return GtsamSolver(graph)
 
 
 def known_jointly(graph: KeyframeGraph) -> int:
@@ -80,33 +68,21 @@ def known_jointly(graph: KeyframeGraph) -> int:
     return len(graph.ids) if len(graph.ids) <= MOST_JOINT else JOINT
 
 
-def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
+def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
     """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 16, 2m + 16):
     of the landmarks in rows local (m,), of the pose of a node, and of the parameters."""
-    nothing = np.zeros(graph.p_ML.shape)
-    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
-    u, m = solver.unknowns, 2 * len(local)
-    at = np.concatenate(
-        [
-            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
-            u.node_at[node] + np.arange(3),
-            u.shared_at + np.arange(SHARED),
-            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
-        ]
-    )
-    covariance = system.covariance(at)
-    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
-    covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
-    tag_error = graph.tag_error
-    if solver.factors.has_errors:
-        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
-    elif system.places is not None:
-        tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
+    tag_error, m = graph.tag_error, 2 * len(local)
+    if graph.solver == "gtsam":
+        # Its library is loaded only where it is asked for.
+        from tfg_drake.slam import gtsam_solver
+
+        values, covariance, log_information = gtsam_solver.solution(graph, local, node)
+    else:
+        values, covariance, log_information, tag_error = solution(graph, local, node)
     X_MN, p_ML = values.X_MN.copy(), values.p_ML
     X_MN[:, 2] = np.arctan2(np.sin(X_MN[:, 2]), np.cos(X_MN[:, 2]))
     entropy = of_local = entropy_of(covariance[:m, :m])
     if len(local) < len(p_ML):
-        log_information = system.log_determinant - solver.log_determinant_given_landmarks(values)
         entropy = 0.5 * (2 * len(p_ML) * math.log(2.0 * math.pi * math.e) - log_information)
     each, rows = graph.landmark_covariance.copy(), np.arange(len(local))
     each[local] = covariance[:m, :m].reshape(m // 2, 2, m // 2, 2)[rows, :, rows, :]
@@ -124,7 +100,34 @@ def solved(graph: KeyframeGraph, solver: Solver, local: IntArray, node: int) -> 
     return graph, covariance
 
 
-def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
+def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, FloatArray, float, FloatArray]:
+    """Values and joint covariance, as of `solved`, the logarithm of the determinant of the information on all landmarks
+    where local does not name them all, and the deviations of their constant errors, by nested dissection."""
+    solver, nothing = DissectionSolver(graph), np.zeros(graph.p_ML.shape)
+    values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
+    u, m = solver.unknowns, 2 * len(local)
+    at = np.concatenate(
+        [
+            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
+            u.node_at[node] + np.arange(3),
+            u.shared_at + np.arange(SHARED),
+            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
+        ]
+    )
+    covariance = system.covariance(at)
+    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
+    covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
+    if solver.factors.has_errors:
+        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
+    else:
+        tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
+    log_information = 0.0
+    if len(local) < len(graph.ids):
+        log_information = system.log_determinant - solver.log_determinant_given_landmarks(values)
+    return values, covariance, log_information, tag_error
+
+
+def _converged(solver: DissectionSolver, values: Values) -> tuple[Values, System]:
     """Values at the maximum a posteriori, and the system linearised where the last step began."""
     moved_since = math.inf
     for number in range(MOST_STEPS):
@@ -134,7 +137,7 @@ def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
             gradient, error = system.gradient, system.error
         else:
             gradient, error = solver.gradient(values)
-        step = system.step(gradient)
+        step = system.solution(-gradient)
         length = float(np.max(np.abs(step)))
         there, share = _lowered(solver, error, values, step)
         if share < 1.0 and not anew:
@@ -149,7 +152,7 @@ def _converged(solver: Solver, values: Values) -> tuple[Values, System]:
     return values, system
 
 
-def _linearised(solver: Solver, values: Values) -> System:
+def _linearised(solver: DissectionSolver, values: Values) -> System:
     """The system at some values. Where some part of the map hangs on nothing that a double can tell, all is held by as
     little as it takes."""
     damping = 0.0
@@ -162,7 +165,7 @@ def _linearised(solver: Solver, values: Values) -> System:
             damping = max(DAMPING_GROWTH * damping, LEAST_DAMPING)
 
 
-def _lowered(solver: Solver, error: float, values: Values, step: FloatArray) -> tuple[Values, float]:
+def _lowered(solver: DissectionSolver, error: float, values: Values, step: FloatArray) -> tuple[Values, float]:
     """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
     share = 1.0
     for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):

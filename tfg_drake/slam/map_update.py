@@ -375,15 +375,4 @@ def _joined(
         order = np.argsort(local, kind="stable")
         local, entries = local[order], _entries(len(joint), order)
         joint = joint.take(entries, axis=0).take(entries, axis=1)
-    return graph, replace(
-        estimate,
-        ids=graph.ids,
-        p_ML=p_ML,
-        anchor=graph.anchor,
-        reach=graph.reach,
-        X_MD=X_MD,
-        local=local,
-        covariance=joint[:-SHARED, :-SHARED],
-        shared=shared,
-        with_shared=joint[:, -SHARED:],
-    )
+    return graph, estimate_of(graph, estimate.stamp, estimate.observation, p_ML, X_MD, local, joint)

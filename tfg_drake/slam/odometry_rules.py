@@ -8,10 +8,10 @@ it was, by its last velocity, and its way there is unknown. Plain numbers: who d
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
+from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Odometry, message, replace
 from tfg_drake.notes import Note
 
@@ -52,7 +52,7 @@ def watch(
     if before is not None and told.stamp <= before.stamp:
         return state, None, None
     dt = told.stamp - (told if before is None else before).stamp
-    step = np.zeros(3) if before is None else _between(before.X_OB, told.X_OB)
+    step = np.zeros(3) if before is None else se2.between(before.X_OB, told.X_OB)
     passed, note = told, None
     if not (abs(told.V_B[0]) <= FASTEST and abs(told.V_B[1]) <= FASTEST_TURN):
         text = f"odometry tells {told.V_B[0]:g} m/s and {told.V_B[1]:g} rad/s; the way between its poses serves"
@@ -69,7 +69,7 @@ def watch(
     X_OR, unknown = state.X_OR, False
     if beyond[0] > LEAP or beyond[1] > LEAP_TURN or far > max(SUDDEN, FASTEST * dt):
         X_OB = _driven(believed, min(dt, HELD))
-        x, y, _ = _composed((0.0, 0.0, X_OB[2] - told.X_OB[2]), told.X_OB)
+        x, y, _ = se2.compose(np.array([0.0, 0.0, X_OB[2] - told.X_OB[2]]), told.X_OB)
         X_OR, beyond, unknown = (X_OB[0] - x, X_OB[1] - y, X_OB[2] - told.X_OB[2]), state.beyond, True
         passed = replace(passed, V_B=believed.V_B)
         text = f"odometry jumps by {far:.1f} m and {math.degrees(turned):.0f} degrees"
@@ -78,7 +78,7 @@ def watch(
         unknown = True
         note = Note("silence", told.stamp, f"no odometry for {dt:.1f} s while the robot moves")
     if X_OR != (0.0, 0.0, 0.0):
-        passed = replace(passed, X_OB=np.array(_composed(X_OR, told.X_OB)))
+        passed = replace(passed, X_OB=se2.compose(np.array(X_OR), told.X_OB))
     if breaks := believed.breaks + unknown:
         passed = replace(passed, breaks=breaks, at_rest=passed.at_rest and not unknown)
     return WatchedOdometry(told, passed, X_OR, beyond), passed, note
@@ -92,26 +92,7 @@ def velocity(step: FloatArray, dt: float) -> FloatArray:
     return np.clip(np.array([ahead, step[2]]) / max(dt, 1e-3), -most, most)
 
 
-def _driven(odometry: Odometry, dt: float) -> tuple[float, float, float]:
+def _driven(odometry: Odometry, dt: float) -> FloatArray:
     """X_OB after dt s more at its velocity."""
-    ahead, turn = float(odometry.V_B[0]) * dt, float(odometry.V_B[1]) * dt
-    chord = (ahead * math.cos(0.5 * turn), ahead * math.sin(0.5 * turn), turn)
-    return _composed(odometry.X_OB, chord)
-
-
-def _between(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
-    """X_BC."""
-    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
-    dx, dy, turn = (float(value) for value in X_AC - X_AB)
-    return np.array([c * dx + s * dy, -s * dx + c * dy, math.remainder(turn, 2.0 * math.pi)])
-
-
-def _composed(X_AB: Sequence[float] | FloatArray, X_BC: Sequence[float] | FloatArray) -> tuple[float, float, float]:
-    """X_AC."""
-    c, s = math.cos(X_AB[2]), math.sin(X_AB[2])
-    theta = math.pi - (math.pi - X_AB[2] - X_BC[2]) % (2.0 * math.pi)
-    return (
-        float(X_AB[0] + c * X_BC[0] - s * X_BC[1]),
-        float(X_AB[1] + s * X_BC[0] + c * X_BC[1]),
-        float(theta),
-    )
+    ahead, turn = odometry.V_B * dt
+    return se2.compose(odometry.X_OB, np.array([ahead * math.cos(0.5 * turn), ahead * math.sin(0.5 * turn), turn]))

@@ -10,27 +10,44 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.se2 import rotation
-from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, MapEstimate, SaidPose, TagDetections, is_tag, replace
-from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, instant, opened, unknown_way
+from tfg_drake.messages import (
+    FloatArray,
+    Hypotheses,
+    IntArray,
+    MapEstimate,
+    SaidPose,
+    TagDetections,
+    is_tag,
+    replace,
+)
+from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, newest_of, opened, reduced_now, unknown_way
 from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
 from tfg_drake.slam.keyframe import joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, no_observation
 from tfg_drake.slam.localizer import start_localizer
-from tfg_drake.slam.lost_robot import MOST_FRAMES, Expected, relocalize
+from tfg_drake.slam.lost_robot import Expected, relocalize
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of
-from tfg_drake.slam.place_search import Places, Prior, Seen, find_places, is_elsewhere, nothing_seen, seen_by_views
+from tfg_drake.slam.place_search import (
+    WRONG,
+    Places,
+    Prior,
+    Seen,
+    find_places,
+    is_elsewhere,
+    nothing_seen,
+    seen_by_views,
+)
 from tfg_drake.slam.surface_fit import surface_points
-from tfg_drake.slam.turn import no_detections, reduced
-from tfg_drake.slam.walls import Names, identified, named, no_lines
-from tfg_drake.table import concat, take
+from tfg_drake.slam.walls import named, renamed
+from tfg_drake.table import concat, empty, take
 
 # A pose that says nothing of where to look.
 ANYWHERE = Expected(np.array([1e6, 0.0, 0.0]), None, np.ones(3))
@@ -42,8 +59,8 @@ BY_WALLS = np.array([0.05, 0.05, 0.005])
 FRAMES, TURNED = 4, 1.0
 # And after each of the first views, so many, and then after each of so many.
 EACH_VIEW, LATER = 4, 4
-# The place that somebody says is so much likelier than others, as a logarithm. Places are likely that are so probable.
-ELSEWHERE, LIKELY = -4.0, 0.05
+# The place that somebody says is so much likelier than others, as a logarithm.
+ELSEWHERE = -4.0
 # One that was believed is so as long as it is this probable.
 STILL = 0.9
 
@@ -66,15 +83,7 @@ class Tagged(Protocol):
         """(n, 2, 2) of these, m^2."""
 
 
-class Placement(NamedTuple):
-    """How B lies in A: X_AB (3,) and its covariance (3, 3). wrong: (d,) ids of the tags that stand elsewhere in B."""
-
-    X_AB: FloatArray
-    covariance: FloatArray
-    wrong: IntArray
-
-
-def by_tags(of_A: Tagged, of_B: Tagged) -> Placement | None:
+def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
     """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
 
     Raises:
@@ -99,7 +108,7 @@ def by_tags(of_A: Tagged, of_B: Tagged) -> Placement | None:
         return None
     X_AB, J = se2.compose(found.X_MB, np.append(-middle, 0.0)), np.eye(3)
     J[:2, 2] = (found.X_MB[:2] - X_AB[:2])[::-1] * [1.0, -1.0]
-    return Placement(X_AB, J @ found.covariance @ J.T, common[~found.agreeing])
+    return Placed(X_AB, J @ found.covariance @ J.T, common[~found.agreeing])
 
 
 def said_to_be(state: EstimatorState, said: SaidPose, X_MB: FloatArray) -> EstimatorState:
@@ -127,11 +136,9 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     )
     if count != FRAMES and (count < FRAMES or parts[0] == parts[1]):
         return state
-    newest, shared = turn.frames[-MOST_FRAMES:], state.graph.shared
-    begin = replace(newest[0], detections=no_detections(newest[0].stamp), lines=no_lines())
-    floor, unevenness = state.walls.floor, state.graph.unevenness
-    one = reduced(state.noise.now, begin, newest, instant(state), shared, floor, unevenness).keyframe
-    X_MA, w = se2.compose(turn.X_MB, se2.between(turn.begin.X_OB, begin.X_OB)), one.walls
+    newest, shared = newest_of(turn), state.graph.shared
+    one, X_MA = reduced_now(state, newest).keyframe, newest.X_MB
+    w = one.walls
     y_AL, _, R = one.given(shared.mean)
     rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
     covariance = R[rows[:, :, None], rows[:, None]]
@@ -162,7 +169,7 @@ def in_known(
     return X_KB, np.asarray(both), se2.transform(at.X, p_MU)
 
 
-def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placement | None, Places | None]:
+def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placed | None, Places | None]:
     """How a session lies in the map that it began with, by its tags or by its surfaces; the places that it may be."""
     try:
         found = by_tags(known.estimate.of_tags, tags)
@@ -173,10 +180,10 @@ def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placemen
     prior = None if known.said is None else Prior(known.said.X, np.sqrt(np.diag(known.said.covariance)), ELSEWHERE)
     places = find_places(known.surfaces, seen, prior)
     X = places.found()
-    return (None if X is None else Placement(X, np.diag(BY_WALLS**2), np.empty(0, dtype=np.int64))), places
+    return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
 
-def _with_place(state: EstimatorState, found: Placement | None, places: Places | None) -> EstimatorState:
+def _with_place(state: EstimatorState, found: Placed | None, places: Places | None) -> EstimatorState:
     """The state with where the session is, and what it is to be told of that."""
     if found is None:
         if state.at is not None and places is not None and places.near(state.at.X) > STILL:
@@ -184,22 +191,31 @@ def _with_place(state: EstimatorState, found: Placement | None, places: Places |
             return replace(state, at=replace(state.at, X=places.X[nearest]))
         if state.at is not None:
             _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
-        count = 0 if places is None else int(np.count_nonzero(places.probability > LIKELY))
-        if count > 1 and count != state.places:
+        hypotheses = _not_refuted(state.known, places)
+        count = hypotheses.likely
+        if count > 1 and count != state.hypotheses.likely:
             _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)
-        return replace(state, at=None, placed=-math.inf, places=count)
+        return replace(state, at=None, placed=-math.inf, hypotheses=hypotheses)
     if state.at is None:
-        x, y, _ = found.X_AB if state.map is None else se2.compose(found.X_AB, state.map.X_MD)
+        x, y, _ = found.X if state.map is None else se2.compose(found.X, state.map.X_MD)
         by = "surfaces" if places is not None else "tags"
         _operator.warning(
             "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by
         )
         said = None if state.known is None else state.known.said
-        if said is not None and is_elsewhere(found.X_AB[None], said.X)[0]:
-            off = math.dist(found.X_AB[:2], said.X[:2])
+        if said is not None and is_elsewhere(found.X[None], said.X)[0]:
+            off = math.dist(found.X[:2], said.X[:2])
             _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     placed = state.stamp if state.at is None else state.placed
-    return replace(state, at=Placed(found.X_AB, found.covariance, found.wrong), placed=placed, places=1)
+    return replace(state, at=found, placed=placed, hypotheses=empty(Hypotheses))
+
+
+def _not_refuted(known: KnownMap | None, places: Places | None) -> Hypotheses:
+    """Those of the places that keep the session from believing in another one."""
+    if known is None or places is None:
+        return empty(Hypotheses)
+    left = places.probability > WRONG
+    return Hypotheses(places.X[left], places.probability[left], known.surfaces)
 
 
 def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
@@ -207,18 +223,9 @@ def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> Estimator
     X_KM, graph, stamp = at.X, state.graph, state.stamp
     assert state.map is not None
     told = solve(graph, stamp, no_observation(), joint=known_jointly(graph))[1]
-    one, walls = without_tags(known.keyframe, at.moved), state.walls
-    if one.walls:
-        covariance = told.covariance.copy()
-        covariance[-3:], covariance[:, -3:] = 0.0, 0.0
-        covariance[-3:, -3:] = at.covariance
-        from_there = replace(told, X_MD=se2.inverse(X_KM), covariance=covariance)
-        # No look counts: none of them is new to `identified`, which leaves what is not clear.
-        again, walls = identified(one, np.zeros(len(one.ids), dtype=np.int64), walls, from_there, 0.0)
-        ids = one.ids[: one.walls]
-        new = int(graph.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
-        new[np.searchsorted(ids, again.provisional)] = again.ids
-        one = named(one, Names(ids, new))
+    one = without_tags(known.keyframe, at.moved)
+    names, walls = renamed(one, state.walls, told, se2.inverse(X_KM), at.covariance)
+    one = named(one, names)
     both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
     both = extended(both, one, known.X_KD, is_view=False)
     way, _ = unknown_way(se2.between(known.X_KD, X_KM), np.sqrt(np.diag(at.covariance)))
@@ -229,10 +236,9 @@ def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> Estimator
     rows, w = np.searchsorted(both.ids, graph.ids), int(np.count_nonzero(~is_tag(graph.ids)))
     (p_ML, anchor), reach = placed(X_KM, graph.ids, told.p_ML, graph.anchor), graph.reach.copy()
     reach[:w] = joined_reach(p_ML[:w], anchor[:w], reach[:w], both.anchor[rows[:w]], both.reach[rows[:w]])
-    names = ("p_ML", "anchor", "reach")
-    where = {name: getattr(both, name).copy() for name in names}
-    for name, of_session in zip(names, (p_ML, anchor, reach), strict=True):
-        where[name][rows] = of_session
+    where = {name: getattr(both, name).copy() for name in ("p_ML", "anchor", "reach")}
+    for values, of_session in zip(where.values(), (p_ML, anchor, reach), strict=True):
+        values[rows] = of_session
     both = replace(
         both,
         **where,

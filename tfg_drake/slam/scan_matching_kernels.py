@@ -83,13 +83,7 @@ def _nearest(M: FloatArray, x: float, y: float, nx: float, ny: float, gate: floa
         high = low + 2.0 * half
         if high < M[0, 5] or low > M[-1, 5]:
             continue
-        k, end = 0, len(M)
-        while k < end:
-            middle = (k + end) // 2
-            if M[middle, 5] < low:
-                k = middle + 1
-            else:
-                end = middle
+        k = int(np.searchsorted(M[:, 5], low))
         while k < len(M) and M[k, 5] <= high:
             square = (M[k, 0] - x) ** 2 + (M[k, 1] - y) ** 2
             if square < best and M[k, 2] * nx + M[k, 3] * ny > 0.8:

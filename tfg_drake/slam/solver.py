@@ -1,13 +1,9 @@
-"""Keyframe graphs as solvers take them, all keyframes in flat arrays, and the protocol of a solver.
-
-A `Solver` linearises the factors and eliminates; all else of a solve is in `map_solver`, whichever it is. The keyframes
-are linearised in compiled loops.
-"""
+"""Keyframe graphs as solvers take them: all keyframes in flat arrays, linearised in compiled loops."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,6 +13,10 @@ from tfg_drake.slam.keyframe import gradient_of, hessian, is_unknown, residual, 
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of
+
+# Where no step can be made, every unknown is held to its place by this information, and more if need be: it holds what
+# hangs on nothing by 100 m, or rad.
+LEAST_DAMPING = 1e-4
 
 
 class Keyframes(NamedTuple):
@@ -89,53 +89,6 @@ class Factors:
         pull = values.errors * self.of_errors
         gradient[unknowns.error_at[:, None] + [0, 1]] += pull
         return float(off @ force) + float(np.sum(values.errors * pull))
-
-
-class System(Protocol):
-    """A graph's system linearised at some values, and eliminated."""
-
-    @property
-    def gradient(self) -> FloatArray:
-        """(u,) of the cost."""
-
-    @property
-    def error(self) -> float:
-        """Twice the cost."""
-
-    @property
-    def places(self) -> FloatArray | None:
-        """(., 2, 3) Hessian and gradient of each keyframe on each of its tags."""
-
-    @property
-    def log_determinant(self) -> float:
-        """The logarithm of the determinant of the information on all unknowns."""
-
-    def step(self, gradient: FloatArray) -> FloatArray:
-        """(u,) the step of Gauss and Newton for a gradient (u,)."""
-
-    def covariance(self, at: IntArray) -> FloatArray:
-        """(c, c) joint, of some unknowns (c,)."""
-
-
-class Solver(Protocol):
-    """A way to eliminate one graph."""
-
-    factors: Factors
-    unknowns: Unknowns
-    # So far values may move, m or rad, until the system is eliminated anew.
-    keeps_for: float
-
-    def linearised(self, values: Values, damping: float) -> System:
-        """The system at some values, with `damping` added to the information on each unknown.
-
-        Raises numpy.linalg.LinAlgError where it is singular.
-        """
-
-    def log_determinant_given_landmarks(self, values: Values) -> float:
-        """The same of all unknowns but the landmarks, given these."""
-
-    def gradient(self, values: Values) -> tuple[FloatArray, float]:
-        """Gradient (u,) of the cost and twice the cost at some values."""
 
 
 def factors_of(graph: KeyframeGraph) -> Factors:

@@ -52,12 +52,8 @@ class Surfaces:
         there, total, share = X, information, 0.0
         for gate in gates if len(self.points) else ():
             p = moved_points(there, query)
-            _, row = self.tree.query(p[:, :2], k=MOST, distance_upper_bound=max(NEAR, gate))
-            met = row < len(self.points)
-            of = self.points[np.where(met, row, 0)]
-            n, lever = of[..., 2:], p[:, :2] - there[:2]
-            met &= np.einsum("qki,qi->qk", n, p[:, 2:]) > SAME_WAY
-            e = np.einsum("qki,qki->qk", n, p[:, None, :2] - of[..., :2])
+            n, e, met = self._beside(p, max(NEAR, gate))
+            lever = p[:, :2] - there[:2]
             w = met / (1.0 + (e / max(gate / 3.0, ROBUST)) ** 2)
             w /= ALIKE * POINT**2 * np.maximum(w.sum(axis=1), 1.0)[:, None]
             J = np.concatenate([n, (n[..., 1] * lever[:, None, 0] - n[..., 0] * lever[:, None, 1])[..., None]], axis=2)
@@ -70,12 +66,18 @@ class Surfaces:
 
     def on(self, points: FloatArray, within: float) -> BoolArray:
         """Which of some points (n, 4) in M lie on the surfaces, within so much, m."""
-        _, row = self.tree.query(points[:, :2], k=MOST, distance_upper_bound=NEAR)
+        _, off, met = self._beside(points, NEAR)
+        return np.asarray(np.any(met & (np.abs(off) < within), axis=1))
+
+    def _beside(self, points: FloatArray, reach: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Of points (q, 4) in M the normals (q, k, 2) of the surfaces beside each, how far it is off these (q, k), m,
+        and which of them are there, within this reach, m, and look the same way."""
+        _, row = self.tree.query(points[:, :2], k=MOST, distance_upper_bound=reach)
         met = row < len(self.points)
         of = self.points[np.where(met, row, 0)]
-        met &= np.einsum("qki,qi->qk", of[..., 2:], points[:, 2:]) > SAME_WAY
-        off = np.einsum("qki,qki->qk", of[..., 2:], points[:, None, :2] - of[..., :2])
-        return np.asarray(np.any(met & (np.abs(off) < within), axis=1))
+        n = of[..., 2:]
+        met &= np.einsum("qki,qi->qk", n, points[:, 2:]) > SAME_WAY
+        return n, np.einsum("qki,qki->qk", n, points[:, None, :2] - of[..., :2]), met
 
 
 def thinned(points: FloatArray, offset: float = 0.0) -> FloatArray:

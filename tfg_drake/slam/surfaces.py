@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import moves_of_origin
+from tfg_drake.slam.keyframe import moved_points, moves_of_origin
 
 # Side of a cell, m. Points of one look the same way where their normals, by direction, follow each other within this,
 # rad, and their mean is no shorter than this.
@@ -76,7 +76,7 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     of_kind = [np.flatnonzero(~edge), np.flatnonzero(edge), np.flatnonzero(edge)]
     kind, every = np.repeat(np.arange(3), [len(some) for some in of_kind]), np.concatenate(of_kind)
     points = points._replace(keyframe=points.keyframe[every], p_AP=points.p_AP[every])
-    p_MP = np.asarray(in_map(points.keyframe, points.p_AP, X_MN))
+    p_MP = moved_points(X_MN[points.keyframe], points.p_AP)
     p_MP[kind > 0, 2:] = np.eye(2)[kind[kind > 0] - 1]
     cell = np.floor((p_MP[:, :2] + rng.uniform(0.0, CELL, 2)) / CELL).astype(np.int64)
     cell -= cell.min(axis=0)
@@ -99,21 +99,10 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     mean[:, 2:] /= np.maximum(length, COMMON)[:, None]
     # Those of one keyframe alone tie nothing, and what looks every way is no surface.
     kept = (np.diff(looks) > 1) & (length > COMMON)
-    some, moments = np.repeat(kept, np.diff(looks)), np.zeros((len(keyframe), 6))
-    worth = np.where(kind > 0, EDGE, 1.0)
-    _weigh(
-        np.flatnonzero(kept),
-        mean,
-        looks,
-        begin,
-        p_MP[rows],
-        points.p_AP[rows],
-        worth[rows],
-        FLOOR**2 + unevenness**2,
-        moments,
-    )
-    normal = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some]
-    keyframe, moments = keyframe[some], moments[some]
+    some, worth, floor = np.repeat(kept, np.diff(looks)), np.where(kind > 0, EDGE, 1.0), FLOOR**2 + unevenness**2
+    placed = p_MP[rows], points.p_AP[rows], worth[rows]
+    moments = _weighed(np.flatnonzero(kept), mean, looks, begin, *placed, floor)[some]
+    normal, keyframe = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some], keyframe[some]
     moments *= _worth(keyframe, normal, moments, X_MN, points.scatter)[:, None]
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe, moments)
 
@@ -193,19 +182,7 @@ def add_ties(
 
 
 @njit(cache=True)
-def in_map(keyframe: IntArray, p_AP: FloatArray, X_MN: FloatArray) -> FloatArray:
-    """(p, 4) points as they are in M, with keyframes at X_MN (k, 3); arguments as of Points."""
-    p_MP = np.empty_like(p_AP)
-    for i in range(len(keyframe)):
-        X = X_MN[keyframe[i]]
-        c, s = math.cos(X[2]), math.sin(X[2])
-        p_MP[i, 0], p_MP[i, 1] = X[0] + c * p_AP[i, 0] - s * p_AP[i, 1], X[1] + s * p_AP[i, 0] + c * p_AP[i, 1]
-        p_MP[i, 2], p_MP[i, 3] = c * p_AP[i, 2] - s * p_AP[i, 3], s * p_AP[i, 2] + c * p_AP[i, 3]
-    return p_MP
-
-
-@njit(cache=True)
-def _weigh(
+def _weighed(
     which: IntArray,
     frame: FloatArray,
     looks: IntArray,
@@ -214,10 +191,10 @@ def _weigh(
     p_AP: FloatArray,
     worth: FloatArray,
     floor: float,
-    moments: FloatArray,
-) -> None:
-    """Set the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,).
-    floor: m^2, the variance that they have in common."""
+) -> FloatArray:
+    """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,). floor: m^2,
+    the variance that they have in common."""
+    moments = np.zeros((looks[-1], 6))
     for g in which:
         first, last = begin[looks[g]], begin[looks[g + 1]]
         m_x, m_y, n_x, n_y = frame[g]
@@ -241,6 +218,7 @@ def _weigh(
                 of = moments[j]
                 of[0], of[1], of[2] = of[0] + w, of[1] + w * x, of[2] + w * y
                 of[3], of[4], of[5] = of[3] + w * x * x, of[4] + w * x * y, of[5] + w * y * y
+    return moments
 
 
 @njit(cache=True)
@@ -351,4 +329,4 @@ def put_together(
         on_A = moves_of_origin(X)
         moves = np.einsum("iab,ibjc,jdc->iajd", on_A, covariance.reshape(m, 3, m, 3), on_A)
         scatter = np.einsum("iaib->ab", moves) / m - moves.sum(axis=(0, 2)) / m**2
-    return np.asarray(in_map(keyframe, p_BP, X)), np.asarray(scatter)
+    return moved_points(X[keyframe], p_BP), np.asarray(scatter)

@@ -46,7 +46,7 @@ from tfg_drake.slam.shared import (
 )
 from tfg_drake.slam.surfaces import Ties, put_together
 from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
-from tfg_drake.table import empty
+from tfg_drake.table import concat, empty
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
 OUTLIER_SIGMAS = 5.5
@@ -110,40 +110,6 @@ class _Ties(NamedTuple):
     looks: Looks
 
 
-class _Solution(NamedTuple):
-    """ids (n,) of the tags, how often each was seen, poses (t, 3), border (13 + 2n + 2w,), information (16 + 2n + 2w,
-    16 + 2n + 2w) and gradient (16 + 2n + 2w,) of (D, parameters, tags, walls), and the squared error of each sighting
-    and of each look at a wall, in sigmas; the prior of the parameters, mean (13,) and information (13, 13); the looks
-    kept; and the unit of lengths."""
-
-    ids: IntArray
-    sightings: IntArray
-    X_AB: FloatArray
-    border: FloatArray
-    information: FloatArray
-    gradient: FloatArray
-    squared: FloatArray
-    prior: FloatArray
-    of_prior: FloatArray
-    looks: Looks
-    unit: int
-
-    @property
-    def parameters(self) -> FloatArray:
-        """(13,)."""
-        return self.border[:SHARED]
-
-    @property
-    def y_AL(self) -> FloatArray:
-        """(n, 2) places of the tags."""
-        return self.border[SHARED : SHARED + 2 * len(self.ids)].reshape(-1, 2)
-
-    @property
-    def walls(self) -> FloatArray:
-        """(w, 2) angle of the normal and distance from the anchor of each wall."""
-        return self.border[SHARED + 2 * len(self.ids) :].reshape(-1, 2)
-
-
 @message
 class TurnFrame:
     """The sightings of one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
@@ -200,10 +166,39 @@ class Sample:
     def misfit(self, noise: Noise) -> float:
         """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
         marginalised out."""
-        ties = _ties(noise, self.clock, self.X_OB, self.prior, self.of_prior, self.node, self.tag, self.z, self.looks)
+        ties = _ties(noise, self)
         own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
         own += float(np.sum(np.log(ties.looks.seen[:, 7:9])))
-        return own + misfit_of_chain(ties, self.X_AB, self.border)
+        return own + misfit_of_chain(ties, self.X_AB.copy(), self.border.copy())
+
+
+class _Solution(NamedTuple):
+    """ids (n,) of the tags, how often each was seen, where all is, information (16 + 2n + 2w, 16 + 2n + 2w) and
+    gradient (16 + 2n + 2w,) of (D, parameters, tags, walls), the squared error of each sighting and of each look at a
+    wall, in sigmas, and the unit of lengths."""
+
+    ids: IntArray
+    sightings: IntArray
+    at: Sample
+    information: FloatArray
+    gradient: FloatArray
+    squared: FloatArray
+    unit: int
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(13,)."""
+        return self.at.border[:SHARED]
+
+    @property
+    def y_AL(self) -> FloatArray:
+        """(n, 2) places of the tags."""
+        return self.at.border[SHARED : SHARED + 2 * len(self.ids)].reshape(-1, 2)
+
+    @property
+    def walls(self) -> FloatArray:
+        """(w, 2) angle of the normal and distance from the anchor of each wall."""
+        return self.at.border[SHARED + 2 * len(self.ids) :].reshape(-1, 2)
 
 
 def reduced(
@@ -223,21 +218,16 @@ def reduced(
     sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
     stamps, clock, X_OB, node = _nodes(begin, frames, end)
-    seen = [frame.detections for frame in (*frames, end)]
-    counts = [len(detections.ids) for detections in seen]
-    z = np.empty((sum(counts), 8))
-    z[:, 0] = np.concatenate([detections.bearing for detections in seen])
-    z[:, 1] = np.concatenate([detections.range for detections in seen])
-    z[:, 2] = np.concatenate([detections.sigma_bearing for detections in seen])
-    z[:, 3] = np.concatenate([detections.sigma_range for detections in seen])
-    z[:, 6] = np.repeat([frame.offset for frame in (*frames, end)], counts)
-    z[:, 7] = np.repeat(np.cumsum([not frame.only_scan for frame in (*frames, end)]), counts)
-    ids = np.concatenate([detections.ids for detections in seen])
-
+    every = (*frames, end)
     X_AB = se2.between(X_OB[0], X_OB)
     twist = twists(stamps, X_AB, shared.mean)
-    z[:, 4:6] = np.repeat(twist[node], counts, axis=0)
-    lines = [frame.lines for frame in (*frames, end)]
+    seen, counts = concat(*(frame.detections for frame in every)), [len(frame.detections.ids) for frame in every]
+    of_frames = np.column_stack(
+        [twist[node], [frame.offset for frame in every], np.cumsum([not frame.only_scan for frame in every])]
+    )
+    measured = seen.bearing, seen.range, seen.sigma_bearing, seen.sigma_range
+    ids, z = seen.ids, np.column_stack([*measured, np.repeat(of_frames, counts, axis=0)])
+    lines = [frame.lines for frame in every]
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
     looked = of_line, on_uneven(np.concatenate(lines), unevenness), twist[of_line]
     looks = grouped(*looked, X_AB)
@@ -245,10 +235,10 @@ def reduced(
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
     solution = _solved(noise, shared, problem, X_AB, kept)
     # By odometry a wall that was seen again after a turn round may seem to be another.
-    again = grouped(*looked, solution.X_AB)
+    again = grouped(*looked, solution.at.X_AB)
     if len(again.anchor) < len(looks.anchor):
         problem = problem._replace(looks=again)
-        solution = _solved(noise, shared, problem, solution.X_AB, kept)
+        solution = _solved(noise, shared, problem, solution.at.X_AB, kept)
     if np.any(_outliers(solution)):
         solution, kept = _without_outliers(noise, shared, problem, X_AB)
         unexplained = int(np.sum(~kept[: len(ids)]))
@@ -260,21 +250,21 @@ def reduced(
             left = int(np.sum(~other_kept[: len(ids)]))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept, slipped = other, other_kept, True
-    scale, kept = scale_of(solution.unit, shared.mean), kept[: len(ids)]
-    one, walls = _keyframe(solution, shared, _on_error(solution, problem, kept), floor)
-    X_AB = solution.X_AB / np.array([scale, scale, 1.0])
+    scale = scale_of(solution.unit, shared.mean)
+    one, walls = _keyframe(solution, shared, floor)
+    X_AB = solution.at.X_AB / np.array([scale, scale, 1.0])
     yaw, ahead, left = solution.parameters[SCANNER_YAW : SCANNER_Y + 1]
-    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, one in enumerate((*frames, end)) if len(one.points)]
+    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, frame in enumerate(every) if len(frame.points)]
     at = np.array(node, dtype=np.int64)[scanned]
-    of_scans = [moved_points(X_BS, (*frames, end)[k].points) for k in scanned]
+    of_scans = [moved_points(X_BS, every[k].points) for k in scanned]
     points, scatter = put_together(of_scans, X_AB[at], _ways(noise, shared, problem, X_AB, at), unevenness)
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
         sightings=np.append(walls, solution.sightings),
-        dropped=int(np.sum(~kept)),
+        dropped=int(np.sum(~kept[: len(ids)])),
         stamps=stamps,
         X_AB=X_AB,
-        sample=_sample(problem, solution, kept) if solution.unit != DISTANCE_SCALE and not slipped else None,
+        sample=solution.at if solution.unit != DISTANCE_SCALE and not slipped else None,
     )
 
 
@@ -307,13 +297,6 @@ def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArr
     return np.asarray((moved[:, ::2] / span[:, None] - [0.0, shared[GYRO_BIAS]]) / scale)
 
 
-def _sample(problem: _Problem, solution: _Solution, kept: BoolArray) -> Sample:
-    tag = np.searchsorted(solution.ids, problem.ids[kept])
-    node, z = problem.node[kept], problem.z[kept]
-    border, prior, of_prior = solution.border, solution.prior, solution.of_prior
-    return Sample(problem.clock, problem.X_OB, solution.X_AB, node, tag, z, border, prior, of_prior, solution.looks)
-
-
 def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
     """A chain's parameters (13,) where the shared ones are `mean` (13,), and their derivative (13, 13) on these."""
     parameters, on, scale = mean.copy(), np.eye(SHARED), scale_of(unit, mean)
@@ -324,10 +307,10 @@ def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
     return parameters, on
 
 
-def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray, level: float) -> tuple[Keyframe, IntArray]:
+def _keyframe(solution: _Solution, shared: Shared, level: float) -> tuple[Keyframe, IntArray]:
     """The keyframe, and how many looks there are at each of its walls (w,)."""
     n, unit = len(solution.ids), solution.unit
-    seen = seen_walls(solution.looks, solution.walls, solution.X_AB)
+    seen = seen_walls(solution.at.looks, solution.walls, solution.at.X_AB)
     w, at = len(seen.ids), TAGS + 2 * (n + seen.order)
     # From (D, parameters, tags, walls) to (walls by their own anchors, tags, D, shared parameters).
     J = np.zeros((len(solution.information), 2 * (w + n) + 3 + SHARED))
@@ -339,17 +322,17 @@ def _keyframe(solution: _Solution, shared: Shared, on_error: FloatArray, level: 
     parameters = solution.parameters.copy()
     parameters[SCALES] = (1.0 + parameters[SCALES]) * scale_of(unit, shared.mean) - 1.0
     walls = np.column_stack([solution.walls[seen.order, 0], np.zeros(w)])
-    y = np.concatenate([walls.ravel(), solution.y_AL.ravel(), solution.X_AB[-1]])
+    y = np.concatenate([walls.ravel(), solution.y_AL.ravel(), solution.at.X_AB[-1]])
     W, g = with_floor(J.T @ solution.information @ J, J.T @ solution.gradient, w, level)
-    on_error = np.concatenate([np.zeros((w, 2, 2)), on_error])
+    on_error = np.concatenate([np.zeros((w, 2, 2)), _on_error(solution)])
     anchor, reach = (np.vstack([of_walls, np.zeros((n, 2))]) for of_walls in (seen.anchor, seen.reach))
     return keyframe(np.append(seen.ids, solution.ids), y, anchor, reach, parameters, unit, W, g, on_error), seen.looks
 
 
-def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatArray:
+def _on_error(solution: _Solution) -> FloatArray:
     """(n, 2, 2) derivative of each tag's place on its constant errors of range and bearing: along the line of sight and
     across it, in the mean of the frames that saw it."""
-    tag, X = np.searchsorted(solution.ids, problem.ids[kept]), solution.X_AB[problem.node[kept]]
+    tag, X = solution.at.tag, solution.at.X_AB[solution.at.node]
     d = solution.y_AL[tag] - X[:, :2]
     ahead = d / np.maximum(np.hypot(*d.T), 1e-6)[:, None]
     columns = np.stack([ahead[:, 0], -d[:, 1], ahead[:, 1], d[:, 0]])
@@ -357,30 +340,21 @@ def _on_error(solution: _Solution, problem: _Problem, kept: BoolArray) -> FloatA
     return np.asarray(each.reshape(-1, 2, 2) / np.maximum(solution.sightings, 1)[:, None, None])
 
 
-def _ties(
-    noise: Noise,
-    clock: FloatArray,
-    X_OB: FloatArray,
-    prior: FloatArray,
-    of_prior: FloatArray,
-    node: IntArray,
-    tag: IntArray,
-    z: FloatArray,
-    looks: Looks,
-) -> _Ties:
-    """Ties between poses at a clock (t,), by some noise; z, looks: with the sensor's sigmas."""
+def _ties(noise: Noise, frames: Sample) -> _Ties:
+    """Ties between the poses of some frames, by some noise."""
+    node, tag, frame = frames.node, frames.tag, frames.z[:, 7]
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
-        order, frame = np.lexsort([node, tag]), z[:, 7]
+        order = np.lexsort([node, tag])
         again = np.flatnonzero(np.diff(tag[order]) == 0)
         after = order[again + 1]
         before[after] = order[again]
         left[after] = noise.correlation ** (frame[after] - frame[order[again]])
-    z, seen = z.copy(), looks.seen.copy()
+    z, seen, dt = frames.z.copy(), frames.looks.seen.copy(), np.diff(frames.clock)
     z[:, 2:4] *= noise.tags
     seen[:, 7:9] *= noise.looks
-    looks = looks._replace(seen=seen)
-    return _Ties(X_OB, np.diff(clock), noise.walks, prior, of_prior, node, tag, z, before, left, looks)
+    looks = frames.looks._replace(seen=seen)
+    return _Ties(frames.X_OB, dt, noise.walks, frames.prior, frames.of_prior, node, tag, z, before, left, looks)
 
 
 def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
@@ -389,7 +363,7 @@ def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: Flo
         noise, shared, problem, X_AB, np.ones(len(problem.ids) + len(problem.looks.node), bool), HUBER_SIGMAS
     )
     kept = ~_outliers(robust)
-    return _solved(noise, shared, problem, robust.X_AB, kept), kept
+    return _solved(noise, shared, problem, robust.at.X_AB, kept), kept
 
 
 def _outliers(solution: _Solution) -> BoolArray:
@@ -408,7 +382,7 @@ def _solved(
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
     sigmas, for which all noise is white."""
     looks, kept = problem.looks.kept(kept[len(problem.ids) :]), kept[: len(problem.ids)]
-    node, z, X_AB = problem.node[kept], problem.z[kept], X_AB.copy()
+    node, z = problem.node[kept], problem.z[kept]
     ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
     unit = METRES if len(looks.node) else RANGE_SCALE if len(ids) else DISTANCE_SCALE
     prior, on = _by_shared(shared.mean, unit)
@@ -422,10 +396,11 @@ def _solved(
         border[SHARED + i :: 2] = np.bincount(tag, X_AB[node, i] + z[:, 1] * direction, len(ids)) / sightings
     border = np.append(border, looks.first(X_AB).ravel())
     noise = replace(noise, correlation=0.0) if math.isfinite(huber) else noise
-    ties = _ties(noise, problem.clock, problem.X_OB, prior, of_prior, node, tag, z, looks)
-    information, gradient, squared = solved_chain(ties, X_AB, border, huber)
+    at = Sample(problem.clock, problem.X_OB, X_AB, node, tag, z, border, prior, of_prior, looks)
+    X_AB, border = X_AB.copy(), border.copy()
+    information, gradient, squared = solved_chain(_ties(noise, at), X_AB, border, huber)
     X_AB[:, 2] = se2.wrap_angle(X_AB[:, 2])
-    return _Solution(ids, sightings, X_AB, border, information, gradient, squared, prior, of_prior, looks, unit)
+    return _Solution(ids, sightings, replace(at, X_AB=X_AB, border=border), information, gradient, squared, unit)
 
 
 def _nodes(
@@ -473,7 +448,8 @@ def solved_chain(
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
         if 0 < attempt < MOST_STEPS - 1 and not last and not new_cost <= cost + ROUNDING * (1.0 + cost):
             share *= 0.5
-            _move(X, border, step_X, step, -share)
+            X -= share * step_X
+            border -= share * step[3:]
             continue
         _eliminate(chain, rest)
         if last:
@@ -483,7 +459,8 @@ def solved_chain(
         _add_prior(with_prior, border, prior, of_prior)
         _factor(with_prior)
         last = _back_substitute(chain, with_prior, step_X, step) < LAST_STEP
-        _move(X, border, step_X, step, share)
+        X += share * step_X
+        border += share * step[3:]
     whole = np.empty((size, size))
     for a in range(size):
         for b in range(a, size):
@@ -540,12 +517,6 @@ def _add_prior(rest: FloatArray, border: FloatArray, prior: FloatArray, of_prior
         for b in range(SHARED):
             rest[3 + a, 3 + b] += of_prior[a, b]
             rest[3 + a, -1] += of_prior[a, b] * (border[b] - prior[b])
-
-
-@njit(cache=True)
-def _move(X: FloatArray, border: FloatArray, step_X: FloatArray, step: FloatArray, share: float) -> None:
-    X += share * step_X
-    border += share * step[3:]
 
 
 @njit(cache=True)

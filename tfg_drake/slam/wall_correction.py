@@ -34,61 +34,33 @@ def walls_seen(
     walls: FloatArray,
     p_DC: FloatArray,
     reach: FloatArray,
-) -> IntArray:
-    """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it.
+) -> tuple[IntArray, int]:
+    """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it; and the
+    number of those without one that lie behind a wall where that has been seen.
 
     X_DB: (3,) and twist (2,): the robot's. walls, p_DC, reach: (w, 2) walls, anchors and reaches in D.
     """
-    found = np.full(len(lines), -1)
+    found, through = np.full(len(lines), -1), 0
     for j in range(len(lines)):
         s_x, s_y, c, s, m_x, m_y = _line_from(X_DB, shared, twist, lines[j])
-        least = min(OVERLAP, 0.5 * (lines[j, 3] - lines[j, 2]))
-        for w in range(len(walls)):
-            n_x, n_y = math.cos(walls[w, 0]), math.sin(walls[w, 0])
-            d_x, d_y = s_x + m_x - p_DC[w, 0], s_y + m_y - p_DC[w, 1]
-            if n_x * c + n_y * s < SAME_DIRECTION or abs(n_x * d_x + n_y * d_y - walls[w, 1]) > UNCLEAR:
-                continue
-            at = n_x * d_y - n_y * d_x - lines[j, 4]
-            if min(reach[w, 1], at + lines[j, 3]) - max(reach[w, 0], at + lines[j, 2]) < least:
-                continue
-            found[j] = w if found[j] == -1 else -2
-    return np.asarray(np.maximum(found, -1))
-
-
-@njit(cache=True)
-def seen_through(
-    X_DB: FloatArray,
-    shared: FloatArray,
-    twist: FloatArray,
-    lines: FloatArray,
-    found: IntArray,
-    walls: FloatArray,
-    p_DC: FloatArray,
-    reach: FloatArray,
-) -> int:
-    """The number of lines (k, 11) of a scan, of no wall found (k,), that lie behind a wall where that has been seen.
-
-    Further arguments as of `walls_seen`.
-    """
-    count = 0
-    for j in range(len(lines)):
-        if found[j] >= 0:
-            continue
-        s_x, s_y, _, _, m_x, m_y = _line_from(X_DB, shared, twist, lines[j])
+        least, is_behind = min(OVERLAP, 0.5 * (lines[j, 3] - lines[j, 2])), False
         for w in range(len(walls)):
             n_x, n_y = math.cos(walls[w, 0]), math.sin(walls[w, 0])
             d_x, d_y = s_x - p_DC[w, 0], s_y - p_DC[w, 1]
             # How far the scanner is before the wall, and the line's middle behind it.
             before = walls[w, 1] - n_x * d_x - n_y * d_y
             behind = n_x * m_x + n_y * m_y - before
-            if before <= 0.0 or behind < UNCLEAR:
+            if before > 0.0 and behind >= UNCLEAR:
+                share = before / (before + behind)
+                at = n_x * (d_y + share * m_y) - n_y * (d_x + share * m_x)
+                is_behind |= reach[w, 0] + OVERLAP < at < reach[w, 1] - OVERLAP
+            if n_x * c + n_y * s < SAME_DIRECTION or abs(behind) > UNCLEAR:
                 continue
-            share = before / (before + behind)
-            at = n_x * (d_y + share * m_y) - n_y * (d_x + share * m_x)
-            if reach[w, 0] + OVERLAP < at < reach[w, 1] - OVERLAP:
-                count += 1
-                break
-    return count
+            at = n_x * (d_y + m_y) - n_y * (d_x + m_x) - lines[j, 4]
+            if min(reach[w, 1], at + lines[j, 3]) - max(reach[w, 0], at + lines[j, 2]) >= least:
+                found[j] = w if found[j] == -1 else -2
+        through += is_behind and found[j] < 0
+    return np.maximum(found, -1), through
 
 
 @njit(cache=True)

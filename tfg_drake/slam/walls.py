@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry import se2
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.slam.keyframe import Keyframe, along_walls, of_landmarks, wall_off
 from tfg_drake.slam.odometry_model import wrap
@@ -79,7 +80,7 @@ class Looks(NamedTuple):
         X, walls = X_AB[self.node], np.empty((len(self.anchor), 2))
         order = np.argsort(-self.seen[:, 7], kind="stable")
         angle = X[:, 2] + self.seen[:, 0]
-        off = _in_frames(X, self.seen[:, 1:3]) - self.anchor[self.wall]
+        off = se2.transform(X, self.seen[:, 1:3]) - self.anchor[self.wall]
         distance = np.cos(angle) * off[:, 0] + np.sin(angle) * off[:, 1]
         walls[self.wall[order]] = np.column_stack([angle, distance])[order]
         return walls
@@ -162,12 +163,6 @@ def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return along, np.column_stack([along[:, 1], -along[:, 0]]), length
 
 
-def _in_frames(X: FloatArray, p: FloatArray) -> FloatArray:
-    """Points (q, 2) of frames (q, 3), where these are given."""
-    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
-    return np.column_stack([X[:, 0] + c * p[:, 0] - s * p[:, 1], X[:, 1] + s * p[:, 0] + c * p[:, 1]])
-
-
 def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArray) -> Looks:
     """The lines (q, 11) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
     robot."""
@@ -176,9 +171,9 @@ def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArr
     middles = c * offset - s * middle, s * offset + c * middle
     seen = np.column_stack([angle, *middles, lines[:, 7:], lines[:, 5], deviation, twist])
     ends = np.column_stack([begin - middle, end - middle])
-    wall, newest = _grouped(X_AB[node, 2] + angle, _in_frames(X_AB[node], seen[:, 1:3]), ends, lines[:, 5], deviation)
-    anchor = _in_frames(X_AB[node[newest]], seen[newest, 1:3])
-    return Looks(node, wall, seen, ends, anchor, np.arange(len(newest)))
+    in_A = se2.transform(X_AB[node], seen[:, 1:3])
+    wall, newest = _grouped(X_AB[node, 2] + angle, in_A, ends, lines[:, 5], deviation)
+    return Looks(node, wall, seen, ends, in_A[newest], np.arange(len(newest)))
 
 
 @njit(cache=True)
@@ -250,7 +245,7 @@ class Seen(NamedTuple):
 def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> Seen:
     """The walls (w, 2) of a solution, each by an anchor on it in the middle of what was seen."""
     w, along = len(walls), along_walls(walls)
-    middle = _in_frames(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
+    middle = se2.transform(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
     s = np.einsum("qi,qi->q", middle, along[looks.wall])
     reach = np.column_stack([np.full(w, np.inf), np.full(w, -np.inf)])
     np.minimum.at(reach[:, 0], looks.wall, s + looks.ends[:, 0])
@@ -346,6 +341,23 @@ def identified(
         seen = y_AL[k], one.anchor[k], R[np.ix_(rows, rows)]
         walls = walls.seen_again(*_off(*seen, known[best], entry[best], estimate), floor)
     return Names(np.array(provisional, dtype=np.int64), np.array(ids, dtype=np.int64)), walls
+
+
+def renamed(
+    one: Keyframe, walls: Walls, estimate: MapEstimate, X_MA: FloatArray, covariance: FloatArray
+) -> tuple[Names, Walls]:
+    """The names of a keyframe's walls, in their order, where it begins at X_MA (3,) of another map, known with this
+    covariance (3, 3): those of the map's walls where they agree, new ones where that is not clear; the walls then."""
+    joint = estimate.covariance.copy()
+    joint[-3:], joint[:, -3:] = 0.0, 0.0
+    joint[-3:, -3:] = covariance
+    # No look counts: none of them is new to `identified`, which leaves what is not clear.
+    none = np.zeros(len(one.ids), dtype=np.int64)
+    again, walls = identified(one, none, walls, replace(estimate, X_MD=X_MA, covariance=joint), 0.0)
+    ids = one.ids[: one.walls]
+    new = int(estimate.ids.min(initial=WALLS_BELOW)) - 1 - np.arange(len(ids))
+    new[np.searchsorted(ids, again.provisional)] = again.ids
+    return Names(ids, new), walls
 
 
 @njit(cache=True)
