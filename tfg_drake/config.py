@@ -367,7 +367,7 @@ class CameraRealityConfig:
     # Standard deviation of a pixel's white noise, grey levels.
     noise: float = 2.0
     # Standard deviation of depth at 1 m, m; it grows with the square of the depth. Stereo with a baseline of 5.5 cm and
-    # 500 pixels of focal length that matches to 0.08 pixels (docs/usage.md) has 0.08 / (500 * 0.055).
+    # 500 pixels of focal length that matches to 0.08 pixels (docs/compare.md) has 0.08 / (500 * 0.055).
     depth_noise: float = 0.003
 
 

@@ -32,7 +32,7 @@ API = {
 START = """tfg_drake
 =========
 
-A robot explores a building by itself and maps the tags on its walls. A mission in the browser, then its map again::
+A robot explores a building by itself and maps its walls and tags. A mission in the browser, then its page again::
 
     tfg-drake explore house --realtime-rate 8
     tfg-drake view runs/...
@@ -43,8 +43,8 @@ The same from Python, as in ``examples/mission.py``:
    :language: python
 
 Poses are named as Drake does it: ``X_WB`` is the pose of the body B in the world W, in metres and radians; M is the
-map, whose origin is where the robot started. ``docs/usage.md`` tells of all commands, ``docs/ARCHITECTURE.md`` which
-folder does what, ``docs/method.md`` how it is computed.
+map, whose origin is where the robot started. ``docs/estimator.md`` shows how to put parts of your own in,
+``docs/ARCHITECTURE.md`` which folder does what, ``docs/method.md`` what is computed.
 
 {functions}
 .. toctree::
