@@ -30,6 +30,7 @@ from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
+from tfg_drake.diagrams.missions.report import figure_of
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
@@ -242,35 +243,22 @@ def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot,
 class Exploration:
     """A mission under way or ended. In a notebook it shows itself, as `figure` draws it.
 
-    scenario: all that defines it. Its Drake objects: simulator, diagram, station, explorer, and context, the diagram's
-    root Context. folder: where it was kept, summary: as its summary.json; None where it was not.
+    scenario: all that defines it. Its Drake objects: simulator, of the context, where `advance` also notes what happens
+    meanwhile; diagram, the whole of station, the robot, explorer, logs and picture; and context, the diagram's root
+    Context. stages: a row a stage, as in a run's stages.jsonl. folder: where it was kept, summary: as its summary.json;
+    None where it was not.
     """
 
     def __init__(self, mission: Mission, name: str = "mission", kept: RunResult | None = None) -> None:
         """mission: begun; kept: what has become of it."""
         self.scenario, self._mission, self._name = mission.scenario, mission, name
+        self.simulator: Simulator = mission.simulator
+        self.diagram: Diagram = mission.simulator.get_system()
+        self.station: System = self.diagram.GetSubsystemByName("station")
+        self.explorer: Diagram = mission.explorer
+        self.stages: list[dict[str, Any]] = mission.stages
         self.folder: Path | None = None if kept is None else kept.folder
         self.summary: dict[str, Any] | None = None if kept is None else kept.summary
-
-    @property
-    def simulator(self) -> Simulator:
-        """Simulator of the context; `advance` also notes what happens meanwhile."""
-        return self._mission.simulator
-
-    @property
-    def diagram(self) -> Diagram:
-        """The whole: station, explorer, logs and picture."""
-        return self.simulator.get_system()
-
-    @property
-    def station(self) -> System:
-        """The robot."""
-        return self.diagram.GetSubsystemByName("station")
-
-    @property
-    def explorer(self) -> Diagram:
-        """The explorer."""
-        return self._mission.explorer
 
     @property
     def context(self) -> Context:
@@ -291,11 +279,6 @@ class Exploration:
     def status(self) -> MissionStatus:
         """The mission's status."""
         return self._mission.status
-
-    @property
-    def stages(self) -> list[dict[str, Any]]:
-        """A row a stage, as in a run's stages.jsonl."""
-        return self._mission.stages
 
     @property
     def map(self) -> MapEstimate | None:
@@ -348,23 +331,13 @@ class Exploration:
 
     def figure(self) -> Figure:
         """The building, the map so far and the way, as a matplotlib Figure; `savefig` writes it."""
-        from tfg_drake.pictures.figure import run_figure
+        # What could have been reached is a run's summary's to say.
+        return figure_of(self._mission, self._title, self.map, self.tfg)
 
-        mission = self._mission
-        world = mission.world_then
-        return run_figure(
-            f"{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s",
-            world,
-            mission.map,
-            mission.tfg,
-            mission.grid,
-            self.X_WB[1],
-            self.X_WB_true[1],
-            # What could have been reached is a run's summary's to say.
-            np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_),
-            self.X_WM,
-            mission.landmarks,
-        )
+    @property
+    def _title(self) -> str:
+        now = self.outcome or self.status.phase
+        return f"{self._name}, seed {self.scenario.seed}: {now} after {self.time:.0f} s"
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -373,7 +346,4 @@ class Exploration:
 
     def __repr__(self) -> str:
         landmarks = landmark_counts(len(self.map.ids) if self.map is not None else 0, self._mission.walls)
-        return (
-            f"<{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s,"
-            f" {len(self.stages)} stages, {landmarks}>"
-        )
+        return f"<{self._title}, {len(self.stages)} stages, {landmarks}>"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.command_line import bad_input, command_group
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -27,12 +27,7 @@ LIDAR_NOISE = 0.01
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
-kobuki_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@kobuki_app.callback()
-def _commands() -> None:
-    """The Kobuki base on its serial port, or an emulated one."""
+kobuki_app = command_group("The Kobuki base on its serial port, or an emulated one.")
 
 
 @kobuki_app.command()

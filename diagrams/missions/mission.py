@@ -69,19 +69,10 @@ ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
 PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 
-# A line of stages.jsonl.
-STAGE_FIELDS = (
-    "stage",
-    "goal",
-    "exploitation",
-    "exploration",
-    "pose_price",
-    "predicted_gain",
-    "realised_gain",
-    "time_s",
-    "entropy_nats",
-    "landmarks",
-)
+# Of a line of stages.jsonl what only a map of landmarks tells, after the number of the stage and before and after its
+# time.
+BEFORE_TIME = ("goal", "exploitation", "exploration", "pose_price", "predicted_gain", "realised_gain")
+AFTER_TIME = ("entropy_nats", "landmarks")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -98,6 +89,12 @@ _pace_log = logging.getLogger("tfg_drake.pace")
 def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     """Stages as lines of stages.jsonl."""
     return "".join(json.dumps(record) + "\n" for record in stages)
+
+
+def _stage_line(stage: int, stamp: float, told: Sequence[Any] | None = None) -> dict[str, Any]:
+    """A line of stages.jsonl; told: what a map of landmarks tells, None of a grid."""
+    known = dict(zip((*BEFORE_TIME, *AFTER_TIME), told or [None] * 8, strict=True))
+    return {"stage": stage, **{name: known[name] for name in BEFORE_TIME}, "time_s": stamp} | known
 
 
 def _looking_round(systems: Mapping[str, tuple[Any, ...]], time: float) -> dict[str, tuple[Any, ...]]:
@@ -287,8 +284,7 @@ class Mission:
 
     def record_now(self) -> None:
         """Writes the timeline as everything is now."""
-        if self._recorder is not None and self._context is not None:
-            self._recorder.ForcedPublish(self._recorder.GetMyContextFromRoot(self._context))
+        self._publish(self._recorder)
 
     def account(self) -> None:
         """Takes down what the mission has cost so far."""
@@ -305,9 +301,12 @@ class Mission:
         """Draws everything as it is now."""
         if self.outcome == "fault":
             return
-        self.record_now()
-        if self._visualizer is not None and self._context is not None:
-            self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(self._context))
+        for picture in (self._recorder, self._visualizer):
+            self._publish(picture)
+
+    def _publish(self, picture: System | None) -> None:
+        if picture is not None and self._context is not None:
+            picture.ForcedPublish(picture.GetMyContextFromRoot(self._context))
 
     @property
     def built(self) -> bool:
@@ -555,7 +554,7 @@ class Mission:
                 Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
             )
         elif self.grid is not None and self.grid.stage > len(self.stages):
-            record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
+            record = _stage_line(self.grid.stage, self.grid.stamp)
         if record is not None or self._shown_at is not self.X_WM:
             self._shown_at = self.X_WM
             if self._visualizer is not None:
@@ -602,16 +601,9 @@ class Mission:
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
         X_WA = compose(self.X_WM, estimate.X_MA[-1])
-        fields = (
-            estimate.stage,
-            [float(value) for value in X_WA],
-            *parts.values(),
-            prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
-            estimate.stamp,
-            estimate.entropy,
-            len(estimate.ids),
-        )
-        return dict(zip(STAGE_FIELDS, fields, strict=True))
+        realised = prior + (before.entropy if before is not None else 0.0) - estimate.entropy
+        told = [[float(value) for value in X_WA], *parts.values(), realised, estimate.entropy, len(estimate.ids)]
+        return _stage_line(estimate.stage, estimate.stamp, told)
 
     def position_error(self) -> float:
         """Error of the estimated position now, m; nan where the truth is not known."""

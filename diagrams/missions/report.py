@@ -6,7 +6,7 @@ import json
 import math
 import resource
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +19,15 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
-from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.percent import percent
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
@@ -93,10 +96,26 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
-    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
-    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
+    folder.attempt("figure.png", lambda path: _draw(path, mission, _title(summary), estimate, tfg, reachable))
     return summary
+
+
+def figure_of(
+    mission: Mission,
+    title: str,
+    estimate: MapEstimate | None,
+    tfg: TfgMap | None,
+    reachable: BoolArray | None = None,
+) -> Figure:
+    """A mission's building, a map of it and the way. reachable: (t,) of the world's tags, where that is known."""
+    from tfg_drake.pictures.figure import run_figure  # Its libraries stay out of a mission's memory.
+
+    world, true_poses = mission.world_then, mission.true_poses()
+    if reachable is None:
+        reachable = np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_)
+    ways = mission.estimated_poses()[1], NO_POSES if true_poses is None else true_poses[1]
+    seen = world, estimate, tfg, mission.grid, *ways, reachable
+    return run_figure(title, *seen, mission.X_WM, mission.landmarks)
 
 
 def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, MapEstimate | None, TfgMap | None, int]:
@@ -190,12 +209,10 @@ def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, An
     }
 
 
-def _draw(path: Path, *arguments: Any) -> None:
-    """Writes `run_figure`, whose libraries stay out of a mission's memory."""
-    from tfg_drake.pictures.figure import run_figure
+def _draw(path: Path, *shown: Any) -> None:
     from tfg_drake.pictures.figure_file import write_figure
 
-    write_figure(path, run_figure(*arguments))
+    write_figure(path, figure_of(*shown))
 
 
 def _size(path: Path) -> int:
