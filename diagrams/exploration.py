@@ -28,7 +28,7 @@ from tfg_drake.diagrams.hardware_station import Bounded
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.missions.report import figure_of
 from tfg_drake.diagrams.missions.resume import cut_short
@@ -167,11 +167,23 @@ def explore(
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
     if before is not None and before.robot != robot.name:
         raise BadInput(f"{resume}: that run drove {before.robot}, not {robot.name}; give its station= again")
+    request = MissionRequest(
+        loaded,
+        explorer,
+        robot,
+        name,
+        world_name=str(world or named or name) if robot.world_known else "unknown",
+        out_dir=None if out is None else Path(out),
+        meshcat=meshcat,
+        realtime_rate=realtime_rate,
+        max_time=until,
+        before=None if before is None else before.state,
+    )
     if out is None and not page and not robot.real:
-        mission = Mission(loaded, explorer, meshcat, f"{name}, seed {loaded.seed}", robot)
+        mission = Mission(request)
         mission.begin()
         mission.simulator.set_target_realtime_rate(realtime_rate)
-        return Exploration(mission, name).advance(until)
+        return Exploration(mission).advance(until)
     with contextlib.ExitStack() as stack:
         stack.callback(robot.close)
         if out is not None and before is None:
@@ -183,22 +195,10 @@ def explore(
         stack.enter_context(remarks_on_screen(sys.stderr))
         if robot.real:
             Rehearse(loaded, explorer, threading.Event())
-        result = run_mission(
-            loaded,
-            method=explorer,
-            robot=robot,
-            name=name,
-            world_name=str(world or named or name) if robot.world_known else "unknown",
-            meshcat=meshcat,
-            cockpit=cockpit,
-            realtime_rate=realtime_rate,
-            max_time=until,
-            out_dir=None if out is None else Path(out),
-            before=None if before is None else before.state,
-        )
+        result = run_mission(dataclasses.replace(request, cockpit=cockpit))
     if result.mission.failure is not None:
         raise result.mission.failure
-    return Exploration(result.mission, name, result)
+    return Exploration(result.mission, result)
 
 
 def fork(
@@ -221,9 +221,9 @@ def fork(
     """
     make_kernels_ready()
     run, scenario = forkable(run, stage)
-    mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
-    change = Fork(stage, goal, candidate)
-    mission.begin(change.monitor(mission, stops=True))
+    monitor = functools.partial(Fork(stage, goal, candidate).monitor, stops=True)
+    mission = Mission(MissionRequest(scenario, METHODS[run.summary["method"]], monitor=monitor))
+    mission.begin()
     if mission.advance(math.inf):
         raise ForkError(f"stage {stage}: the mission ended before it")
     check_same(run, mission.stages, stage)
@@ -249,9 +249,9 @@ class Exploration:
     None where it was not.
     """
 
-    def __init__(self, mission: Mission, name: str = "mission", kept: RunResult | None = None) -> None:
+    def __init__(self, mission: Mission, kept: RunResult | None = None) -> None:
         """mission: begun; kept: what has become of it."""
-        self.scenario, self._mission, self._name = mission.scenario, mission, name
+        self.scenario, self._mission = mission.scenario, mission
         self.simulator: Simulator = mission.simulator
         self.diagram: Diagram = mission.simulator.get_system()
         self.station: System = self.diagram.GetSubsystemByName("station")
@@ -337,7 +337,7 @@ class Exploration:
     @property
     def _title(self) -> str:
         now = self.outcome or self.status.phase
-        return f"{self._name}, seed {self.scenario.seed}: {now} after {self.time:.0f} s"
+        return f"{self._mission.request.name}, seed {self.scenario.seed}: {now} after {self.time:.0f} s"
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()

@@ -56,22 +56,16 @@ class PortRecorder(LeafSystem):
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
-    @staticmethod
-    def AddToBuilder(
-        builder: DiagramBuilder,
-        station: System,
-        explorer: System,
-        writer: PortWriter,
-        requested: Mapping[str, OutputPort] | None = None,
-    ) -> PortRecorder:
-        """Adds a recorder of what a station and an explorer say to each other. requested: what says the operator's
+    def Connect(
+        self, builder: DiagramBuilder, station: System, explorer: System, requested: Mapping[str, OutputPort]
+    ) -> None:
+        """Connects it to what a station and an explorer say to each other. requested: what says the operator's
         requests, by their ports here."""
-        recorder = PortRecorder(writer)
-        builder.AddNamedSystem("port_recorder", recorder)
-        for name, output in (requested or {}).items():
-            builder.Connect(output, recorder.GetInputPort(name))
-        connect_by_name(builder, recorder, explorer, station)
-        return recorder
+        for name, output in requested.items():
+            builder.Connect(output, self.GetInputPort(name))
+        # Of a recorded station that nobody listens to there is no request.
+        unheard = dict.fromkeys(REQUESTS.values(), "")
+        connect_by_name(builder, self, explorer, station, **unheard)
 
     def _Write(self, context: Context) -> EventStatus:
         now = context.get_time()

@@ -18,7 +18,6 @@ from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
-from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.ports import MessageInputs, connect_by_name
 from tfg_drake.tfg.near import radius_of, within
 
@@ -104,19 +103,8 @@ class TimelineRecorder(LeafSystem):
         self.DeclarePeriodicPublishEvent(1.0 / RATE, 0.0, self._Write)
         self.DeclareForcedPublishEvent(self._WriteAll)
 
-    @staticmethod
-    def AddToBuilder(
-        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, *others: System
-    ) -> TimelineRecorder:
-        """Adds a recorder of a mission, connected to its station, explorer and others, such as its operator, by port
-        name."""
-        recorder = TimelineRecorder(writer)
-        builder.AddNamedSystem("timeline_recorder", recorder)
-        recorder.Connect(builder, station, explorer, *others)
-        return recorder
-
     def Connect(self, builder: DiagramBuilder, station: System, explorer: System, *others: System) -> None:
-        """Connects it to a mission's station, explorer and others by port name."""
+        """Connects it to a mission's station, explorer and others, such as its operator, by port name."""
         connect_by_name(builder, self, explorer, *others)
         connect_by_name(builder, self, station, **_HEARD_AS)
 

@@ -52,7 +52,7 @@ CALIBRATED = (
 NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation", "wall_look_noise")
 
 
-def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
+def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
     What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
@@ -63,7 +63,6 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
     summary = _known_to_any(mission, estimate, X_WB, map_bytes)
-    summary |= {"scenario": name, "world": world_name}
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
@@ -145,8 +144,8 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
     return {
         "schema": SCHEMA,
         "version": __version__,
-        "scenario": None,
-        "world": None,
+        "scenario": mission.request.name,
+        "world": mission.request.world_name or mission.request.name,
         "seed": mission.scenario.seed,
         "method": mission.method.name,
         "outcome": mission.outcome,
