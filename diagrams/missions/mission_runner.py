@@ -67,15 +67,13 @@ class MissionRunner:
         self._area, self._next_area = 0.0, 0.0
 
     def run(
-        self,
-        write: Callable[[str], object] = lambda _line: None,
-        keep: Callable[[bool], None] = lambda _now: None,
+        self, write: Callable[[str], object] = lambda _line: None, keep: Callable[[bool], None] | None = None
     ) -> None:
         """Simulate until the mission ends, and note its outcome and the reason. write: as for `Mission.begin`. keep:
         called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises ends
         the mission. Raises CheckpointError where there is nothing to go on from."""
         mission, request, warm_up = self._mission, self._request, self._request.warm_up
-        step = REAL_STEP if mission.robot.real else STEP
+        keep, step = keep or (lambda _now: None), REAL_STEP if mission.robot.real else STEP
         try:
             mission.begin(write)
             keep(True)

@@ -112,9 +112,9 @@ def figure_of(
     world, true_poses = mission.world_then, mission.true_poses()
     if reachable is None:
         reachable = np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_)
-    ways = mission.estimated_poses()[1], NO_POSES if true_poses is None else true_poses[1]
-    seen = world, estimate, tfg, mission.grid, *ways, reachable
-    return run_figure(title, *seen, mission.X_WM, mission.landmarks)
+    X_WB, X_WB_true = mission.estimated_poses()[1], NO_POSES if true_poses is None else true_poses[1]
+    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
+    return run_figure(title, *seen)
 
 
 def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, MapEstimate | None, TfgMap | None, int]:

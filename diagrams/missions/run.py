@@ -141,7 +141,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             told = {"scenario": request.name, "world": request.world_name or request.name, "seed": scenario.seed}
             told |= {"method": method.name, "own": bool(method.source) or method.name not in METHODS}
             told |= {"robot": robot.name, "scenario_digest": scenario_digest(folder.path)}
-            keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else lambda _now: None
+            keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
             MissionRunner(mission, interrupted).run(lambda line: folder.append("stages.jsonl", line), keep)
             folder.give_up_reserve()
             summary = write_report(mission, folder)
