@@ -47,17 +47,14 @@ def check(
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
-    """The base's newest messages; raises DeviceError if one is missing after ANSWER_TIMEOUT."""
-    from tfg_drake.hardware.device import ANSWER_TIMEOUT, BaseState, DeviceError
+    """The base's newest messages; raises DeviceError where one does not come."""
+    from tfg_drake.hardware.device import BaseState, DeviceError
     from tfg_drake.messages import Hazards, Odometry
 
-    end = time.monotonic() + ANSWER_TIMEOUT
-    while time.monotonic() < end:
-        odometry, hazards, state = device.newest(Odometry), device.newest(Hazards), device.newest(BaseState)
-        if odometry is not None and hazards is not None and state is not None:
-            return odometry, hazards, state
-        time.sleep(0.01)
-    raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again")
+    try:
+        return device.first(Odometry), device.first(Hazards), device.first(BaseState)
+    except DeviceError:
+        raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again") from None
 
 
 def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
