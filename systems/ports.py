@@ -138,7 +138,8 @@ class MessageState(Generic[T]):
     def declare_outputs(self, system: LeafSystem, *names: str, **parts: Callable[[T], object]) -> None:
         """Declares output ports of the same system: for the parts of the message that have these names, and for what is
         made of it alone, by the port's name."""
-        for name, part in {**{name: operator.attrgetter(name) for name in names}, **parts}.items():
+        named: dict[str, Callable[[T], object]] = {name: operator.attrgetter(name) for name in names}
+        for name, part in (named | parts).items():
             declare_message_output(system, name, lambda context, part=part: part(self(context)), self.tickets)
 
 

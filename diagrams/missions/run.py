@@ -153,7 +153,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
                 told = {name: summary[name] for name in TOLD_AT_THE_END}
                 timeline.write("end", mission.time, {}, **told, folder=str(folder.path))
         if timeline is not None:
-            page = lambda path: export_page(folder.path / TIMELINE, path, request.title, viewer_script())  # noqa: E731
+            page = lambda path: export_page(folder.path / TIMELINE, path, mission.request.title, viewer_script())  # noqa: E731
             folder.attempt(PAGE, page)
         if timeline is not None and timeline.failure is not None:
             folder.unwritten[TIMELINE] = timeline.failure.strerror or str(timeline.failure)
