@@ -9,8 +9,9 @@ Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake e
 the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
 it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run.
 
-`without_ros` is a Kobuki with an RPLidar and a camera of its own, as docs/map_my_house.md has it: the camera is calibrated
-and looked through first; on the way its stream ends and comes again, and the scanner's cable is pulled and put back.
+`without_ros` is a Kobuki with an RPLidar and a camera of its own, as docs/map_my_house.md has it: the camera is
+calibrated and looked through first; on the way its stream ends and comes again, and the scanner's cable is pulled and
+put back.
 `without_tags` is a Kobuki with a scanner alone: the column `mapped` has its walls.
 """
 

@@ -284,12 +284,13 @@ def explore(
             say("There is no tag in this world, so no landmark to map; --tag-spacing places some")
 
         from tfg_drake.diagrams.missions import run
+        from tfg_drake.diagrams.missions.mission import MissionRequest
 
         stack.enter_context(explore_command.remarks_on_screen())
         if real:
             driven, loaded = stack.enter_context(opened)
         with complaining(out):
-            result = run.run_mission(
+            request = MissionRequest(
                 loaded,
                 method=explorer,
                 robot=driven,
@@ -305,6 +306,7 @@ def explore(
                 warm_up=None if real else warm_up,
                 before=None if before is None else before.state,
             )
+            result = run.run_mission(request)
         stack.close()
         _tell(result)
         if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
@@ -465,6 +467,7 @@ def fork(
         from tfg_drake.diagrams.commands import fork as fork_command
         from tfg_drake.diagrams.methods import METHODS
         from tfg_drake.diagrams.missions import fork as forks
+        from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.run import run_mission
 
         with complaining(out):
@@ -474,7 +477,7 @@ def fork(
             change, summary = forks.Fork(stage, place, candidate), before.summary
             # A run that somebody or a limit of time ended ends there again.
             limited = summary["outcome"] in ("time_limit", "interrupted")
-            result = run_mission(
+            request = MissionRequest(
                 loaded,
                 method=METHODS[summary["method"]],
                 name=f"{summary['scenario']}-fork",
@@ -485,6 +488,7 @@ def fork(
                 interrupted=interruption,
                 monitor=change.monitor,
             )
+            result = run_mission(request)
             if change.failure is not None:
                 if out is None:
                     shutil.rmtree(result.folder)  # Nothing of it is of use.

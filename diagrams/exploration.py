@@ -28,8 +28,9 @@ from tfg_drake.diagrams.hardware_station import Bounded
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
+from tfg_drake.diagrams.missions.report import figure_of
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
@@ -166,11 +167,23 @@ def explore(
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
     if before is not None and before.robot != robot.name:
         raise BadInput(f"{resume}: that run drove {before.robot}, not {robot.name}; give its station= again")
+    request = MissionRequest(
+        loaded,
+        explorer,
+        robot,
+        name,
+        world_name=str(world or named or name) if robot.world_known else "unknown",
+        out_dir=None if out is None else Path(out),
+        meshcat=meshcat,
+        realtime_rate=realtime_rate,
+        max_time=until,
+        before=None if before is None else before.state,
+    )
     if out is None and not page and not robot.real:
-        mission = Mission(loaded, explorer, meshcat, f"{name}, seed {loaded.seed}", robot)
+        mission = Mission(request)
         mission.begin()
         mission.simulator.set_target_realtime_rate(realtime_rate)
-        return Exploration(mission, name).advance(until)
+        return Exploration(mission).advance(until)
     with contextlib.ExitStack() as stack:
         stack.callback(robot.close)
         if out is not None and before is None:
@@ -182,22 +195,10 @@ def explore(
         stack.enter_context(remarks_on_screen(sys.stderr))
         if robot.real:
             Rehearse(loaded, explorer, threading.Event())
-        result = run_mission(
-            loaded,
-            method=explorer,
-            robot=robot,
-            name=name,
-            world_name=str(world or named or name) if robot.world_known else "unknown",
-            meshcat=meshcat,
-            cockpit=cockpit,
-            realtime_rate=realtime_rate,
-            max_time=until,
-            out_dir=None if out is None else Path(out),
-            before=None if before is None else before.state,
-        )
+        result = run_mission(dataclasses.replace(request, cockpit=cockpit))
     if result.mission.failure is not None:
         raise result.mission.failure
-    return Exploration(result.mission, name, result)
+    return Exploration(result.mission, result)
 
 
 def fork(
@@ -220,9 +221,9 @@ def fork(
     """
     make_kernels_ready()
     run, scenario = forkable(run, stage)
-    mission = Mission(scenario, METHODS[run.summary["method"]], None, "fork")
-    change = Fork(stage, goal, candidate)
-    mission.begin(change.monitor(mission, stops=True))
+    monitor = functools.partial(Fork(stage, goal, candidate).monitor, stops=True)
+    mission = Mission(MissionRequest(scenario, METHODS[run.summary["method"]], monitor=monitor))
+    mission.begin()
     if mission.advance(math.inf):
         raise ForkError(f"stage {stage}: the mission ended before it")
     check_same(run, mission.stages, stage)
@@ -242,35 +243,22 @@ def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot,
 class Exploration:
     """A mission under way or ended. In a notebook it shows itself, as `figure` draws it.
 
-    scenario: all that defines it. Its Drake objects: simulator, diagram, station, explorer, and context, the diagram's
-    root Context. folder: where it was kept, summary: as its summary.json; None where it was not.
+    scenario: all that defines it. Its Drake objects: simulator, of the context, where `advance` also notes what happens
+    meanwhile; diagram, the whole of station, the robot, explorer, logs and picture; and context, the diagram's root
+    Context. stages: a row a stage, as in a run's stages.jsonl. folder: where it was kept, summary: as its summary.json;
+    None where it was not.
     """
 
-    def __init__(self, mission: Mission, name: str = "mission", kept: RunResult | None = None) -> None:
+    def __init__(self, mission: Mission, kept: RunResult | None = None) -> None:
         """mission: begun; kept: what has become of it."""
-        self.scenario, self._mission, self._name = mission.scenario, mission, name
+        self.scenario, self._mission = mission.scenario, mission
+        self.simulator: Simulator = mission.simulator
+        self.diagram: Diagram = mission.simulator.get_system()
+        self.station: System = self.diagram.GetSubsystemByName("station")
+        self.explorer: Diagram = mission.explorer
+        self.stages: list[dict[str, Any]] = mission.stages
         self.folder: Path | None = None if kept is None else kept.folder
         self.summary: dict[str, Any] | None = None if kept is None else kept.summary
-
-    @property
-    def simulator(self) -> Simulator:
-        """Simulator of the context; `advance` also notes what happens meanwhile."""
-        return self._mission.simulator
-
-    @property
-    def diagram(self) -> Diagram:
-        """The whole: station, explorer, logs and picture."""
-        return self.simulator.get_system()
-
-    @property
-    def station(self) -> System:
-        """The robot."""
-        return self.diagram.GetSubsystemByName("station")
-
-    @property
-    def explorer(self) -> Diagram:
-        """The explorer."""
-        return self._mission.explorer
 
     @property
     def context(self) -> Context:
@@ -291,11 +279,6 @@ class Exploration:
     def status(self) -> MissionStatus:
         """The mission's status."""
         return self._mission.status
-
-    @property
-    def stages(self) -> list[dict[str, Any]]:
-        """A row a stage, as in a run's stages.jsonl."""
-        return self._mission.stages
 
     @property
     def map(self) -> MapEstimate | None:
@@ -348,23 +331,13 @@ class Exploration:
 
     def figure(self) -> Figure:
         """The building, the map so far and the way, as a matplotlib Figure; `savefig` writes it."""
-        from tfg_drake.pictures.figure import run_figure
+        # What could have been reached is a run's summary's to say.
+        return figure_of(self._mission, self._title, self.map, self.tfg)
 
-        mission = self._mission
-        world = mission.world_then
-        return run_figure(
-            f"{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s",
-            world,
-            mission.map,
-            mission.tfg,
-            mission.grid,
-            self.X_WB[1],
-            self.X_WB_true[1],
-            # What could have been reached is a run's summary's to say.
-            np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_),
-            self.X_WM,
-            mission.landmarks,
-        )
+    @property
+    def _title(self) -> str:
+        now = self.outcome or self.status.phase
+        return f"{self._mission.request.name}, seed {self.scenario.seed}: {now} after {self.time:.0f} s"
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -373,7 +346,4 @@ class Exploration:
 
     def __repr__(self) -> str:
         landmarks = landmark_counts(len(self.map.ids) if self.map is not None else 0, self._mission.walls)
-        return (
-            f"<{self._name}, seed {self.scenario.seed}: {self.outcome or self.status.phase} after {self.time:.0f} s,"
-            f" {len(self.stages)} stages, {landmarks}>"
-        )
+        return f"<{self._title}, {len(self.stages)} stages, {landmarks}>"

@@ -43,7 +43,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     selector = wiring.Add("goal_selector", FrontierGoalSelector(choose, robot, scenario.grid.eager))
     planner = wiring.Add("grid_planner", GridPlanner(robot, keep_out))
     follower = wiring.Add("follower", PurePursuitFollower(robot, explorer, None))
-    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, maps={"grid": GridMap}))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(robot, maps=["grid"]))
 
     wiring.FeedAll(mapper, selector, planner, follower, sequencer)
     return wiring.Build(follower, sequencer, selector)

@@ -34,7 +34,7 @@ def MakeGridMappingExplorer(scenario: Scenario, end_time: float) -> Diagram:
     """GMapping on a drive that is recorded up to a time, s; with grid in place of map and tfg."""
     wiring = Wiring()
     mapper = wiring.Add("grid_mapper", GridMapper(scenario.grid, scenario.odometry, scenario.seed))
-    sequencer = wiring.Add("piece_sequencer", PieceSequencer(end_time, maps={}))
+    sequencer = wiring.Add("piece_sequencer", PieceSequencer(end_time, maps=[]))
     wiring.FeedAll(mapper, sequencer)
     return wiring.Build(sequencer, sequencer, sequencer)
 

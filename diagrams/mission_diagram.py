@@ -84,9 +84,11 @@ def MakeMissionDiagram(
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
 
     if writer is not None:
-        PortRecorder.AddToBuilder(builder, station, explorer, writer, requested)
+        ports = builder.AddNamedSystem("port_recorder", PortRecorder(writer))
+        ports.Connect(builder, station, explorer, requested)
     if timeline is not None:
-        TimelineRecorder.AddToBuilder(builder, station, explorer, timeline, *filter(None, [operator]))
+        picture = builder.AddNamedSystem("timeline_recorder", TimelineRecorder(timeline))
+        picture.Connect(builder, station, explorer, *filter(None, [operator]))
     if meshcat is not None:
         # Only a picture needs what this imports.
         from tfg_drake.systems.visualizer import TfgVisualizer

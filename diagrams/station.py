@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pydrake.common import RandomDistribution
@@ -18,6 +17,7 @@ from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
 from tfg_drake.systems.people import PeopleWalking
+from tfg_drake.systems.ports import connect_by_name
 from tfg_drake.systems.safety_filter import SafetyFilter
 from tfg_drake.systems.tag_sensor import TagSensor
 from tfg_drake.world.world import World
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Longer than any run: drawn once.
 _ONCE = 2.0**30
+# What the simulation tells of the truth, as far as there is such.
+_TRUTH = ("pose", "contacts", "clearance", "contacts_received", "people", "world")
 
 
 def MakeTurtlebotStation(
@@ -101,24 +103,21 @@ def MakeTurtlebotStation(
     tag_sensor, scanner = _AddEyes(builder, scenario, world)
     eyes = [tag_sensor] if scanner is tag_sensor else [tag_sensor, scanner]
 
-    for sensor in (wheels, *eyes):
-        builder.Connect(base.GetOutputPort("pose"), sensor.GetInputPort("pose"))
-
     _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
     _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
-    walking = _AddPeople(builder, scenario, world, base, eyes) if reality.people else None
-    seeing = (base, *eyes, *([walking] if walking is not None else []))
-    changing = _AddChanges(builder, scenario, world, base, seeing) if reality.changes else None
+    around = _AddSurroundings(builder, scenario, world)
+    connect_by_name(builder, base, *around)
+    for system in (wheels, *eyes, *around):
+        connect_by_name(builder, system, base, *around)
     if meshcat is not None:
         # Only a picture needs what this imports.
         from tfg_drake.systems.visualizer import TfgVisualizer
 
         picture = builder.AddNamedSystem("visualizer", TfgVisualizer(meshcat, world, radius=scenario.robot.radius))
         builder.Connect(base.GetOutputPort("pose"), picture.GetInputPort("truth"))
-        if walking is not None:
-            builder.Connect(walking.GetOutputPort("people"), picture.GetInputPort("people"))
+        connect_by_name(builder, picture, *around)
 
     sources = wheels, base, safety_filter, tag_sensor, scanner
     MakePorts(builder, safety_filter, base.GetInputPort("velocity_commanded"), sources)
@@ -126,7 +125,10 @@ def MakeTurtlebotStation(
         pushes = builder.ExportInput(base.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
 
-    _ExportTruth(builder, base, walking, changing)
+    # For metrics and pictures. A simulation knows the truth, a robot does not: never wire it into an explorer.
+    for system in (base, *around):
+        for name in filter(system.HasOutputPort, _TRUTH):
+            builder.ExportOutput(system.GetOutputPort(name), f"truth.{name}")
     station = builder.Build()
     station.set_name("station")
     return station
@@ -145,42 +147,16 @@ def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple
     return tag_sensor, builder.AddNamedSystem("laser_scanner", LaserScanner(world, scenario.scan, reality.scan))
 
 
-def _AddPeople(
-    builder: DiagramBuilder, scenario: Scenario, world: World, plant: System, eyes: Sequence[System]
-) -> PeopleWalking:
-    """The people who walk about: the robot meets and sees them."""
-    robot, count = scenario.robot, scenario.reality.people
-    walking = builder.AddNamedSystem("people", PeopleWalking(world, robot.radius, count))
-    numbers = walking.GetInputPort("numbers")
-    _AddNoise(builder, "people_numbers", numbers, people.PERIOD, RandomDistribution.kUniform)
-    builder.Connect(plant.GetOutputPort("pose"), walking.GetInputPort("pose"))
-    for system in (plant, *eyes):
-        builder.Connect(walking.GetOutputPort("people"), system.GetInputPort("people"))
-    return walking
-
-
-def _AddChanges(
-    builder: DiagramBuilder, scenario: Scenario, world: World, plant: System, seeing: Sequence[System]
-) -> ChangingWorld:
-    """The world where things change, for all who meet or see it."""
-    changes, radius = scenario.reality.changes, scenario.robot.radius
-    changing = builder.AddNamedSystem("world", ChangingWorld(world, changes, radius))
-    builder.Connect(plant.GetOutputPort("pose"), changing.GetInputPort("pose"))
-    for system in seeing:
-        builder.Connect(changing.GetOutputPort("world"), system.GetInputPort("world"))
-    return changing
-
-
-def _ExportTruth(
-    builder: DiagramBuilder, plant: System, walking: PeopleWalking | None, changing: ChangingWorld | None
-) -> None:
-    """The truth, for metrics and pictures. A simulation knows it, a robot does not: never wire it into an explorer."""
-    for name in filter(plant.HasOutputPort, ("pose", "contacts", "clearance", "contacts_received")):
-        builder.ExportOutput(plant.GetOutputPort(name), f"truth.{name}")
-    if walking is not None:
-        builder.ExportOutput(walking.GetOutputPort("people"), "truth.people")
-    if changing is not None:
-        builder.ExportOutput(changing.GetOutputPort("world"), "truth.world")
+def _AddSurroundings(builder: DiagramBuilder, scenario: Scenario, world: World) -> list[System]:
+    """Adds the people who walk about, and what changes the world, where the scenario has them."""
+    radius, reality, added = scenario.robot.radius, scenario.reality, list[System]()
+    if reality.people:
+        added.append(builder.AddNamedSystem("people", PeopleWalking(world, radius, reality.people)))
+        numbers = added[0].GetInputPort("numbers")
+        _AddNoise(builder, "people_numbers", numbers, people.PERIOD, RandomDistribution.kUniform)
+    if reality.changes:
+        added.append(builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, radius)))
+    return added
 
 
 def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: System, scanner: System) -> None:

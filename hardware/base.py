@@ -12,7 +12,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
 from tfg_drake.hardware.robot_devices import RobotDevices
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
@@ -92,12 +92,12 @@ class HardwareBase(LeafSystem):
         self._device, self._clock = devices.base, devices.clock
         self._velocity = self.DeclareVectorInputPort("velocity", 2)
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        self._inputs = MessageInputs(self, detections=TagDetections, scan=LaserScan)
+        self._inputs = MessageInputs(self, "detections", "scan")
         begin = replace(self._device.first(Odometry), stamp=0.0, V_B=np.zeros(2), at_rest=True)
         self._odometry = MessageState(self, begin)
         self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)))
         self.DeclareStateOutputPort("odometry", self._odometry.index)
-        self._state.declare_output(self, "hazards", lambda now: now.hazards)
+        self._state.declare_outputs(self, "hazards")
         self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, self._state.tickets)
         self.DeclarePeriodicUnrestrictedUpdateEvent(ODOMETRY_PERIOD, 0.0, self._Hear)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Drive)

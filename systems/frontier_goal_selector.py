@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
-from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, Path, PathStatus, PoseEstimate, message, replace
+from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.systems.cpu_meter import measured, metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
@@ -52,11 +52,9 @@ class FrontierGoalSelector(LeafSystem):
         """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`. eager: see GridConfig."""
         super().__init__()
         self._choose, self._robot, self._eager = choose, robot, eager
-        self._inputs = MessageInputs(
-            self, grid=GridMap, pose=PoseEstimate, mission=MissionStatus, path=Path, path_status=PathStatus
-        )
+        self._inputs = MessageInputs(self, "grid", "pose", "mission", "path", "path_status")
         self._state = MessageState(self, _SelectorState(empty_choice(), no_tries()))
-        self._state.declare_output(self, "goal", lambda now: now.goal)
+        self._state.declare_outputs(self, "goal")
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:

@@ -13,7 +13,7 @@ from tfg_drake.grid.gmapping import (
     process_odometry,
     process_scan,
 )
-from tfg_drake.messages import GridMap, LaserScan, MissionStatus, Odometry, message
+from tfg_drake.messages import GridMap, message
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
@@ -54,12 +54,11 @@ class GridMapper(LeafSystem):
         """odometry: what the filter believes of it; seed: of the particles."""
         super().__init__()
         keep_to_one_thread()
-        self._inputs = MessageInputs(self, odometry=Odometry, scan=LaserScan, mission=MissionStatus)
+        self._inputs = MessageInputs(self, "odometry", "scan", "mission")
         first = initial_state(config, odometry, seed)
         self._state = MessageState(self, _MapperState(first, grid_map(first, 0)))
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
-        self._state.declare_output(self, "grid", lambda now: now.grid)
-        self._state.declare_output(self, "filter", lambda now: now.filter)
+        self._state.declare_outputs(self, "grid", "filter")
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     @metered("grid_mapper")

@@ -19,7 +19,6 @@ from tfg_drake.grid.path import (
 )
 from tfg_drake.messages import (
     FloatArray,
-    GoalChoice,
     GridMap,
     LaserScan,
     MissionStatus,
@@ -74,13 +73,10 @@ class GridPlanner(LeafSystem):
         """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
         super().__init__()
         self._robot, self._keep_out = robot, np.zeros((0, 4)) if keep_out is None else keep_out
-        self._inputs = MessageInputs(
-            self, grid=GridMap, pose=PoseEstimate, goal=GoalChoice, scan=LaserScan, mission=MissionStatus
-        )
+        self._inputs = MessageInputs(self, "grid", "pose", "goal", "scan", "mission")
         none = initial_state()
         self._state = MessageState(self, _PlannerState(none.path, none.status, 0, -math.inf, -math.inf))
-        self._state.declare_output(self, "path", lambda now: now.path)
-        self._state.declare_output(self, "path_status", lambda now: now.status)
+        self._state.declare_outputs(self, "path", path_status=lambda now: now.status)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:

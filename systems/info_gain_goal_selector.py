@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, Hypotheses, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.information_gain import density_shown
@@ -63,36 +62,17 @@ class InfoGainGoalSelector(LeafSystem):
     tfg_drake.planning.requested_goal.
     """
 
-    def __init__(
-        self,
-        robot: RobotConfig,
-        odometry: OdometryConfig,
-        sensor: TagSensorConfig,
-        explorer: ExplorerConfig,
-        seed: int = 0,
-        scan_range: float = ScanConfig.range,
-        frontiers: Callable[[Situation], Situation] | None = None,
-    ):
-        """seed: of the goals, where explorer.goal is random. scan_range: the scanner's, m. frontiers: puts others into
-        a situation than the TFG has."""
+    def __init__(self, parameters: GoalParameters, frontiers: Callable[[Situation], Situation] | None = None) -> None:
+        """frontiers: puts others into a situation than the TFG has."""
         super().__init__()
         keep_to_one_thread()
-        self._parameters = GoalParameters(robot, sensor, odometry, explorer, seed, scan_range)
+        self._parameters = parameters
         self._frontiers = frontiers or (lambda now: now)
-        self._inputs = MessageInputs(
-            self,
-            map=MapEstimate,
-            landmarks=MapEstimate,
-            tfg=TfgMap,
-            roadmap=Roadmap,
-            local_roadmap=Roadmap,
-            mission=MissionStatus,
-            hypotheses=Hypotheses,
-            requested_goal=RequestedGoal,
-        )
+        maps = "map", "landmarks", "tfg", "roadmap", "local_roadmap"
+        self._inputs = MessageInputs(self, *maps, "mission", "hypotheses", requested_goal=RequestedGoal)
         self._recall = self.DeclareVectorInputPort("recall", 1)
         self._state = MessageState(self, _SelectorState(empty_choice()))
-        self._state.declare_output(self, "goal", lambda now: now.goal)
+        self._state.declare_outputs(self, "goal")
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def Choose(self, context: Context, goal: GoalChoice) -> None:

@@ -8,19 +8,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.messages import (
-    FollowerStatus,
-    GoalChoice,
-    MapEstimate,
-    MissionStatus,
-    Path,
-    PathStatus,
-    PoseEstimate,
-    Roadmap,
-    TfgMap,
-    message,
-    replace,
-)
+from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus, message, replace
 from tfg_drake.mission.manual_drive import END, LOOK, Pressed, place_sent, send, steered
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
@@ -100,11 +88,7 @@ class ManualDriver(LeafSystem):
         self._robot, self._keys, self._drive, self._glances = robot, keys, tuple(drive), glances
         self._inputs = MessageInputs(
             self,
-            map=MapEstimate,
-            tfg=TfgMap,
-            roadmap=Roadmap,
-            pose=PoseEstimate,
-            mission=MissionStatus,
+            *("map", "tfg", "roadmap", "pose", "mission"),
             requested_goal=RequestedGoal,
             planned_path=Path,
             planned_status=PathStatus,
@@ -113,10 +97,8 @@ class ManualDriver(LeafSystem):
         self._following = self.DeclareVectorInputPort("following_commanded", 2)
         self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2)))))
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity)
-        self._state.declare_output(self, "goal", lambda now: now.goal)
-        self._state.declare_output(self, "planned_goal", lambda now: now.goal if now.sent.node >= 0 else empty_choice())
-        self._state.declare_output(self, "path", lambda now: now.path)
-        self._state.declare_output(self, "pressed", lambda now: now.pressed)
+        planned = lambda now: now.goal if now.sent.node >= 0 else empty_choice()  # noqa: E731
+        self._state.declare_outputs(self, "goal", "path", "pressed", planned_goal=planned)
         declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.messages import (
-    FollowerStatus,
-    GoalChoice,
-    Hazards,
-    MapEstimate,
-    Path,
-    PathStatus,
-    TfgMap,
-)
 from tfg_drake.mission.sequence import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import MessageInputs, MessageState
 
 PERIOD = 1 / 16
 # The outputs of the TFG explorer that map, by port.
-MAPS: Mapping[str, type] = {"map": MapEstimate, "tfg": TfgMap}
+MAPS = ("map", "tfg")
 
 
 class MissionSequencer(LeafSystem):
@@ -51,22 +42,13 @@ class MissionSequencer(LeafSystem):
     and stop: (1,), true above 0.5; unconnected they read 0, 1 and 0.
     """
 
-    def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Mapping[str, type] = MAPS):
-        """glance_period: s, as explorer.glance_period. maps: the inputs that are maps and the kinds of their messages,
-        which have a stage."""
+    def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Sequence[str] = MAPS):
+        """glance_period: s, as explorer.glance_period. maps: the inputs that are maps, whose messages have a
+        stage."""
         super().__init__()
         self._max_speed, self._glance_period = robot.max_speed, glance_period
-
         self._maps = tuple(maps)
-        self._inputs = MessageInputs(
-            self,
-            goal=GoalChoice,
-            path=Path,
-            path_status=PathStatus,
-            follower_status=FollowerStatus,
-            hazards=Hazards,
-            **maps,
-        )
+        self._inputs = MessageInputs(self, "goal", "path", "path_status", "follower_status", "hazards", *maps)
         self._pause = self.DeclareVectorInputPort("pause", 1)
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)

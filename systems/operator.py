@@ -69,9 +69,8 @@ class Operator(LeafSystem):
             ("recall", lambda operation: operation.recalled),
         ):
             self.DeclareVectorOutputPort(name, 1, self._Calc(calc), self._state.tickets)
-        self._state.declare_output(self, "requested_goal", lambda now: now.goal)
-        self._state.declare_output(self, "pushes", lambda now: now.pushes)
-        self._state.declare_output(self, "said_pose", lambda now: now.said)
+        goal, said = lambda now: now.goal, lambda now: now.said
+        self._state.declare_outputs(self, "pushes", requested_goal=goal, said_pose=said)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:

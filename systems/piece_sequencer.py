@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.messages import FloatArray, LaserScan, MissionStatus, Odometry, message, replace
+from tfg_drake.messages import FloatArray, MissionStatus, message, replace
 from tfg_drake.mission.sequence import initial_status
 from tfg_drake.systems.mission_sequencer import MAPS, flag
 from tfg_drake.systems.ports import MessageInputs, MessageState
@@ -55,17 +55,17 @@ class PieceSequencer(LeafSystem):
     0.5; stop ends it, pause is not minded: what was recorded has been driven.
     """
 
-    def __init__(self, end_time: float, maps: Mapping[str, type] = MAPS) -> None:
+    def __init__(self, end_time: float, maps: Sequence[str] = MAPS) -> None:
         """end_time: s, when the recording ends. maps: as of MissionSequencer, none where
         what maps needs no pieces."""
         super().__init__()
         self._end_time, self._maps = end_time, tuple(maps)
-        self._inputs = MessageInputs(self, odometry=Odometry, scan=LaserScan, **maps)
+        self._inputs = MessageInputs(self, "odometry", "scan", *maps)
         self.DeclareVectorInputPort("pause", 1)
         self._stop = self.DeclareVectorInputPort("stop", 1)
         begun = replace(initial_status(), phase="glance", moving=True)
         self._state = MessageState(self, _PieceState(begun, np.full(2, np.nan)))
-        self._state.declare_output(self, "mission", lambda now: now.status)
+        self._state.declare_outputs(self, mission=lambda now: now.status)
         self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _context, _output: None)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 

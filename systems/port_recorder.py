@@ -7,15 +7,14 @@ from collections.abc import Mapping
 
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
 
-from tfg_drake.messages import MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.storage.foxglove import PATH, POSE
 from tfg_drake.storage.port_recording import COMMAND, ENABLED, MESSAGES, PORTS, REQUESTS, Enabled, PortWriter, Velocity
-from tfg_drake.systems.ports import MessageInputs
+from tfg_drake.systems.ports import MessageInputs, connect_by_name
 
 # The explorer's: it sees no message that is not recorded.
 PERIOD = 1.0 / 16.0
 # What an explorer says that is recorded to be shown.
-SHOWN = {"pose": PoseEstimate, "path": Path, "map": MapEstimate, "tfg": TfgMap}
+SHOWN = ("pose", "path", "map", "tfg")
 
 
 class PortRecorder(LeafSystem):
@@ -52,32 +51,21 @@ class PortRecorder(LeafSystem):
         """writer: where to; whoever opened it closes it."""
         super().__init__()
         self._writer = writer
-        self._inputs = MessageInputs(self, **MESSAGES, **{port: PORTS[port] for port in REQUESTS.values()}, **SHOWN)
+        self._inputs = MessageInputs(self, *SHOWN, **MESSAGES, **{port: PORTS[port] for port in REQUESTS.values()})
         self._command = self.DeclareVectorInputPort(COMMAND, 2)
         self._enabled = self.DeclareVectorInputPort(ENABLED, 1)
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Write)
 
-    @staticmethod
-    def AddToBuilder(
-        builder: DiagramBuilder,
-        station: System,
-        explorer: System,
-        writer: PortWriter,
-        requested: Mapping[str, OutputPort] | None = None,
-    ) -> PortRecorder:
-        """Adds a recorder of what a station and an explorer say to each other. requested: what says the operator's
+    def Connect(
+        self, builder: DiagramBuilder, station: System, explorer: System, requested: Mapping[str, OutputPort]
+    ) -> None:
+        """Connects it to what a station and an explorer say to each other. requested: what says the operator's
         requests, by their ports here."""
-        recorder = PortRecorder(writer)
-        builder.AddNamedSystem("port_recorder", recorder)
-        for name in (*MESSAGES, ENABLED):
-            builder.Connect(station.GetOutputPort(name), recorder.GetInputPort(name))
-        builder.Connect(explorer.GetOutputPort(COMMAND), recorder.GetInputPort(COMMAND))
-        for name, output in (requested or {}).items():
-            builder.Connect(output, recorder.GetInputPort(name))
-        for name in SHOWN:
-            if explorer.HasOutputPort(name):
-                builder.Connect(explorer.GetOutputPort(name), recorder.GetInputPort(name))
-        return recorder
+        for name, output in requested.items():
+            builder.Connect(output, self.GetInputPort(name))
+        # Of a recorded station that nobody listens to there is no request.
+        unheard = dict.fromkeys(REQUESTS.values(), "")
+        connect_by_name(builder, self, explorer, station, **unheard)
 
     def _Write(self, context: Context) -> EventStatus:
         now = context.get_time()

@@ -5,11 +5,45 @@ Drake's abstract values check no Python type; these few functions do.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar, cast
 
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, OutputPort, State
+from pydrake.systems.framework import (
+    Context,
+    DiagramBuilder,
+    EventStatus,
+    InputPort,
+    LeafSystem,
+    OutputPort,
+    State,
+    System,
+)
+
+from tfg_drake import messages
+
+# What the ports carry that systems have in common: whatever is called so is such a message, in and out.
+KINDS: Mapping[str, type] = {
+    "odometry": messages.Odometry,
+    "hazards": messages.Hazards,
+    "detections": messages.TagDetections,
+    "scan": messages.LaserScan,
+    "said_pose": messages.SaidPose,
+    "pose": messages.PoseEstimate,
+    "map": messages.MapEstimate,
+    "landmarks": messages.MapEstimate,
+    "hypotheses": messages.Hypotheses,
+    "tfg": messages.TfgMap,
+    "grid": messages.GridMap,
+    "roadmap": messages.Roadmap,
+    "local_roadmap": messages.Roadmap,
+    "goal": messages.GoalChoice,
+    "path": messages.Path,
+    "path_status": messages.PathStatus,
+    "follower_status": messages.FollowerStatus,
+    "mission": messages.MissionStatus,
+}
 
 T = TypeVar("T")
 
@@ -57,10 +91,10 @@ def eval_optional(port: InputPort, context: Context, kind: type[T]) -> T | None:
 class MessageInputs:
     """Input ports for messages, by name; called with a context and one of the names it is the message there."""
 
-    def __init__(self, system: LeafSystem, **kinds: type) -> None:
-        """Declares them. kinds: what each holds, by the port's name."""
-        self._kinds = kinds
-        self.ports = {name: declare_message_input(system, name) for name in kinds}
+    def __init__(self, system: LeafSystem, *names: str, **kinds: type) -> None:
+        """Declares them. names: of KINDS. kinds: what others hold, by the port's name."""
+        self._kinds = {name: KINDS[name] for name in names} | kinds
+        self.ports = {name: declare_message_input(system, name) for name in self._kinds}
 
     def __call__(self, context: Context, name: str) -> Any:
         """The message. Raises TypeError as `eval_message` does."""
@@ -102,9 +136,22 @@ class MessageState(Generic[T]):
         variable.set_value(value)
         return EventStatus.Succeeded()
 
-    def declare_output(self, system: LeafSystem, name: str, part: Callable[[T], object]) -> OutputPort:
-        """Declares an output port of the same system for what a part of the message is, or is made of it alone."""
-        return declare_message_output(system, name, lambda context: part(self(context)), self.tickets)
+    def declare_outputs(self, system: LeafSystem, *names: str, **parts: Callable[[T], object]) -> None:
+        """Declares output ports of the same system: for the parts of the message that have these names, and for what is
+        made of it alone, by the port's name."""
+        named: dict[str, Callable[[T], object]] = {name: operator.attrgetter(name) for name in names}
+        for name, part in (named | parts).items():
+            declare_message_output(system, name, lambda context, part=part: part(self(context)), self.tickets)
+
+
+def connect_by_name(builder: DiagramBuilder, listener: System, *speakers: System, **heard_as: str) -> None:
+    """Connects the inputs of a system that nothing feeds to the outputs of others of the same name, as far as there
+    are. heard_as: the names of such outputs, by inputs that are called otherwise."""
+    for port in (listener.get_input_port(i) for i in range(listener.num_input_ports())):
+        name = heard_as.get(port.get_name(), port.get_name())
+        speaker = next((one for one in speakers if one.HasOutputPort(name)), None)
+        if speaker is not None and not builder.IsConnectedOrExported(port):
+            builder.Connect(speaker.GetOutputPort(name), port)
 
 
 def _name(port: InputPort) -> str:

@@ -12,9 +12,7 @@ from tfg_drake.messages import (
     FloatArray,
     IntArray,
     MapEstimate,
-    MissionStatus,
     Observation,
-    Odometry,
     PoseEstimate,
     TagDetections,
     message,
@@ -66,14 +64,14 @@ class PoseMapper(LeafSystem):
         self.set_name("pose_mapper")
         self._covariance = np.diag(np.square(np.asarray(sigma, dtype=float)))
         self._X_MB = self.DeclareVectorInputPort("X_MB", 3)
-        self._inputs = MessageInputs(self, odometry=Odometry, detections=TagDetections, mission=MissionStatus)
+        self._inputs = MessageInputs(self, "odometry", "detections", "mission")
         nothing = np.zeros(0)
         self._state = MessageState(
             self, _Seen(empty_map(), np.zeros((0, 4)), nothing.astype(np.int64), nothing, np.zeros((0, 2)), -np.inf)
         )
         tickets = {*self._state.tickets, self._X_MB.ticket(), self._inputs.ports["odometry"].ticket()}
         declare_message_output(self, "pose", self._CalcPose, {*tickets, self.time_ticket()})
-        self._state.declare_output(self, "map", lambda now: now.estimate)
+        self._state.declare_outputs(self, map=lambda now: now.estimate)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
     def _CalcPose(self, context: Context) -> PoseEstimate:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import operator
+
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
-from tfg_drake.messages import GoalChoice, LaserScan, MapEstimate, MissionStatus, PoseEstimate, Roadmap, TfgMap
+from tfg_drake.messages import Roadmap
 from tfg_drake.planning.planner import (
     Now,
     extended,
@@ -16,7 +17,7 @@ from tfg_drake.planning.planner import (
     planned,
     watched,
 )
-from tfg_drake.planning.roadmap import EdgeCost, RoadmapParameters, cost_of_edge
+from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import measured
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
@@ -48,33 +49,19 @@ class PrmPlanner(LeafSystem):
 
     local_roadmap is as much of roadmap as planning needs at a stage, with the same ids: on a large map the nodes near
     the newest view, see `tfg_drake.planning.local`. Then the whole is made for whoever looks at it.
-    seed: of the roadmap's samples; with it and the inputs the roadmap is determined. least_range: m, nearer the scanner
-    sees nothing. cost: of the roadmap's edges.
+    With its parameters, the seed of its samples among them, and the inputs the roadmap is determined.
     """
 
-    def __init__(
-        self,
-        robot: RobotConfig,
-        odometry: OdometryConfig,
-        sensor: TagSensorConfig,
-        explorer: ExplorerConfig,
-        planner: PlannerConfig,
-        seed: int,
-        least_range: float = 0.0,
-        cost: EdgeCost = cost_of_edge,
-    ):
+    def __init__(self, parameters: RoadmapParameters) -> None:
         super().__init__()
         keep_to_one_thread()
-        self._parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed, least_range, cost)
-        self._inputs = MessageInputs(
-            self, map=MapEstimate, tfg=TfgMap, pose=PoseEstimate, goal=GoalChoice, scan=LaserScan, mission=MissionStatus
-        )
+        self._parameters = parameters
+        self._inputs = MessageInputs(self, "map", "tfg", "pose", "goal", "scan", "mission")
         self._state = MessageState(self, initial_state())
         whole = {self._inputs.ports[name].ticket() for name in ("map", "tfg")}
         declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
-        self._state.declare_output(self, "local_roadmap", lambda now: now.roadmap)
-        self._state.declare_output(self, "path", lambda now: now.path)
-        self._state.declare_output(self, "path_status", lambda now: now.status)
+        local_roadmap, path_status = operator.attrgetter("roadmap"), operator.attrgetter("status")
+        self._state.declare_outputs(self, "path", local_roadmap=local_roadmap, path_status=path_status)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Roadmap(self, context: Context) -> Roadmap:

@@ -56,7 +56,7 @@ class PurePursuitFollower(LeafSystem):
         super().__init__()
         self._field_of_view = field_of_view
         self._robot, self._explorer = robot, explorer
-        self._inputs = MessageInputs(self, pose=PoseEstimate, path=Path, goal=GoalChoice, mission=MissionStatus)
+        self._inputs = MessageInputs(self, "pose", "path", "goal", "mission")
         initial = np.zeros(13)
         initial[[TURN_SINCE, PATH]] = -1.0
         self._state, self._command = self.DeclareDiscreteState(initial), self.DeclareDiscreteState(2)

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus, Leaf
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import pose_at
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, PoseEstimate, replace
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.keep_out import walled
 from tfg_drake.safety.scan_watch import HELD, no_watch, watched
@@ -83,7 +83,7 @@ class SafetyFilter(LeafSystem):
         self._locks, self._keep_out = locks, keep_out
         self._robot, self._safety, self._scanner = robot, safety, scan
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
-        self._inputs = MessageInputs(self, hazards=Hazards, scan=LaserScan, odometry=Odometry, pose=PoseEstimate)
+        self._inputs = MessageInputs(self, "hazards", "scan", "odometry", "pose")
         self._enable = self.DeclareVectorInputPort("enable", 1)
         # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
         # a cliff or a wheel drop has used up.
@@ -94,7 +94,7 @@ class SafetyFilter(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
         self.DeclareStateOutputPort("velocity", velocity)
         self.DeclareStateOutputPort("enabled", self._enabled)
-        self._watch.declare_output(self, "scan_believed", lambda now: now.believed)
+        self._watch.declare_outputs(self, scan_believed=lambda now: now.believed)
 
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Path, PathStatus, PoseEstimate, TfgMap, message
+from tfg_drake.messages import FloatArray, GoalChoice, Path, PathStatus, message
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.scripted_drive import next_place, straight_path
 from tfg_drake.systems.ports import MessageInputs, MessageState
@@ -44,11 +44,10 @@ class ScriptedDriver(LeafSystem):
         """p_MG: (n, 2) places to look round at, m."""
         super().__init__()
         self._drive = p_MG
-        self._inputs = MessageInputs(self, tfg=TfgMap, pose=PoseEstimate, mission=MissionStatus)
+        self._inputs = MessageInputs(self, "tfg", "pose", "mission")
         self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, p_MG[:0]), 0))
-        self._state.declare_output(self, "goal", lambda now: now.goal)
-        self._state.declare_output(self, "path", lambda now: now.path)
-        self._state.declare_output(self, "path_status", lambda now: PathStatus(now.path.id, free=True))
+        free = lambda now: PathStatus(now.path.id, free=True)  # noqa: E731
+        self._state.declare_outputs(self, "goal", "path", path_status=free)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Update(self, context: Context, state: State) -> EventStatus:

@@ -10,15 +10,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.mapfile.known_map import begun_with
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.messages import (
-    GoalChoice,
-    LaserScan,
-    MissionStatus,
-    Odometry,
-    PoseEstimate,
-    SaidPose,
-    TagDetections,
-)
+from tfg_drake.messages import PoseEstimate
 from tfg_drake.slam.estimator import (
     begin_turn,
     close_piece,
@@ -90,15 +82,7 @@ class SlamEstimator(LeafSystem):
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")
-        self._inputs = MessageInputs(
-            self,
-            odometry=Odometry,
-            detections=TagDetections,
-            scan=LaserScan,
-            mission=MissionStatus,
-            goal=GoalChoice,
-            said_pose=SaidPose,
-        )
+        self._inputs = MessageInputs(self, "odometry", "detections", "scan", "mission", "goal", "said_pose")
         prior = by_data_sheet(odometry_config, sensor, scanner)
         self._recorded = recorded
         state = initial_state(
@@ -117,9 +101,8 @@ class SlamEstimator(LeafSystem):
         self._said_stamp = MessageState(self, -math.inf)
         declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
-        self._state.declare_output(self, "map", lambda now: now.published or nothing)
-        self._state.declare_output(self, "landmarks", lambda now: now.map or nothing)
-        self._state.declare_output(self, "hypotheses", lambda now: now.hypotheses)
+        tags, landmarks = lambda now: now.published or nothing, lambda now: now.map or nothing
+        self._state.declare_outputs(self, "hypotheses", map=tags, landmarks=landmarks)
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 

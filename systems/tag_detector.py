@@ -50,8 +50,7 @@ class TagDetector(LeafSystem):
         self._state = MessageState(self, nothing_sighted())
         self._views = MessageState(self, no_views())
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Detect)
-        self._state.declare_output(self, "detections", lambda now: now.detections)
-        self._state.declare_output(self, "remarks", lambda now: now.remarks)
+        self._state.declare_outputs(self, "detections", "remarks")
 
     @metered("tag_detector")
     def _Detect(self, context: Context, state: State) -> None:

@@ -69,7 +69,7 @@ class TagSensor(LeafSystem):
         initial = _SensorState(no_detections(), np.zeros((0, 2)) if is_white else np.zeros((n, 2)))
         self._state = MessageState(self, initial)
         self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        self._state.declare_output(self, "detections", lambda now: now.frame)
+        self._state.declare_outputs(self, detections=lambda now: now.frame)
 
     @metered("tag_sensor")
     def _Detect(self, context: Context, state: State) -> EventStatus:

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, MissionStatus, PoseEstimate, TfgMap, message, replace
+from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, TfgMap, message, replace
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
 from tfg_drake.table import empty
@@ -67,14 +67,11 @@ class TfgBuilder(LeafSystem):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
-        self._inputs = MessageInputs(
-            self, scan=LaserScan, map=MapEstimate, landmarks=MapEstimate, pose=PoseEstimate, mission=MissionStatus
-        )
+        self._inputs = MessageInputs(self, "scan", "map", "landmarks", "pose", "mission")
         # One value: Drake copies every abstract state at every event of any system.
         initial = _BuilderState(empty(TfgGraph), empty_map(), (), empty(UnmappedSightings))
         self._state = MessageState(self, initial)
-        self._state.declare_output(self, "tfg", lambda now: now.tfg)
-        self._state.declare_output(self, "tfg_graph", lambda now: now.graph)
+        self._state.declare_outputs(self, "tfg", tfg_graph=lambda now: now.graph)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)

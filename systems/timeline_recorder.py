@@ -11,27 +11,14 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
 from tfg_drake.geometry.se2 import pose_at
-from tfg_drake.messages import (
-    FloatArray,
-    GoalChoice,
-    GridMap,
-    IntArray,
-    LaserScan,
-    MapEstimate,
-    MissionStatus,
-    Path,
-    PoseEstimate,
-    Roadmap,
-    TfgMap,
-)
+from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.pictures import scene, tables
 from tfg_drake.planning.local import local
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.storage.rows import EVERYWHERE, Near, Table
-from tfg_drake.storage.timeline import TimelineWriter
-from tfg_drake.systems.ports import MessageInputs
+from tfg_drake.systems.ports import MessageInputs, connect_by_name
 from tfg_drake.tfg.near import radius_of, within
 
 # Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
@@ -39,21 +26,9 @@ from tfg_drake.tfg.near import radius_of, within
 RATE = 8.0
 POSES_A_SCAN, POSES_A_LOOK = 4, 2
 
-_MESSAGES = {
-    "map": MapEstimate,
-    "tfg": TfgMap,
-    "roadmap": Roadmap,
-    "goal": GoalChoice,
-    "path": Path,
-    "grid": GridMap,
-    "mission": MissionStatus,
-    "pose": PoseEstimate,
-    "scan": LaserScan,
-    "people": People,
-    "pushes": Pushes,
-    "local_roadmap": Roadmap,
-    "landmarks": MapEstimate,
-}
+_MESSAGES = ("map", "tfg", "roadmap", "goal", "path", "grid", "mission", "pose", "scan", "local_roadmap", "landmarks")
+# What it hears of the station.
+_HEARD_AS = {"scan": "scan.ranges", "enabled": "base.enabled", "truth": "truth.pose", "people": "truth.people"}
 # What is written of all of a large map, and how seldom: bytes a simulated second, so that a larger one is written less
 # often. Between, what is near the newest view is.
 _WHOLE = ("map", "tfg", "roadmap")
@@ -122,36 +97,16 @@ class TimelineRecorder(LeafSystem):
         super().__init__()
         self._writer = writer
         self._Forget()
-        self._Get = MessageInputs(self, **_MESSAGES).optional
+        self._Get = MessageInputs(self, *_MESSAGES, people=People, pushes=Pushes).optional
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
         self._truth = self.DeclareVectorInputPort("truth", 5)
         self.DeclarePeriodicPublishEvent(1.0 / RATE, 0.0, self._Write)
         self.DeclareForcedPublishEvent(self._WriteAll)
 
-    @staticmethod
-    def AddToBuilder(
-        builder: DiagramBuilder, station: System, explorer: System, writer: TimelineWriter, *others: System
-    ) -> TimelineRecorder:
-        """Adds a recorder of a mission, connected to its station, explorer and others, such as its operator, by port
-        name."""
-        recorder = TimelineRecorder(writer)
-        builder.AddNamedSystem("timeline_recorder", recorder)
-        recorder.Connect(builder, station, explorer, *others)
-        return recorder
-
     def Connect(self, builder: DiagramBuilder, station: System, explorer: System, *others: System) -> None:
-        """Connects it to a mission's station, explorer and others by port name."""
-        for system in (explorer, *others):
-            for name in filter(system.HasOutputPort, _MESSAGES):
-                builder.Connect(system.GetOutputPort(name), self.GetInputPort(name))
-        for name, port in (
-            ("scan.ranges", "scan"),
-            ("base.enabled", "enabled"),
-            ("truth.pose", "truth"),
-            ("truth.people", "people"),
-        ):
-            if station.HasOutputPort(name):
-                builder.Connect(station.GetOutputPort(name), self.GetInputPort(port))
+        """Connects it to a mission's station, explorer and others, such as its operator, by port name."""
+        connect_by_name(builder, self, explorer, *others)
+        connect_by_name(builder, self, station, **_HEARD_AS)
 
     def _Forget(self) -> None:
         """Nothing has been written."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, parse_place, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, parse_place, writing
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -35,12 +35,7 @@ Source = Annotated[
     typer.Argument(metavar="SOURCE", help="A folder of images, an image, a video, a stream's address or a camera (0)."),
 ]
 
-camera_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@camera_app.callback()
-def _commands() -> None:
-    """A camera's tags, and its calibration."""
+camera_app = command_group("A camera's tags, and its calibration.")
 
 
 @camera_app.command()

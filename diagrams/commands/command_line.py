@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+import typer
 import typer.core
 
 from tfg_drake import kernels
@@ -50,6 +51,11 @@ def check_positive(option: str, value: float | None, unit: str) -> None:
     """Raises BadInput unless an option is greater than 0, or is not given."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
         bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
+
+
+def command_group(told: str) -> typer.Typer:
+    """Commands under a name of their own; told: what their help says of them."""
+    return typer.Typer(help=told, add_completion=False, rich_markup_mode=None)
 
 
 def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:

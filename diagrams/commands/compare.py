@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tfg_drake.comparison.measures import MOVING, TIME
@@ -64,21 +64,17 @@ def run_sweep(
     runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
     missing = [task for task in tasks if (task.method, task.seed) not in runs]
     note = Progress(len(tasks), len(runs), show)
-    for run in _run(missing, out, jobs, address, interrupted) if missing else ():
+    if address is None or not missing:
+        ended = run_local(missing, out, jobs, interrupted)
+    else:
+        from tfg_drake.diagrams.missions.ray_sweep import run_on_ray
+
+        ended = run_on_ray(missing, out, address, interrupted)
+    for run in ended:
         runs[run.method, run.seed] = run
         note(run)
     keys = [(task.method, task.seed) for task in tasks]
     return [runs[key] for key in keys if key in runs]
-
-
-def _run(
-    tasks: Sequence[Task], out: Path, jobs: int, address: str | None, interrupted: threading.Event
-) -> Iterator[Run]:
-    if address is None:
-        return run_local(tasks, out, jobs, interrupted)
-    from tfg_drake.diagrams.missions.ray_sweep import run_on_ray
-
-    return run_on_ray(tasks, out, address, interrupted)
 
 
 def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:

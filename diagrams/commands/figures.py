@@ -14,9 +14,8 @@ from tfg_drake.comparison.paper_tables import parameter_table, performance_table
 from tfg_drake.comparison.runs import Run
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams.commands.compare import run_sweep
-from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.comparison_report import write_comparison
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
 from tfg_drake.geometry.se2 import inverse, transform
@@ -71,7 +70,7 @@ def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tup
 
     Until the mission's end or until on_stage, called with stage and time (s) of each, says that it is enough.
     """
-    mission, stages = Mission(scenario, METHODS["tfg"], None, "figures"), list[Stage]()
+    mission, stages = Mission(MissionRequest(scenario)), list[Stage]()
     mission.begin()
     while mission.time < LONGEST and mission.status.phase != "done":
         mission.advance(mission.time + STEP)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.command_line import bad_input, command_group
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -27,12 +27,7 @@ LIDAR_NOISE = 0.01
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
-kobuki_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@kobuki_app.callback()
-def _commands() -> None:
-    """The Kobuki base on its serial port, or an emulated one."""
+kobuki_app = command_group("The Kobuki base on its serial port, or an emulated one.")
 
 
 @kobuki_app.command()
@@ -52,17 +47,14 @@ def check(
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
-    """The base's newest messages; raises DeviceError if one is missing after ANSWER_TIMEOUT."""
-    from tfg_drake.hardware.device import ANSWER_TIMEOUT, BaseState, DeviceError
+    """The base's newest messages; raises DeviceError where one does not come."""
+    from tfg_drake.hardware.device import BaseState, DeviceError
     from tfg_drake.messages import Hazards, Odometry
 
-    end = time.monotonic() + ANSWER_TIMEOUT
-    while time.monotonic() < end:
-        odometry, hazards, state = device.newest(Odometry), device.newest(Hazards), device.newest(BaseState)
-        if odometry is not None and hazards is not None and state is not None:
-            return odometry, hazards, state
-        time.sleep(0.01)
-    raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again")
+    try:
+        return device.first(Odometry), device.first(Hazards), device.first(BaseState)
+    except DeviceError:
+        raise DeviceError(device.locked or "the base says nothing of itself; switch it off and on again") from None
 
 
 def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:

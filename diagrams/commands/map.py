@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake.config import CameraConfig
-from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, wait_for_enter, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, wait_for_enter, writing
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import of_run, write_atomic
@@ -55,12 +55,9 @@ NewMap = Annotated[Path, typer.Argument(metavar="OUT", help="The map to write, a
 # What is less probable is not told.
 LIKELY = 0.001
 
-map_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@map_app.callback()
-def _commands() -> None:
-    """Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame."""
+map_app = command_group(
+    "Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame."
+)
 
 
 @map_app.command()

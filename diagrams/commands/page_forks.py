@@ -26,6 +26,11 @@ def can_fork(run: Path) -> bool:
         return False
 
 
+def _begun(number: int, stage: int, folder: Path, line: str) -> dict[str, Any]:
+    """What is told of a fork; later the rows of the comparison, or why there are none, come into it."""
+    return {"number": number, "stage": stage, "folder": str(folder), "line": line, "rows": [], "failure": ""}
+
+
 class PageForks:
     """See `tfg_drake.cockpit.server.Forks`. Each fork is in a folder beside its run's, <run>-fork-<number>."""
 
@@ -33,13 +38,12 @@ class PageForks:
         self._run = run.resolve()
         self._lock = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
-        self._number, self._stage, self._folder = 0, 0, self._run
-        self._line, self._rows, self._failure = "", [], ""  # type: str, list[tuple[str, ...]], str
+        self._newest = _begun(0, 0, self._run, "")
 
     @property
     def timeline(self) -> Path:
         """The newest fork's, which may not be there yet."""
-        return self._folder / FILE_NAME
+        return Path(self._newest["folder"], FILE_NAME)
 
     @property
     def is_running(self) -> bool:
@@ -51,14 +55,13 @@ class PageForks:
         with self._lock:
             if self._process is not None:
                 return False
-            self._number += 1
-            while (folder := self._run.with_name(f"{self._run.name}-fork-{self._number}")).exists():
-                self._number += 1
+            number = self._newest["number"] + 1
+            while (folder := self._run.with_name(f"{self._run.name}-fork-{number}")).exists():
+                number += 1
             x, y = goal
             command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "fork", str(self._run), "--stage", str(stage)]
             command += [f"--goal={x:.4f},{y:.4f}", "--out", str(folder)]
-            self._stage, self._folder = stage, folder
-            self._line, self._rows, self._failure = "beginning", [], ""
+            self._newest = _begun(number, stage, folder, "beginning")
             try:
                 self._process = process = subprocess.Popen(
                     command,
@@ -69,7 +72,8 @@ class PageForks:
                     env=os.environ | {"PYTHONUNBUFFERED": "1"},
                 )
             except OSError as error:
-                self._failure = f"the fork cannot be started: {error.strerror}; end other programs, and ask again"
+                reason = f"the fork cannot be started: {error.strerror}; end other programs, and ask again"
+                self._newest["failure"] = reason
                 return True
         threading.Thread(target=self._follow, args=(process,), daemon=True).start()
         return True
@@ -78,15 +82,7 @@ class PageForks:
         """The newest fork's number, stage and folder, whether it is running, what it says, and in the end the
         rows of the comparison or why there are none; number 0 before the first."""
         with self._lock:
-            return {
-                "number": self._number,
-                "stage": self._stage,
-                "folder": str(self._folder),
-                "running": self.is_running,
-                "line": self._line,
-                "rows": self._rows,
-                "failure": self._failure,
-            }
+            return {**self._newest, "running": self.is_running}
 
     def close(self) -> None:
         """End what is under way; what there is of it stays."""
@@ -99,13 +95,13 @@ class PageForks:
         assert process.stdout is not None
         for line in process.stdout:
             if self._process is process and line.strip():
-                self._line = line.strip()
+                self._newest["line"] = line.strip()
         process.wait()
         with self._lock:
             try:
-                before, after = (read_object(one / "summary.json") for one in (self._run, self._folder))
-                self._rows = list(difference_rows(before, after))
+                before, after = (read_object(Path(one, "summary.json")) for one in (self._run, self._newest["folder"]))
+                self._newest["rows"] = list(difference_rows(before, after))
             except FileError:
-                self._failure = self._line.removeprefix("tfg-drake: ")
-                shutil.rmtree(self._folder, ignore_errors=True)  # Nothing of it is of use.
+                self._newest["failure"] = self._newest["line"].removeprefix("tfg-drake: ")
+                shutil.rmtree(self._newest["folder"], ignore_errors=True)  # Nothing of it is of use.
             self._process = None

@@ -11,17 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input
+from tfg_drake.diagrams.commands.command_line import bad_input, command_group
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
 
-ros2_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@ros2_app.callback()
-def _commands() -> None:
-    """A robot on a ROS 2 graph."""
+ros2_app = command_group("A robot on a ROS 2 graph.")
 
 
 @ros2_app.command()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, parse_place, writing
+from tfg_drake.diagrams.commands.command_line import bad_input, command_group, parse_place, writing
 from tfg_drake.diagrams.commands.screen import Screen
 from tfg_drake.io.extras import pip_install
 
@@ -19,12 +19,7 @@ if TYPE_CHECKING:
     from tfg_drake.messages import BoolArray, FloatArray
     from tfg_drake.world.tag_advice import Advice
 
-tags_app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-@tags_app.callback()
-def _commands() -> None:
-    """Tags to hang up."""
+tags_app = command_group("Tags to hang up.")
 
 
 @tags_app.command("print")

@@ -16,7 +16,7 @@ from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.missions.best_tours import over_tours
-from tfg_drake.diagrams.missions.errors import EVERY
+from tfg_drake.diagrams.missions.errors import counted_places
 from tfg_drake.diagrams.missions.sweep import Task
 from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
@@ -140,10 +140,7 @@ def _cells(scenario: Scenario) -> FloatArray:
     """Centres (c, 2) in W of the reachable cells that coverage is counted on."""
     world = MakeWorld(scenario.world)
     grid = make_grid(world)
-    reachable = reachable_cells(grid, world, scenario.robot.radius, HatchedKeepOut(scenario))
-    thinned = np.zeros_like(reachable)
-    thinned[::EVERY, ::EVERY] = reachable[::EVERY, ::EVERY]
-    return grid.centers(thinned)
+    return counted_places(grid, reachable_cells(grid, world, scenario.robot.radius, HatchedKeepOut(scenario)))
 
 
 def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario]) -> list[FinalMap]:

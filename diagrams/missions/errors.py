@@ -16,7 +16,7 @@ from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
-from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
+from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
 from tfg_drake.world.world import World
 
 # What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
@@ -82,9 +82,7 @@ class KnownWorld:
         way by one that maps all along.
         """
         scan = self._scenario.scan
-        thinned = np.zeros_like(self._cells)
-        thinned[::EVERY, ::EVERY] = self._cells[::EVERY, ::EVERY]
-        seen = self._grid.centers(thinned), self._world.walls, scan.range, scan.field_of_view
+        seen = counted_places(self._grid, self._cells), self._world.walls, scan.range, scan.field_of_view
         rows, share = scan_coverage(X_WB, *seen)
         nearly = np.flatnonzero(share >= NEARLY_ALL)
         coverage = float(share[-1]) if len(share) else math.nan
@@ -93,6 +91,13 @@ class KnownWorld:
             _, share = scan_coverage(X_WB[np.concatenate([np.zeros(0, dtype=np.int64), *looked])], *seen)
             coverage = float(share[-1]) if len(share) else 0.0
         return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
+
+
+def counted_places(grid: Grid, cells: BoolArray) -> FloatArray:
+    """Centres (c, 2) in W of every EVERY-th of the cells of a grid, in x and y: coverage is counted on these."""
+    thinned = np.zeros_like(cells)
+    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
+    return grid.centers(thinned)
 
 
 def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WM: FloatArray) -> float:

@@ -6,8 +6,10 @@ import dataclasses
 import json
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -18,7 +20,7 @@ from pydrake.systems.primitives import VectorLog, VectorLogSink
 
 from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
-from tfg_drake.diagrams.methods import Method
+from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.missions.context_state import kinds_of, restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
@@ -62,6 +64,8 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
     from tfg_drake.cockpit.server import Cockpit
+    from tfg_drake.diagrams.missions.mission_runner import Progress
+    from tfg_drake.diagrams.warm_up import WarmUp
     from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
@@ -69,19 +73,10 @@ ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
 PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 
-# A line of stages.jsonl.
-STAGE_FIELDS = (
-    "stage",
-    "goal",
-    "exploitation",
-    "exploration",
-    "pose_price",
-    "predicted_gain",
-    "realised_gain",
-    "time_s",
-    "entropy_nats",
-    "landmarks",
-)
+# Of a line of stages.jsonl what only a map of landmarks tells, after the number of the stage and before and after its
+# time.
+BEFORE_TIME = ("goal", "exploitation", "exploration", "pose_price", "predicted_gain", "realised_gain")
+AFTER_TIME = ("entropy_nats", "landmarks")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -98,6 +93,12 @@ _pace_log = logging.getLogger("tfg_drake.pace")
 def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     """Stages as lines of stages.jsonl."""
     return "".join(json.dumps(record) + "\n" for record in stages)
+
+
+def _stage_line(stage: int, stamp: float, told: Sequence[Any] | None = None) -> dict[str, Any]:
+    """A line of stages.jsonl; told: what a map of landmarks tells, None of a grid."""
+    known = dict(zip((*BEFORE_TIME, *AFTER_TIME), told or [None] * 8, strict=True))
+    return {"stage": stage, **{name: known[name] for name in BEFORE_TIME}, "time_s": stamp} | known
 
 
 def _looking_round(systems: Mapping[str, tuple[Any, ...]], time: float) -> dict[str, tuple[Any, ...]]:
@@ -143,6 +144,52 @@ STATE: Mapping[str, Any] = {
 _LOGS = list[tuple[FloatArray, FloatArray]]
 
 
+@dataclasses.dataclass(frozen=True)
+class MissionRequest:
+    """What is asked of a mission, by whoever asks: the command line, Python, a comparison, a fork.
+
+    scenario: everything that defines the run, the seed included. method: what explores. robot: what it drives. name:
+    what the run is called in titles and the folder's name; world_name: the world's, "" for the same. out_dir: the run's
+    folder, made if missing; runs/<time>-<name>-<seed> by default.
+
+    meshcat: where to draw it; None for no picture in Meshcat. cockpit: the page that shows what is recorded, and asks
+    for something; None for none. realtime_rate: simulated s per second at most; 0 for as fast as possible. max_time:
+    simulated s after which the outcome is time_limit, as it is when the robot's station ends. interrupted: ends the
+    mission when set, for a caller that looks after signals itself. on_progress: called about once a simulated second,
+    and once more before the files of the run are written.
+
+    record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
+    grows; not for what a seed gives again. warm_up: those who compile the kernels that come after its first look, which
+    takes its time until all are there. monitor: makes what is called with the diagram's Context after every step of the
+    simulator. notes: what was not believed before it began, of a recording. before: the `state` in which the mission
+    that is in out_dir was cut short, to go on with it.
+    """
+
+    scenario: Scenario
+    method: Method = METHODS["tfg"]
+    robot: Robot = SIMULATED
+    name: str = "scenario"
+    world_name: str = ""
+    out_dir: Path | None = None
+    meshcat: Meshcat | None = None
+    cockpit: Cockpit | None = None
+    realtime_rate: float = 0.0
+    max_time: float = 3600.0
+    interrupted: threading.Event | None = None
+    on_progress: Callable[[Progress], None] | None = None
+    record: bool = True
+    warm_up: WarmUp | None = None
+    monitor: Callable[[Mission], Callable[[Context], EventStatus]] | None = None
+    notes: Sequence[Note] = ()
+    before: Packed | None = None
+
+    @property
+    def title(self) -> str:
+        """Of its page and pictures."""
+        called = self.name if self.method.name == "tfg" else f"{self.name}, {self.method.name}"
+        return f"{called}, seed {self.scenario.seed}"
+
+
 class Mission:
     """One mission and what is observed of it from outside.
 
@@ -154,33 +201,23 @@ class Mission:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        method: Method,
-        meshcat: Meshcat | None,
-        title: str,
-        robot: Robot = SIMULATED,
-        writer: PortWriter | None = None,
-        timeline: TimelineWriter | None = None,
-        cockpit: Cockpit | None = None,
-        before: Packed | None = None,
+        self, request: MissionRequest, writer: PortWriter | None = None, timeline: TimelineWriter | None = None
     ) -> None:
-        """writer: where the station's ports are recorded, timeline: where the picture is. before: the `state` of a
-        mission to go on with. See `explore` for the others."""
+        """writer: where the station's ports are recorded, timeline: where the picture is."""
         keep_to_one_thread()
+        scenario, robot = request.scenario, request.robot
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._context: Context | None = None  # until the diagram is built
         self._final: EstimatorState | None = None  # what the estimator knows with the final map
         self._X_WS = self.world.start if self.world is not None else np.zeros(3)
         self._X_WM = MapFrame(scenario, self._X_WS)
-        self.method, self.robot = method, robot
+        self.request, self.scenario, self.method, self.robot = request, scenario, request.method, robot
         self.truth: Truth | None = None
-        self.scenario, self._writer, self._timeline, self._cockpit = scenario, writer, timeline, cockpit
-        self._before, self._under = before, "/explorer" if robot.real else ""
-        if timeline is not None and before is None:
-            self._begin_timeline(timeline, title)
-        self._meshcat = meshcat
+        self._writer, self._timeline, self._cockpit = writer, timeline, request.cockpit
+        self._before, self._under = request.before, "/explorer" if robot.real else ""
+        if timeline is not None and request.before is None:
+            self._begin_timeline(timeline)
         self._visualizer: TfgVisualizer | None = None
         self.word = ""
         self._recorder: System | None = None  # of the timeline
@@ -202,15 +239,11 @@ class Mission:
         self._since, self._late = 0.0, False
         self._shown_at = self.X_WM  # where the map was last shown
 
-    def begin(
-        self,
-        monitor: Callable[[Context], EventStatus] | None = None,
-        write: Callable[[str], object] = lambda _line: None,
-    ) -> None:
-        """Build the diagram, to be advanced from then on. monitor: called with its Context after every step. write:
-        takes a line a stage. Raises CheckpointError where it does not fit the state of the mission before."""
+    def begin(self, write: Callable[[str], object] = lambda _line: None) -> None:
+        """Build the diagram, to be advanced from then on. write: takes a line a stage. Raises CheckpointError where it
+        does not fit the state of the mission before."""
         self._write = write
-        self._build(monitor)
+        self._build()
         try:
             if self._before is not None:
                 self._go_on(self._before)
@@ -287,8 +320,7 @@ class Mission:
 
     def record_now(self) -> None:
         """Writes the timeline as everything is now."""
-        if self._recorder is not None and self._context is not None:
-            self._recorder.ForcedPublish(self._recorder.GetMyContextFromRoot(self._context))
+        self._publish(self._recorder)
 
     def account(self) -> None:
         """Takes down what the mission has cost so far."""
@@ -305,9 +337,12 @@ class Mission:
         """Draws everything as it is now."""
         if self.outcome == "fault":
             return
-        self.record_now()
-        if self._visualizer is not None and self._context is not None:
-            self._visualizer.ForcedPublish(self._visualizer.GetMyContextFromRoot(self._context))
+        for picture in (self._recorder, self._visualizer):
+            self._publish(picture)
+
+    def _publish(self, picture: System | None) -> None:
+        if picture is not None and self._context is not None:
+            picture.ForcedPublish(picture.GetMyContextFromRoot(self._context))
 
     @property
     def built(self) -> bool:
@@ -484,11 +519,11 @@ class Mission:
         found = MapOfExplorer(self.explorer, context, self.X_WM)
         return found[0] if found is not None else None
 
-    def _build(self, monitor: Callable[[Context], EventStatus] | None) -> None:
+    def _build(self) -> None:
         diagram, *self._logs = MakeMissionDiagram(
             self.scenario,
             self.world,
-            self._meshcat,
+            self.request.meshcat,
             self.method.MakeExplorer,
             self.robot,
             self._writer,
@@ -497,12 +532,12 @@ class Mission:
         )
         truth_log, self._pose_log, self._covariance_log = self._logs
         self.simulator = Simulator(diagram)
-        if monitor is not None:
-            self.simulator.set_monitor(monitor)
+        if self.request.monitor is not None:
+            self.simulator.set_monitor(self.request.monitor(self))
         if truth_log is not None:
             self.truth = Truth(diagram.GetSubsystemByName("station"), truth_log)
         self.explorer = diagram.GetSubsystemByName("explorer")
-        if self._meshcat is not None:
+        if self.request.meshcat is not None:
             self._visualizer = diagram.GetSubsystemByName("visualizer")
         if self._timeline is not None:
             self._recorder = diagram.GetSubsystemByName("timeline_recorder")
@@ -515,11 +550,11 @@ class Mission:
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))
         self._kinds = kinds_of(diagram, self._context, self._under)
 
-    def _begin_timeline(self, timeline: TimelineWriter, title: str) -> None:
+    def _begin_timeline(self, timeline: TimelineWriter) -> None:
         """Writes what is fixed: the true world, the robot, and its sensors' reach."""
         scenario, robot = self.scenario, self.scenario.robot
         told = {
-            "title": title,
+            "title": self.request.title,
             "radius": robot.radius,
             "rule": scenario.explorer.goal,
             "simulated": not self.robot.real,
@@ -557,7 +592,7 @@ class Mission:
                 Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
             )
         elif self.grid is not None and self.grid.stage > len(self.stages):
-            record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
+            record = _stage_line(self.grid.stage, self.grid.stamp)
         if record is not None or self._shown_at is not self.X_WM:
             self._shown_at = self.X_WM
             if self._visualizer is not None:
@@ -604,16 +639,9 @@ class Mission:
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
         X_WA = compose(self.X_WM, estimate.X_MA[-1])
-        fields = (
-            estimate.stage,
-            [float(value) for value in X_WA],
-            *parts.values(),
-            prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
-            estimate.stamp,
-            estimate.entropy,
-            len(estimate.ids),
-        )
-        return dict(zip(STAGE_FIELDS, fields, strict=True))
+        realised = prior + (before.entropy if before is not None else 0.0) - estimate.entropy
+        told = [[float(value) for value in X_WA], *parts.values(), realised, estimate.entropy, len(estimate.ids)]
+        return _stage_line(estimate.stage, estimate.stamp, told)
 
     def position_error(self) -> float:
         """Error of the estimated position now, m; nan where the truth is not known."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.systems.analysis import SimulatorStatus
-from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.missions.mission import STEP, Mission
@@ -24,7 +23,6 @@ from tfg_drake.mission.interruption import NAMES, Interruption
 from tfg_drake.storage.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
-    from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.mission.clock import Clock
 
 # Time between two looks at a real robot's mission, s.
@@ -62,45 +60,31 @@ class Progress:
 class MissionRunner:
     """Takes one mission through `run`, which may be called once."""
 
-    def __init__(
-        self,
-        mission: Mission,
-        interrupted: threading.Event,
-        realtime_rate: float = 0.0,
-        max_time: float = math.inf,
-        cockpit: Cockpit | None = None,
-        on_progress: Callable[[Progress], None] | None = None,
-    ) -> None:
-        """interrupted: ends the mission when set; see `explore` for the others."""
-        self._mission, self._interrupted = mission, interrupted
-        self._rate, self._max_time, self._on_progress = realtime_rate, max_time, on_progress
-        self._cockpit = cockpit
+    def __init__(self, mission: Mission, interrupted: threading.Event) -> None:
+        """interrupted: ends the mission when set."""
+        self._mission, self._request, self._interrupted = mission, mission.request, interrupted
         self._clock_version = -1  # what the simulator knows of the page's clock
         self._area, self._next_area = 0.0, 0.0
 
     def run(
-        self,
-        write: Callable[[str], object] = lambda _line: None,
-        keep: Callable[[bool], None] | None = None,
-        warm_up: WarmUp | None = None,
-        monitor: Callable[[Context], EventStatus] | None = None,
+        self, write: Callable[[str], object] = lambda _line: None, keep: Callable[[bool], None] | None = None
     ) -> None:
-        """Simulate until the mission ends, and note its outcome and the reason. write, monitor: as for `Mission.begin`.
-        keep: called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises
-        ends the mission. warm_up: as for `explore`. Raises CheckpointError where there is nothing to go on from."""
-        keep = keep or (lambda _now: None)
-        mission, step = self._mission, REAL_STEP if self._mission.robot.real else STEP
+        """Simulate until the mission ends, and note its outcome and the reason. write: as for `Mission.begin`. keep:
+        called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises ends
+        the mission. Raises CheckpointError where there is nothing to go on from."""
+        mission, request, warm_up = self._mission, self._request, self._request.warm_up
+        keep, step = keep or (lambda _now: None), REAL_STEP if mission.robot.real else STEP
         try:
-            mission.begin(monitor, write)
+            mission.begin(write)
             keep(True)
-            mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else self._rate)
+            mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else request.realtime_rate)
             terminated = False
             while not self._ended():
                 if warm_up is not None and self._pace(warm_up):
                     warm_up = None
                 now = step if warm_up is None else SLOW_STEP
                 boundary = now * (math.floor(mission.time / now) + 1.0)
-                terminated = self._advance(min(boundary, self._max_time, mission.robot.end_time))
+                terminated = self._advance(min(boundary, request.max_time, mission.robot.end_time))
                 mission.observe()
                 keep(False)
                 self._tell()
@@ -133,7 +117,7 @@ class MissionRunner:
         Meanwhile somebody at the page may hold the clock or change its speed. The instants at which that is looked for
         change nothing of the mission.
         """
-        mission, page = self._mission, self._cockpit
+        mission, page = self._mission, self._request.cockpit
         while mission.time < boundary and not self._interrupted.is_set():
             ahead = math.inf
             if page is not None and page.clock is not None:
@@ -164,14 +148,14 @@ class MissionRunner:
     def _pace(self, warm_up: WarmUp) -> bool:
         """Slows the mission down so that all kernels are there when its first look is over, and holds it there until
         they are: what comes next would compile them once more. Whether they are."""
-        mission, rate = self._mission, self._rate
+        mission, rate = self._mission, self._request.realtime_rate
         left = mission.scenario.explorer.first_look - mission.time
         while left <= 0.0 and not warm_up.ended and not self._interrupted.wait(HELD_INTERVAL):
             mission.say(warm_up.word)
             self._tell()
         ended = warm_up.ended
         if not ended:
-            rate = min(max(SLOWEST, left / max(warm_up.left, 1e-3)), self._rate or math.inf)
+            rate = min(max(SLOWEST, left / max(warm_up.left, 1e-3)), self._request.realtime_rate or math.inf)
         mission.say("" if ended else warm_up.word)
         mission.simulator.set_target_realtime_rate(rate)
         mission.simulator.ResetStatistics()  # or it would make up for the time that it went slowly
@@ -189,8 +173,8 @@ class MissionRunner:
         elif self._interrupted.is_set():
             by = f" by {NAMES[self._interrupted.number]}" if isinstance(self._interrupted, Interruption) else ""
             outcome, reason = "interrupted", f"interrupted{by} at {mission.time:.0f} s"
-        elif mission.time >= self._max_time:
-            outcome, reason = "time_limit", f"the time limit of {self._max_time:g} s was reached"
+        elif mission.time >= self._request.max_time:
+            outcome, reason = "time_limit", f"the time limit of {self._request.max_time:g} s was reached"
         elif mission.time >= mission.robot.end_time:
             outcome, reason = "time_limit", "the recording has ended"
         mission.outcome, mission.reason = outcome, reason
@@ -198,13 +182,13 @@ class MissionRunner:
 
     def _tell(self) -> None:
         """Says how far the mission is, to whoever asked."""
-        if self._on_progress is None:
+        if self._request.on_progress is None:
             return
         mission, wall_time = self._mission, time.monotonic() - self._mission.wall_start
         if mission.outcome or wall_time >= self._next_area:
             self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
         status = mission.status
-        self._on_progress(
+        self._request.on_progress(
             Progress(
                 mission.end_time,
                 wall_time,

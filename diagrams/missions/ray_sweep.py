@@ -100,11 +100,8 @@ def _mission(task: Task, version: str) -> tuple[bytes, dict[str, Any] | None, st
 
 def _pack(folder: Path) -> bytes:
     """The files of a run's folder as a zip archive."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.iterdir()):
-            archive.write(path, path.name)
-    return buffer.getvalue()
+    with tempfile.TemporaryDirectory(prefix="tfg-drake-") as beside:
+        return Path(shutil.make_archive(f"{beside}/run", "zip", folder)).read_bytes()
 
 
 def _unpack(archive: bytes, folder: Path) -> None:

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from tfg_drake.diagrams.hardware_station import Bounded, MakeHardwareStation
 from tfg_drake.diagrams.methods import Method
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
@@ -97,5 +97,5 @@ def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -
     rehearsed = copy.deepcopy(scenario)
     rehearsed.world, rehearsed.explorer.keep_out = LoadScenario("paper").world, []
     rehearsed.explorer.first_look, rehearsed.explorer.first_turns = 0.0, 1
-    mission = Mission(rehearsed, method, None, "rehearsal")
-    MissionRunner(mission, interrupted, max_time=REHEARSAL).run()
+    mission = Mission(MissionRequest(rehearsed, method, max_time=REHEARSAL))
+    MissionRunner(mission, interrupted).run()

@@ -6,7 +6,7 @@ import json
 import math
 import resource
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +19,15 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
-from tfg_drake.messages import FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.percent import percent
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 1
 NO_POSES = np.zeros((0, 3))
@@ -49,7 +52,7 @@ CALIBRATED = (
 NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation", "wall_look_noise")
 
 
-def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str) -> dict[str, Any]:
+def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     """Write map.npz or grid.npz, summary.json, trajectory.tum, truth.tum and figure.png, and return the summary.
 
     What would take the world or the truth is null where that is not known, and there is no truth.tum. The distance is
@@ -60,7 +63,6 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
     summary = _known_to_any(mission, estimate, X_WB, map_bytes)
-    summary |= {"scenario": name, "world": world_name}
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
@@ -93,10 +95,26 @@ def write_report(mission: Mission, folder: RunFolder, name: str, world_name: str
     folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
-    X_WB_true = true_poses[1] if true_poses is not None else NO_POSES
-    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
-    folder.attempt("figure.png", lambda path: _draw(path, _title(summary), *seen))
+    folder.attempt("figure.png", lambda path: _draw(path, mission, _title(summary), estimate, tfg, reachable))
     return summary
+
+
+def figure_of(
+    mission: Mission,
+    title: str,
+    estimate: MapEstimate | None,
+    tfg: TfgMap | None,
+    reachable: BoolArray | None = None,
+) -> Figure:
+    """A mission's building, a map of it and the way. reachable: (t,) of the world's tags, where that is known."""
+    from tfg_drake.pictures.figure import run_figure  # Its libraries stay out of a mission's memory.
+
+    world, true_poses = mission.world_then, mission.true_poses()
+    if reachable is None:
+        reachable = np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_)
+    X_WB, X_WB_true = mission.estimated_poses()[1], NO_POSES if true_poses is None else true_poses[1]
+    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
+    return run_figure(title, *seen)
 
 
 def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, MapEstimate | None, TfgMap | None, int]:
@@ -126,8 +144,8 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
     return {
         "schema": SCHEMA,
         "version": __version__,
-        "scenario": None,
-        "world": None,
+        "scenario": mission.request.name,
+        "world": mission.request.world_name or mission.request.name,
         "seed": mission.scenario.seed,
         "method": mission.method.name,
         "outcome": mission.outcome,
@@ -190,12 +208,10 @@ def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, An
     }
 
 
-def _draw(path: Path, *arguments: Any) -> None:
-    """Writes `run_figure`, whose libraries stay out of a mission's memory."""
-    from tfg_drake.pictures.figure import run_figure
+def _draw(path: Path, *shown: Any) -> None:
     from tfg_drake.pictures.figure_file import write_figure
 
-    write_figure(path, run_figure(*arguments))
+    write_figure(path, figure_of(*shown))
 
 
 def _size(path: Path) -> int:

@@ -15,46 +15,35 @@ import dataclasses
 import gc
 import logging
 import math
-import threading
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydrake.common.yaml import yaml_dump_typed
-from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
-from tfg_drake.diagrams.methods import METHODS, Method
-from tfg_drake.diagrams.missions.mission import STATE, Mission, stage_lines
-from tfg_drake.diagrams.missions.mission_runner import MissionRunner, Progress
+from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.missions.mission import STATE, Mission, MissionRequest, stage_lines
+from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.resume import KNOWN_MAP, scenario_digest
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
-from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.diagrams.scenario import AreasOutside, MakeWorld, Scenario
-from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
-from tfg_drake.notes import Note, NoteKeeper
+from tfg_drake.notes import NoteKeeper
 from tfg_drake.storage import port_recording
 from tfg_drake.storage import timeline as timeline_file
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
 from tfg_drake.storage.checkpoint import write_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME, PortWriter
-from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
-
-if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
-    from tfg_drake.cockpit.server import Cockpit
 
 # The map is kept no more often than takes this share of the time on the wall, and the mission likewise: of one that is
 # killed a few seconds of work are lost, ten in a large building.
@@ -97,46 +86,10 @@ class RunResult:
     mission: Mission
 
 
-def run_mission(
-    scenario: Scenario,
-    *,
-    method: Method = METHODS["tfg"],
-    robot: Robot = SIMULATED,
-    name: str = "scenario",
-    world_name: str | None = None,
-    meshcat: Meshcat | None = None,
-    cockpit: Cockpit | None = None,
-    realtime_rate: float = 0.0,
-    max_time: float = 3600.0,
-    out_dir: Path | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-    interrupted: threading.Event | None = None,
-    record: bool = True,
-    warm_up: WarmUp | None = None,
-    monitor: Callable[[Mission], Callable[[Context], EventStatus]] | None = None,
-    notes: Sequence[Note] = (),
-    before: Packed | None = None,
-) -> RunResult:
+def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
     """Run one mission to its end and write its folder.
 
-    Args:
-        scenario: everything that defines the run, the seed included.
-        method: what explores.
-        robot: what it drives.
-        name: what the run is called in titles and the folder's name; world_name the world's, the same by default.
-        meshcat: where to draw it; None for no picture in Meshcat.
-        cockpit: the page that shows what is recorded, and asks for something; None for none.
-        realtime_rate: simulated seconds per second at most; 0 for as fast as possible.
-        max_time: simulated s after which the outcome is time_limit, as it is when the robot's station ends.
-        out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
-        on_progress: called about once a simulated second, and once more before the files of the run are written.
-        interrupted: ends the mission when set, for a caller that looks after signals itself.
-        record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
-            grows; not for what a seed gives again.
-        warm_up: those who compile the kernels that come after its first look, which takes its time until all are there.
-        monitor: makes what is called with the diagram's Context after every step of the simulator.
-        notes: what was not believed before it began, of a recording.
-        before: the state in which the mission that is in out_dir was cut short, to go on with it.
+    request: what is asked for, or its scenario and, by keyword, what else a MissionRequest has.
 
     The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
     An error inside the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt.
@@ -147,14 +100,18 @@ def run_mission(
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    with open_run_folder(out_dir, f"{name}-{scenario.seed}", goes_on=before is not None) as folder, folder.logging():
+    if isinstance(request, Scenario):
+        request = MissionRequest(request, **given)
+    scenario, method, robot, before = request.scenario, request.method, request.robot, request.before
+    name, cockpit = f"{request.name}-{scenario.seed}", request.cockpit
+    with open_run_folder(request.out_dir, name, goes_on=before is not None) as folder, folder.logging():
         if before is None:
             scenario = _with_map_kept(scenario, folder.path)
-        _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, name, scenario.seed)
-        if record and robot.world_known:
+            request = dataclasses.replace(request, scenario=scenario)
+        _log.info("tfg_drake %s: %s, %s, seed %d", __version__, method.name, request.name, scenario.seed)
+        if request.record and robot.world_known:
             for line in (*odd_tags(MakeWorld(scenario.world)), *AreasOutside(scenario)):
                 _of_world.warning(line)
-        title = f"{name if method.name == 'tfg' else f'{name}, {method.name}'}, seed {scenario.seed}"
         with contextlib.ExitStack() as stack:
             # What there is so far is not looked through for garbage again and again. What is left of all that comes
             # now, such as a figure's megabytes, is collected at the end.
@@ -162,7 +119,7 @@ def run_mission(
             stack.callback(gc.unfreeze)
             stack.callback(gc.collect)
             writer = timeline = None
-            if record:
+            if request.record:
                 ports = None if before is None else before.take("ports", port_recording.Standing)
                 picture = None if before is None else before.take("timeline", timeline_file.Standing)
                 writer = stack.enter_context(PortWriter(folder.path / FILE_NAME, robot.name, ports))
@@ -171,24 +128,23 @@ def run_mission(
             if cockpit is not None and timeline is not None:
                 cockpit.follow(folder.path / TIMELINE)
             folder.keep_reserve()
+            interrupted = request.interrupted
             if interrupted is None:
                 interrupted = Interruption()
                 interrupted.first = lambda *_: None
                 stack.enter_context(interrupted.heard())
-            mission = Mission(scenario, method, meshcat, title, robot, writer, timeline, cockpit, before)
-            mission.notes += notes
+            mission = Mission(request, writer, timeline)
+            mission.notes += request.notes
             stack.enter_context(NoteKeeper(mission.notes))
             rows = [] if before is None else before.take("stages", STATE["stages"])
             folder.attempt("stages.jsonl", lambda path: write_atomic(path, stage_lines(rows)))
-            told = {"scenario": name, "world": world_name or name, "seed": scenario.seed, "robot": robot.name}
+            told = {"scenario": request.name, "world": request.world_name or request.name, "seed": scenario.seed}
             told |= {"method": method.name, "own": bool(method.source) or method.name not in METHODS}
-            told["scenario_digest"] = scenario_digest(folder.path)
+            told |= {"robot": robot.name, "scenario_digest": scenario_digest(folder.path)}
             keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
-            runner = MissionRunner(mission, interrupted, realtime_rate, max_time, cockpit, on_progress)
-            looks_on = monitor(mission) if monitor is not None else None
-            runner.run(lambda line: folder.append("stages.jsonl", line), keep, warm_up, looks_on)
+            MissionRunner(mission, interrupted).run(lambda line: folder.append("stages.jsonl", line), keep)
             folder.give_up_reserve()
-            summary = write_report(mission, folder, name, world_name or name)
+            summary = write_report(mission, folder)
             if mission.outcome in ("complete", "stuck", "apart"):
                 folder.attempt(CHECKPOINT, lambda path: path.unlink(missing_ok=True))
             mission.say(mission.outcome.replace("_", " "))
@@ -197,7 +153,7 @@ def run_mission(
                 told = {name: summary[name] for name in TOLD_AT_THE_END}
                 timeline.write("end", mission.time, {}, **told, folder=str(folder.path))
         if timeline is not None:
-            page = lambda path: export_page(folder.path / TIMELINE, path, title, viewer_script())  # noqa: E731
+            page = lambda path: export_page(folder.path / TIMELINE, path, mission.request.title, viewer_script())  # noqa: E731
             folder.attempt(PAGE, page)
         if timeline is not None and timeline.failure is not None:
             folder.unwritten[TIMELINE] = timeline.failure.strerror or str(timeline.failure)

@@ -32,6 +32,7 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
@@ -97,7 +98,7 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
     # Whoever started this process looks after signals.
-    result = run.run_mission(
+    request = MissionRequest(
         task.scenario,
         method=FindMethod(task.source or task.method),
         name=task.name,
@@ -107,6 +108,7 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
         interrupted=threading.Event(),
         record=False,  # A megabyte and a half a minute, and what one seed gives again.
     )
+    result = run.run_mission(request)
     write_atomic(folder / "task.json", json.dumps(task.receipt(), indent=2) + "\n")
     return result.summary
 

@@ -9,20 +9,13 @@ from tfg_drake.hardware.announcements import Publisher
 from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
-from tfg_drake.messages import GoalChoice, GridMap, MapEstimate, Odometry, Path, PoseEstimate, Roadmap, TfgMap, replace
-from tfg_drake.systems.ports import MessageInputs
+from tfg_drake.messages import replace
+from tfg_drake.systems.ports import MessageInputs, connect_by_name
 
 # Between two poses, s.
 PERIOD = 1.0 / 16.0
 
-_KINDS = {
-    "map": MapEstimate,
-    "tfg": TfgMap,
-    "roadmap": Roadmap,
-    "goal": GoalChoice,
-    "path": Path,
-    "grid": GridMap,
-}
+_SHOWN = ("map", "tfg", "roadmap", "goal", "path", "grid")
 
 
 class MapPublisher(LeafSystem):
@@ -52,7 +45,7 @@ class MapPublisher(LeafSystem):
         super().__init__()
         self.set_name("map_publisher")
         self._device, self._frames, self._clock = device, frames, clock
-        self._Get = MessageInputs(self, pose=PoseEstimate, odometry=Odometry, **_KINDS).optional
+        self._Get = MessageInputs(self, "pose", "odometry", *_SHOWN).optional
         self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Remember)
@@ -68,10 +61,7 @@ class MapPublisher(LeafSystem):
     ) -> MapPublisher:
         """Adds one, connected to a station and an explorer by port name."""
         publisher = builder.AddNamedSystem("map_publisher", MapPublisher(device, frames, clock))
-        for name in ("pose", *_KINDS):
-            if explorer.HasOutputPort(name):
-                builder.Connect(explorer.GetOutputPort(name), publisher.GetInputPort(name))
-        builder.Connect(station.GetOutputPort("base.odometry"), publisher.GetInputPort("odometry"))
+        connect_by_name(builder, publisher, explorer, station, odometry="base.odometry")
         return publisher
 
     def _Publish(self, context: Context) -> EventStatus:
@@ -87,9 +77,9 @@ class MapPublisher(LeafSystem):
         return EventStatus.Succeeded()
 
     def _PublishMap(self, context: Context, stamp: float) -> None:
-        now = {name: self._Get(context, name) for name in _KINDS}
+        now = {name: self._Get(context, name) for name in _SHOWN}
         before = context.get_abstract_state(int(self._published)).get_value()
-        before = before if isinstance(before, dict) else dict.fromkeys(_KINDS)
+        before = before if isinstance(before, dict) else dict.fromkeys(_SHOWN)
         changed = {name for name, message in now.items() if message is not before[name]}
         frames, publish = self._frames, self._device.publish
         if "tfg" in changed:
@@ -107,5 +97,5 @@ class MapPublisher(LeafSystem):
 
     def _Remember(self, context: Context, state: State) -> None:
         # Copying the context costs nothing, since a message's deep copy is itself.
-        published = {name: self._Get(context, name) for name in _KINDS}
+        published = {name: self._Get(context, name) for name in _SHOWN}
         state.get_mutable_abstract_state(int(self._published)).set_value(published)

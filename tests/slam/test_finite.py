@@ -49,7 +49,7 @@ def test_what_cannot_be_solved_is_told_in_a_line(turned, monkeypatch):
     def fail(*_args):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
 
-    monkeypatch.setattr(estimator, "reduced", fail)
+    monkeypatch.setattr(estimator, "reduced_now", fail)
     state = begin_turn(state, robot.time)
     with pytest.raises(EstimateLost, match=r"\(Matrix is not positive definite\)"):
         end_turn(state, robot.time)

@@ -10,7 +10,7 @@ from tests.walls import known_at_their_ends, no_walls, walls_between
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import WALLS_BELOW, MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
-from tfg_drake.planning.candidates import time_all_round, time_at_goal
+from tfg_drake.planning.candidates import GoalParameters, time_all_round, time_at_goal
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.slam.keyframe_graph import empty_map
@@ -58,7 +58,7 @@ def roadmap(stage=1):
 class Selector:
     def __init__(self, **explorer):
         config = ExplorerConfig(**explorer)
-        self.system = InfoGainGoalSelector(RobotConfig(), OdometryConfig(), TagSensorConfig(), config)
+        self.system = InfoGainGoalSelector(GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), config))
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.now = {}

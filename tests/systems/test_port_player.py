@@ -47,9 +47,9 @@ def test_the_player_says_at_every_time_what_the_recorder_heard_then(tmp_path):
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", LateStation())
     with PortWriter(tmp_path / "ports.mcap", "late") as writer:
-        PortRecorder.AddToBuilder(
-            builder, station, station, writer, {name: station.GetOutputPort(name) for name in REQUESTS.values()}
-        )
+        recorder = builder.AddNamedSystem("recorder", PortRecorder(writer))
+        requested = {name: station.GetOutputPort(name) for name in REQUESTS.values()}
+        recorder.Connect(builder, station, station, requested)
         Simulator(builder.Build()).AdvanceTo(2.0)
     recording = read_recording(tmp_path)
     assert recording.end_time == 2.0 - 2.0 % PERIOD

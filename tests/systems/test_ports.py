@@ -56,7 +56,7 @@ class _Counter(LeafSystem):
     def __init__(self):
         super().__init__()
         self.hazards = MessageState(self, Hazards(0.0, 0, 0, 0))
-        self.hazards.declare_output(self, "cliff", lambda now: now.cliff)
+        self.hazards.declare_outputs(self, "cliff")
         self.DeclareStateOutputPort("hazards", self.hazards.index)
 
 

@@ -20,7 +20,9 @@ from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
 
-CONFIGS = RobotConfig(), OdometryConfig(), TagSensorConfig(), ExplorerConfig(), PlannerConfig()
+PARAMETERS = RoadmapParameters(
+    RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PlannerConfig(), seed=1
+)
 NONE = np.zeros((0, 2))
 IDS = np.zeros(0, dtype=np.int64)
 SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])
@@ -65,14 +67,14 @@ def output(system, context, name):
     return system.GetOutputPort(name).Eval(context)
 
 
-def looked(state, estimate, tfg, scan, mission, parameters):
+def looked(state, estimate, tfg, scan, mission):
     """The planner's state after one look."""
-    return step(state, Now(estimate, tfg, pose(tfg.stage), empty_choice(), scan, mission, parameters))
+    return step(state, Now(estimate, tfg, pose(tfg.stage), empty_choice(), scan, mission, PARAMETERS))
 
 
 class Planner:
     def __init__(self):
-        self.system = PrmPlanner(*CONFIGS, seed=1)
+        self.system = PrmPlanner(PARAMETERS)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         estimate, tfg = maps(0)
@@ -171,8 +173,8 @@ def test_what_blocked_the_way_is_kept_for_some_stages():
         assert path.stage == stage
         return np.hypot(*(path.points - met).T).min()
 
-    assert nearest(2) > CONFIGS[0].radius
-    assert nearest(1 + OBSTACLE_MEMORY) > CONFIGS[0].radius
+    assert nearest(2) > PARAMETERS.robot.radius
+    assert nearest(1 + OBSTACLE_MEMORY) > PARAMETERS.robot.radius
     assert nearest(2 + OBSTACLE_MEMORY) < 0.1
 
 
@@ -180,11 +182,9 @@ def test_a_robot_that_fails_again_and_again_forgets_what_it_met():
     estimate, tfg = maps(2)
     met = np.array([[1.0, -1.0, 1.0, 1.0]])
     state = replace(initial_state(), estimate=estimate, obstacles=met, obstacle_view=np.zeros(1, dtype=np.int64))
-    robot, odometry, sensor, explorer, planner = CONFIGS
-    parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     for failures, left in ((BOLD_AFTER - 1, 1), (BOLD_AFTER, 0)):
         mission = MissionStatus("choose", 2, 0.0, failures=failures)
-        grown = looked(state, estimate, tfg, scan(-np.inf), mission, parameters)
+        grown = looked(state, estimate, tfg, scan(-np.inf), mission)
         assert len(grown.obstacles) == left
 
 
@@ -195,10 +195,8 @@ def test_a_robot_shut_in_by_what_it_met_forgets_it():
     ring = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     met = np.hstack([ring[:-1], ring[1:]])
     state = replace(initial_state(), estimate=estimate, obstacles=met, obstacle_view=np.zeros(len(met), dtype=np.int64))
-    robot, odometry, sensor, explorer, planner = CONFIGS
-    parameters = RoadmapParameters(robot, sensor, odometry, explorer, planner, seed=1)
     mission = MissionStatus("choose", 1, 0.0)
-    state = looked(state, estimate, tfg, scan(), mission, parameters)
+    state = looked(state, estimate, tfg, scan(), mission)
     assert state.roadmap.reachable.mean() > 0.9
     assert len(state.obstacles) == 0
 

@@ -5,9 +5,8 @@ import pytest
 
 from tests.diagrams.rooms import room
 from tests.walls import no_walls
-from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions.errors import landmark_figures, online_pose_anees
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import replace
 from tfg_drake.slam.keyframe_graph import empty_map
@@ -73,7 +72,7 @@ def test_the_online_poses_are_judged_by_what_was_said_then():
 
 
 def test_poses_are_logged_with_their_covariance_once_a_second():
-    mission, seen = Mission(room(), FindMethod("tfg"), None, "room"), []
+    mission, seen = Mission(MissionRequest(room())), []
     mission.begin()
     while mission.time < 8.0:
         seen.append(mission.pose)

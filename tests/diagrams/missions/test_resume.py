@@ -16,7 +16,7 @@ from tests.storage.test_checkpoint import TOLD
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import METHODS, FindMethod
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.replay_station import ReplayRobot
 from tfg_drake.diagrams.robots import SIMULATED
@@ -134,7 +134,7 @@ def test_a_real_robot_that_was_carried_finds_itself_first(half):
     elsewhere = scenario()
     elsewhere.world.start = [7.5, 3.0, 2.0]
     robot = dataclasses.replace(SIMULATED, name="kobuki", world_known=False, real=True, enabled=True)
-    mission = Mission(elsewhere, METHODS["tfg"], None, "", robot, before=read_checkpoint(half.folder)[1])
+    mission = Mission(MissionRequest(elsewhere, robot=robot, before=read_checkpoint(half.folder)[1]))
     mission.begin()
     assert (mission.time, mission.status.phase) == (CUT, "observe")
     station = mission.simulator.get_system().GetSubsystemByName("station")
@@ -163,12 +163,12 @@ def test_every_method_goes_on_to_the_bit(name, tmp_path):
             drive_csv((Pressed(2.5, "forward"), Pressed(6.0, "left"), Pressed(9.0, "forward")))
         )
         method = FindMethod(str(tmp_path / "keys.csv"))
-    whole = Mission(rooms, method, None, "")
+    whole = Mission(MissionRequest(rooms, method))
     whole.begin()
     whole.advance(8.0)
     write_checkpoint(tmp_path / "checkpoint.bin", TOLD, whole.state())
     whole.advance(12.0)
-    after = Mission(rooms, method, None, "", before=read_checkpoint(tmp_path)[1])
+    after = Mission(MissionRequest(rooms, method, before=read_checkpoint(tmp_path)[1]))
     after.begin()
     assert after.time == 8.0
     after.advance(12.0)
@@ -181,7 +181,7 @@ def test_every_method_goes_on_to_the_bit(name, tmp_path):
 @pytest.fixture
 def state(half):
     """Annotations and values of a checkpoint's parts."""
-    mission = Mission(scenario(), METHODS["tfg"], None, "", before=read_checkpoint(half.folder)[1])
+    mission = Mission(MissionRequest(scenario(), before=read_checkpoint(half.folder)[1]))
     mission.begin()
     return mission.state()
 
@@ -225,7 +225,7 @@ def test_a_map_whose_indices_are_out_of_bounds_is_no_state(half, state, tmp_path
     wrong = replace(graph, star_offsets=graph.star_offsets + 10**9)
     state["/explorer/tfg_builder"] = hint, (replace(builder, graph=wrong),)
     write_checkpoint(tmp_path / "checkpoint.bin", TOLD, state)
-    mission = Mission(scenario(), METHODS["tfg"], None, "", before=read_checkpoint(tmp_path)[1])
+    mission = Mission(MissionRequest(scenario(), before=read_checkpoint(tmp_path)[1]))
     with pytest.raises(CheckpointError, match="is damaged"):
         mission.begin()
 
