@@ -303,4 +303,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         del rows["walls"]
     elif not (mapped or present or summary["landmarks_doubtful"]):
         del rows["tags"]
-    return list(rows.items())
+    from tfg_drake.diagrams.missions.left_open import left_open_rows
+
+    return [*rows.items(), *left_open_rows(summary)]

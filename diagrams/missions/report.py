@@ -12,6 +12,7 @@ import numpy as np
 
 from tfg_drake import __version__
 from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
+from tfg_drake.diagrams.missions.left_open import left_open
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
 from tfg_drake.geometry.se2 import transform
@@ -182,6 +183,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "area_seen_s": None,
         "explored_s": mission.explored_time,
         "open_edges": mission.open_edges(),
+        **left_open(mission),
         "contacts": None,
         "contacts_received": None,
         "min_clearance_m": None,

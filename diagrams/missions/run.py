@@ -25,6 +25,7 @@ from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.missions.left_open import ON_PAGE, left_open_rows
 from tfg_drake.diagrams.missions.mission import STATE, Mission, MissionRequest, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.missions.report import write_report
@@ -151,6 +152,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             mission.show()
             if timeline is not None:
                 told = {name: summary[name] for name in TOLD_AT_THE_END}
+                told["left_open"] = left_open_rows(summary, ON_PAGE)
                 timeline.write("end", mission.time, {}, **told, folder=str(folder.path))
         if timeline is not None:
             page = lambda path: export_page(folder.path / TIMELINE, path, mission.request.title, viewer_script())  # noqa: E731

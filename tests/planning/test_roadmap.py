@@ -318,6 +318,14 @@ def test_a_door_that_shut_is_open_until_the_robot_has_tried_in_vain():
     assert (reached, open_once) == ({False: True, True: False}, {False: True, True: True})
 
 
+def test_an_edge_needs_what_the_robot_needs_at_the_end_where_it_knows_its_place_worse():
+    state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0)])
+    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    need = roadmap_message(state, ways, ROBOT, PLANNER).need
+    assert (need >= ROBOT.radius + NODE_MARGIN - 1e-9).all()
+    np.testing.assert_allclose(need[state.edges.nodes].max(axis=1), state.edges.required)
+
+
 def test_of_two_tight_doors_driven_through_the_wider_stays_open():
     doors = np.array([[0.0, -2.0, 0.0, -1.21], [0.0, -0.79, 0.0, 0.78], [0.0, 1.22, 0.0, 2.0]])
     walls = two_rooms()

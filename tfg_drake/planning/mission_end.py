@@ -33,6 +33,7 @@ REASONS = (
     "where the robot does not fit",
     "where the robot does not fit or must not enter",
 )
+SHUT = 2
 IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 
@@ -93,7 +94,7 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
     free = inside_any((roadmap.points[shut, None] + outline).reshape(-1, 2), tfg.star_offsets, tfg.star_vertices)
     shut = shut[free.reshape(-1, 4).all(axis=1)]
     apart, _ = cKDTree(roadmap.points[roadmap.reachable]).query(roadmap.points[shut])
-    hindrance[shut[apart > DRIFTED]] = 2
+    hindrance[shut[apart > DRIFTED]] = SHUT
     hindrance[roadmap.enterable] = 1
     hindrance[roadmap.reachable] = 0
     seen = expected_frontiers(roadmap.points, tfg, sensor)

@@ -278,6 +278,7 @@ def roadmap_message(
         driven=driven,
         ids=state.ids,
         once_open=_joined(state, fits | shut, np.isfinite(ways.cost)),
+        need=room_needed(robot, planner, state.sigma, ACCEPTED),
     )
 
 

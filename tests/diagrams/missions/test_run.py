@@ -31,8 +31,8 @@ cpu_time_s real_time_factor distance_m stages landmarks_present landmarks_reacha
 landmarks_doubtful landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m
 least_known changes landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m
 position_error_moving_m heading_error_rad surface_coverage surface_coverage_5cm surface_phantom_m area_coverage
-area_seen_s explored_s open_edges contacts contacts_received min_clearance_m map_variables map_bytes calibration
-estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
+area_seen_s explored_s open_edges openings undiscovered contacts contacts_received min_clearance_m map_variables
+map_bytes calibration estimator_cpu_s planner_cpu_s simulator_cpu_s peak_rss_bytes stage_ms"""
 FIELDS = _FIELDS.split()
 
 

@@ -218,7 +218,7 @@ function tellEnd() {
   if (shares.length) list.push(["coverage", shares.map(([share, what]) => `${percent(share)} of the ${what}`).join(", ")]);
   if (end.contacts !== null)
     list.push(["contacts", `${end.contacts} by the robot, ${end.contacts_received} by others`]);
-  list.push(["folder", end.folder]);
+  list.push(...(end.left_open ?? []), ["folder", end.folder]);
   const title = made("h2", {}, `Mission ${end.outcome.replace("_", " ")}`),
     names = made("dl", {}, ...list.flatMap(([name, text]) => [made("dt", {}, name), made("dd", {}, `${text}`)])),
     close = made("button", { title: "Close" }, "×");

@@ -1,0 +1,143 @@
+"""The openings of the known free space: its edges that are no surface, and what keeps the robot from each."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from tfg_drake.config import NODE_MARGIN, RobotConfig, TagSensorConfig
+from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.star import inside_any
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap, message
+from tfg_drake.planning.mission_end import SHUT, hindrances
+
+# Side of a cell of the grid that openings are looked for on, m, larger where the map has more cells than this.
+CELL, MOST_CELLS = 0.025, 1_000_000
+# What is nearer to a surface than this belongs to it, m; a shorter edge lies between the rays of a scan, m.
+BESIDE_SURFACE, LEAST_EDGE = 0.08, 0.05
+# The room of ways is told apart by this, m, up to so much more than the robot's radius, m.
+ROOM_STEP, MOST_MARGIN = 0.01, 0.15
+# The unknown is looked at as far as this from an opening, m, on a grid of cells of this side, m.
+REACH, COARSE = 4.0, 0.05
+# A frontier point this near to an opening's end is part of it, m.
+SAME_OPENING = 0.8
+# What keeps the robot from an opening, the rows of Openings.why.
+WHY = (
+    "not worth the way",
+    "tried in vain",
+    "where the robot must not enter",
+    "behind a door that shut",
+    "too narrow for the uncertainty of the map",
+    "too narrow for the robot",
+)
+NOT_WORTH, IN_VAIN, KEPT_OUT, BEHIND_DOOR, TOO_UNCERTAIN, TOO_NARROW = range(6)
+
+
+@message
+class Openings:
+    """Edges of the known free space that are no surface.
+
+    p: (o, 2) the middle of each, m in M. width: (o,) m from end to end. room: (o,) m to either side on the widest way
+    there through known free space. need: (o,) m, the room that the robot needs by its deviation there. unknown: (o,)
+    m^2 of the largest region behind it, within REACH, that is unknown and has room for the robot. why: (o,) row of WHY.
+    """
+
+    p: Annotated[FloatArray, "o", 2]
+    width: Annotated[FloatArray, "o"]
+    room: Annotated[FloatArray, "o"]
+    need: Annotated[FloatArray, "o"]
+    unknown: Annotated[FloatArray, "o"]
+    why: Annotated[IntArray, "o"]
+
+    @property
+    def missing(self) -> FloatArray:
+        """The room (o,), m to either side, that the way to each lacks; 0 where it lacks none."""
+        return np.where(self.why >= TOO_UNCERTAIN, np.maximum(self.need - self.room, ROOM_STEP), 0.0)
+
+
+def find_openings(
+    tfg: TfgMap, roadmap: Roadmap, p_MB: FloatArray, robot: RobotConfig, sensor: TagSensorConfig
+) -> Openings:
+    """The openings of a map with its roadmap. p_MB: (2,) where the robot is, m in M."""
+    low, high = (of(tfg.star_vertices, axis=0) for of in (np.min, np.max))
+    cell = max(CELL, float(np.sqrt(np.prod(high - low + 2.0 * REACH) / MOST_CELLS)))
+    x, y = (np.arange(low[i] - REACH, high[i] + REACH, cell) for i in range(2))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    free = inside_any(points, tfg.star_offsets, tfg.star_vertices).reshape(len(y), len(x))
+    points, most = np.hstack([points, points]), robot.radius + MOST_MARGIN
+    beside_surfaces = clearance(points, tfg.segments, most).reshape(free.shape)
+    start = int((p_MB[1] - y[0]) / cell), int((p_MB[0] - x[0]) / cell)
+    anywhere = widest = _widest(free, beside_surfaces, start)
+    if len(tfg.keep_out):
+        beside_areas = clearance(points, tfg.keep_out, most).reshape(free.shape)
+        widest = _widest(free, np.minimum(beside_surfaces, beside_areas), start)
+    step = max(1, round(COARSE / cell))
+    enterable = ndimage.distance_transform_edt(~free[::step, ::step]) * step * cell >= robot.radius
+    enterable &= beside_surfaces[::step, ::step] >= robot.radius
+    rows = []
+    for r, c in _edges(free, beside_surfaces >= BESIDE_SURFACE):
+        length = float(np.hypot(np.ptp(r), np.ptp(c))) * cell
+        if length >= LEAST_EDGE:
+            middle = int(np.argmin(np.hypot(r - r.mean(), c - c.mean())))
+            behind = _behind(enterable, r // step, c // step, robot.radius, step * cell)
+            room = widest[r, c].max(), anywhere[r, c].max()
+            rows.append([x[c[middle]], y[r[middle]], length + 2.0 * BESIDE_SURFACE, *room, behind])
+    found = np.array(rows).reshape(-1, 6)
+    p, width, room, room_anywhere, behind = found[:, :2], *found[:, 2:].T
+    need = np.full(len(p), robot.radius + NODE_MARGIN)
+    if len(roadmap.need) and len(p):
+        need = np.minimum(roadmap.need[cKDTree(roadmap.points).query(p)[1]], most)
+    has_shut = hindrances(tfg, roadmap, sensor, robot.radius) == SHUT
+    why = np.where(room >= robot.radius + NODE_MARGIN - ROOM_STEP, TOO_UNCERTAIN, TOO_NARROW)
+    why[_at(p, width, tfg.frontiers[has_shut])] = BEHIND_DOOR
+    why[room_anywhere >= need - ROOM_STEP] = KEPT_OUT
+    open_to = room >= need - ROOM_STEP
+    why[open_to] = np.where(_at(p, width, tfg.given_up), IN_VAIN, NOT_WORTH)[open_to]
+    return Openings(p, width, room, need, behind, why)
+
+
+def _edges(free: BoolArray, off_surface: BoolArray) -> list[tuple[IntArray, IntArray]]:
+    """Rows and columns of the cells of each edge of what is free (h, w), off all surfaces (h, w) on either side."""
+    border = free & off_surface & ndimage.binary_dilation(~free & off_surface)
+    # What a cell between two parts hides is one edge all the same.
+    label, _ = ndimage.label(ndimage.binary_dilation(border, np.ones((3, 3))), np.ones((3, 3)))
+    row, column = np.nonzero(border)
+    order, ends = np.argsort(label[row, column], kind="stable"), np.cumsum(np.bincount(label[row, column]))
+    return [(row[some], column[some]) for some in np.split(order, ends[:-1]) if len(some)]
+
+
+def _widest(free: BoolArray, room: FloatArray, start: tuple[int, int]) -> FloatArray:
+    """The room (h, w), m, on the widest way from a cell to each other, in steps of ROOM_STEP; 0 where there is none."""
+    widest, near = np.zeros(free.shape), tuple(slice(max(0, at - 3), at + 4) for at in start)
+    for level in np.arange(ROOM_STEP, room.max(), ROOM_STEP):
+        label, _ = ndimage.label(free & (room >= level), np.ones((3, 3)))
+        here = label[near].ravel()
+        if not here.any():
+            break
+        widest[label == here[here > 0][0]] = level
+    return widest
+
+
+def _behind(enterable: BoolArray, row: IntArray, column: IntArray, radius: float, cell: float) -> float:
+    """The area, m^2, of the largest region within REACH that a disc of a radius, m, sweeps whose middle may be where it
+    is enterable (h, w), and comes next to some of the cells (k,)."""
+    reach, r, c = round(REACH / cell), int(row.mean()), int(column.mean())
+    top, left = max(0, r - reach), max(0, c - reach)
+    label, _ = ndimage.label(enterable[top : r + reach + 1, left : c + reach + 1])
+    row, column = row - top, column - left
+    inside = (row >= 0) & (row < label.shape[0]) & (column >= 0) & (column < label.shape[1])
+    elsewhere = np.ones(label.shape, dtype=np.bool_)
+    elsewhere[row[inside], column[inside]] = False
+    touched = np.unique(label[ndimage.distance_transform_edt(elsewhere) * cell <= radius + 1.5 * cell])
+    swept = [np.count_nonzero(ndimage.distance_transform_edt(label != one) * cell <= radius) for one in touched if one]
+    return max(swept, default=0) * cell**2
+
+
+def _at(p: FloatArray, width: FloatArray, points: FloatArray) -> BoolArray:
+    """Which openings (o,), by middle (o, 2) and width (o,), m, some of the points (k, 2), m, are part of."""
+    if not len(points):
+        return np.zeros(len(p), dtype=np.bool_)
+    return np.asarray(cKDTree(points).query(p)[0] <= 0.5 * width + SAME_OPENING)

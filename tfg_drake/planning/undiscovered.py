@@ -1,0 +1,39 @@
+"""The probability that a room which the robot could enter is undiscovered, by the openings of the known free space.
+
+Each opening i hides a region of A square metres at least with a probability p_i(A), and each tells by itself:
+
+    P(A) = 1 - (1 - q) prod_i (1 - p_i(A))
+    logit p_i = b + u log(U_i / A) + w log(width_i)    where the map leaves room for it, U_i >= A, else p_i = 0
+
+U_i is `Openings.unknown`. q is for what no opening shows: a door that was shut all the time, or a surface that is none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.messages import BoolArray, FloatArray
+from tfg_drake.planning.openings import KEPT_OUT, TOO_NARROW, Openings
+
+# Of rooms of which areas it is asked, m^2.
+AREAS = (1.0, 4.0, 10.0)
+# Fitted to missions in drawn offices by benchmarks/undiscovered.py: b, u, w of openings that the robot can pass, how
+# much less b is where it cannot, and the probability where there is no opening.
+BIAS, BY_UNKNOWN, BY_WIDTH, IMPASSABLE, NO_OPENING = -4.22, 1.01, 2.01, -5.0, 0.006
+
+
+def undiscovered(openings: Openings, areas: tuple[float, ...] = AREAS) -> FloatArray:
+    """The probability (a,) that a room of at least each area (a,), m^2, that the robot could enter is undiscovered."""
+    logit = BIAS + BY_WIDTH * np.log(openings.width) + IMPASSABLE * is_impassable(openings)
+    return np.array([1.0 - (1.0 - NO_OPENING) * np.prod(1.0 - _hides(openings, logit, area)) for area in areas])
+
+
+def is_impassable(openings: Openings) -> BoolArray:
+    """Openings (o,) that the robot, as the map has them, can never pass."""
+    return np.isin(openings.why, (KEPT_OUT, TOO_NARROW))
+
+
+def _hides(openings: Openings, logit: FloatArray, area: float) -> FloatArray:
+    """The probability (o,) that each opening hides a region of an area, m^2, at least."""
+    share = openings.unknown / area
+    return np.where(share >= 1.0, 1.0 / (1.0 + np.exp(-logit - BY_UNKNOWN * np.log(np.maximum(share, 1.0)))), 0.0)
