@@ -5,6 +5,7 @@ Drake's abstract values check no Python type; these few functions do.
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar, cast
@@ -141,7 +142,10 @@ class MessageState(Generic[T]):
         made of it alone, by the port's name."""
         named: dict[str, Callable[[T], object]] = {name: operator.attrgetter(name) for name in names}
         for name, part in (named | parts).items():
-            declare_message_output(system, name, lambda context, part=part: part(self(context)), self.tickets)
+            declare_message_output(system, name, functools.partial(self._part, part), self.tickets)
+
+    def _part(self, part: Callable[[T], object], context: Context) -> object:
+        return part(self(context))
 
 
 def connect_by_name(builder: DiagramBuilder, listener: System, *speakers: System, **heard_as: str) -> None:

@@ -240,7 +240,7 @@ class Search:
         obstacles = walls if keep_out is None else np.vstack([walls, keep_out])
         self._ways = known_ways(obstacles, places, robot.radius + MARGIN)
         around = self._seen_all_round(places, see)
-        self.is_visible = around.any(axis=0)
+        self.is_visible = np.asarray(around.any(axis=0))
         # What nobody sees from any place is not asked for, lest there is no tour.
         self._see, self.places = see.some(self.is_visible), places
         self._around = np.packbits(around[:, self.is_visible], axis=1)
@@ -260,7 +260,7 @@ class Search:
         limits[:, 1] = math.pi
         seen = [seen_from(np.append(p, 0.0)[None], see.points, see.normals, limits, self._walls) == 0 for p in places]
         reached = np.isfinite(self._ways.length[0])
-        return np.array(seen).reshape(len(places), -1) & reached[:, None]
+        return np.asarray(np.array(seen).reshape(len(places), -1) & reached[:, None])
 
     def _bend(self, angle: float) -> float:
         robot = self._robot

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
@@ -96,7 +97,7 @@ def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
     best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
     points, share = roadmap.points[rows[known]], np.clip(choice.gain / best, 0.0, 1.0)[known]
     values = np.column_stack([points / NODE, share / SHARE])
-    arrays = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
+    arrays: dict[str, NDArray[Any]] = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
     return Table(arrays, points, values, choice.candidates[known])
 
 
