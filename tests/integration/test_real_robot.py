@@ -201,7 +201,7 @@ def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
         explorer.wait_for("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn")
         _drives(emulator, explorer)
         # The estimator says so when the turn is over.
-        explorer.wait_for("scans turn against the odometry")
+        explorer.wait_for("scans turn against the odometry", goes_on=True)
         explorer.press("q")
         explorer.wait_for("files")
     assert not any("enabled anew: scans turn against" in line for line in explorer.lines)
