@@ -61,7 +61,7 @@ def mission(row: str, seed: int, out: Path) -> Path | None:
 
 
 def figures(folder: Path, tours: Path) -> dict[str, float] | None:
-    """Of one mission, beside the best tour; None of one that never explored all."""
+    """The times and lengths of a mission beside those of the best tour; None if it never explored all."""
     summary = json.loads((folder / "summary.json").read_text())
     scenario = LoadScenario(folder / "scenario.yaml")
     kept = kept_tour(scenario, tours, lambda line: print(f"  tour, {folder.parent.name}: {line}", flush=True))

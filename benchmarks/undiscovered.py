@@ -113,7 +113,7 @@ class Looks:
                 self.look_at(mission, share, kind)
 
     def kind_at(self, share: float) -> str:
-        """What kind of cut is due where this share of the floor is covered, "" for none."""
+        """The kind of cut that is due where this share of the floor is covered, "" for none."""
         kinds = [kind for at, kind in self.due if at <= share]
         self.due = self.due[len(kinds) :]
         return min(kinds, default="")
@@ -203,7 +203,7 @@ def openings_of(moment: dict[str, Any]) -> Openings:
 
 
 def judged(lines: list[dict[str, Any]], kinds: tuple[str, ...]) -> Iterator[tuple[int, float, float, bool]]:
-    """Of each cut of some kinds and each area: number of the mission, area, m^2, stated probability, outcome."""
+    """A row for each cut of some kinds and each area: the mission's number, area (m^2), stated probability, outcome."""
     for mission, line in enumerate(lines):
         for moment in line["moments"]:
             if moment["kind"] in kinds:

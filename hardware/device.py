@@ -75,7 +75,7 @@ class DeviceError(BadInput, RuntimeError):
 
 
 class Driver:
-    """A robot's driver, used by one thread; one that has nothing to do need not say so.
+    """A robot's driver, used by one thread; a method that has nothing to do may be left out.
 
     sources: name of each kind of message in a remark, such as "scan of /scan".
     """
@@ -88,7 +88,7 @@ class Driver:
 
     def take(self) -> list[Message]:
         """The messages since the last call, those of a kind in the order they arrived."""
-        raise NotImplementedError
+        return []
 
     def fault(self) -> str | None:
         """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""

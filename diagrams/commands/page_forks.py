@@ -27,7 +27,7 @@ def can_fork(run: Path) -> bool:
 
 
 def _begun(number: int, stage: int, folder: Path, line: str) -> dict[str, Any]:
-    """What is told of a fork; later the rows of the comparison, or why there are none, come into it."""
+    """A fork as the page has it; the rows of the comparison, or why there are none, come into it later."""
     return {"number": number, "stage": stage, "folder": str(folder), "line": line, "rows": [], "failure": ""}
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from tfg_drake.comparison.best_tour import BestTour, best_tour, to_see
 from tfg_drake.comparison.runs import Run
 from tfg_drake.comparison.tour_bound import tour_bound
-from tfg_drake.diagrams.missions.errors import EVERY, NEARLY_ALL, path_length
+from tfg_drake.diagrams.missions.errors import NEARLY_ALL, counted_places, path_length
 from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.storage.trajectory import read_tum
@@ -52,10 +52,8 @@ def kept_tour(scenario: Scenario, folder: Path, say: Callable[[str], object] = l
     world = MakeWorld(scenario.world)
     grid, keep_out = make_grid(world), HatchedKeepOut(scenario)
     reachable = reachable_cells(grid, world, scenario.robot.radius, keep_out)
-    counted = np.zeros_like(reachable)
-    counted[::EVERY, ::EVERY] = reachable[::EVERY, ::EVERY]
     tags = reachable_tags(world, grid, reachable, scenario.tags.range, scenario.tags.max_incidence)
-    see = to_see(grid.centers(counted), world, tags, NEARLY_ALL, scenario.scan, scenario.tags)
+    see = to_see(counted_places(grid, reachable), world, tags, NEARLY_ALL, scenario.scan, scenario.tags)
     tour = best_tour(world, grid.centers(reachable), see, scenario.robot, keep_out, say=say)
     say("a bound from below")
     bound = tour_bound(world.walls, world.start[:2], see, scenario.robot)

@@ -1,4 +1,4 @@
-"""What a mission leaves open: each edge of the free space that is no surface, and whether a room may lie behind."""
+"""The openings that a mission leaves: edges of free space that are no surface, and the rooms that may lie behind."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ _LOGS = list[tuple[FloatArray, FloatArray]]
 
 @dataclasses.dataclass(frozen=True)
 class MissionRequest:
-    """What is asked of a mission, by whoever asks: the command line, Python, a comparison, a fork.
+    """A mission as it is asked for, by the command line, Python, a comparison or a fork.
 
     scenario: everything that defines the run, the seed included. method: what explores. robot: what it drives. name:
     what the run is called in titles and the folder's name; world_name: the world's, "" for the same. out_dir: the run's

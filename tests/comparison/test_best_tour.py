@@ -89,7 +89,7 @@ def test_a_tour_sees_what_it_has_to_past_no_wall(scan_range, degrees, tags):
     scan = dataclasses.replace(ScanConfig(), range=scan_range, field_of_view=math.radians(degrees))
     one, eyes = world(tags), TagSensorConfig()
     cells, see = cells_and_see(one, scan, eyes)
-    tour = best_tour(one, cells, see, ROBOT, rounds=8, restarts=1)
+    tour = best_tour(one, cells, see, ROBOT, rounds=8)
     assert tour.is_enough
     _, share = scan_coverage(tour.X_WB, see.points[~see.is_tag], WALLS, scan.range, scan.field_of_view)
     assert share[-1] >= 0.99
@@ -103,7 +103,7 @@ def test_a_tour_sees_what_it_has_to_past_no_wall(scan_range, degrees, tags):
     assert point_distance(tour.X_WB[:, :2].copy(), WALLS).min() >= ROBOT.radius
     assert tour.X_WB[0].tolist() == START.tolist()
     # The same once more.
-    again = best_tour(one, cells, see, ROBOT, rounds=8, restarts=1)
+    again = best_tour(one, cells, see, ROBOT, rounds=8)
     np.testing.assert_array_equal(again.X_WB, tour.X_WB)
 
 
@@ -111,5 +111,5 @@ def test_what_is_seen_from_the_start_takes_no_time():
     one = World(WALLS, np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0), START)
     cells, _ = cells_and_see(one, ScanConfig(), TagSensorConfig())
     see = ToSee(np.array([[2.0, 1.0]]), np.zeros((1, 2)), np.array([[5.0, 1.0, -1.0]]), np.zeros(1, dtype=bool), 0.99)
-    tour = best_tour(one, cells, see, ROBOT, rounds=2, restarts=1)
+    tour = best_tour(one, cells, see, ROBOT, rounds=2)
     assert (tour.time, tour.distance, tour.is_enough) == (0.0, 0.0, True)

@@ -55,7 +55,7 @@ def test_no_tour_of_a_world_drawn_at_random_is_below_its_bound(seed):
     one = replace(outer, walls=np.vstack([outer.walls[:4], rooms, sides]))
     scan = ScanConfig(range=float(rng.uniform(2.5, 10.0)))
     cells, see = cells_and_see(one, scan, TagSensorConfig(range=scan.range))
-    tour = best_tour(one, cells, see, ROBOT, rounds=3, restarts=1)
+    tour = best_tour(one, cells, see, ROBOT, rounds=3)
     time, length = tour_bound(one.walls, one.start[:2], see, ROBOT)
     if tour.is_enough:
         assert time <= tour.time

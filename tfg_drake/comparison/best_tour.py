@@ -484,38 +484,31 @@ def best_tour(
     robot: RobotConfig,
     keep_out: FloatArray | None = None,
     rounds: int = 30,
-    restarts: int = 1,
     say: Callable[[str], object] = lambda line: None,
 ) -> BestTour:
     """The best tour found of a world.
 
     cells: (c, 2) m in W, all places where the robot may be. keep_out: (k, 4) m in W, what else than walls it does not
-    drive through. rounds: of the search on the coarse lattice, for each of
-    several restarts, and on the fine one. say: is told how far it is.
+    drive through. rounds: of the search, on the coarse lattice and on the fine one. say: is told how far it is.
     """
     thinned, start, coarse = _thinned(see), world.start[:2], _lattice(cells, COARSE)
 
     def search_among(*places: FloatArray) -> Search:
         return Search(np.vstack([start, *places]), world.walls, thinned, float(world.start[2]), robot, keep_out)
 
-    search = search_among(coarse)
-    found: list[Stop] | None = None
-    for k in range(restarts):
-        tried = search.best([], rounds, np.random.default_rng(k))
-        if tried is not None and (found is None or search.time(tried) < search.time(found)):
-            found = tried
-        say(f"tour {k + 1} of {restarts}: " + ("none" if found is None else f"{search.time(found):.1f} s"))
+    search, none = search_among(coarse), BestTour(np.zeros(1), world.start[None], False)
+    found = search.best([], rounds, np.random.default_rng(0))
     if found is None:
-        return BestTour(np.zeros(1), world.start[None], False)
+        return none
+    say(f"coarsely: {search.time(found):.1f} s")
     chosen = search.places[[place for place, _ in found]]
     fine = _lattice(cells, FINE)
     near = np.hypot(*(fine[:, None] - chosen).transpose(2, 0, 1)).min(axis=1, initial=np.inf) <= AROUND
     stops = [(1 + k, look) for k, (_, look) in enumerate(found)]
-    best = None
     search = search_among(chosen, fine[near], coarse)
     # A tag that no stop sees is not asked for.
     shown = see.some(np.append(~see.is_tag[~see.is_tag], search.is_visible[thinned.is_tag]))
-    best, rng = None, np.random.default_rng(restarts)
+    best, rng = none, np.random.default_rng(1)
     for k in range(ATTEMPTS):
         better = search.best(stops, rounds if k == 0 else rounds // 10, rng)
         if better is None:
@@ -526,7 +519,7 @@ def best_tour(
         if best.is_enough:
             break
         search.correct(stops)
-    return best or BestTour(np.zeros(1), world.start[None], False)
+    return best
 
 
 def judged(stamps: FloatArray, X_WB: FloatArray, see: ToSee, walls: FloatArray) -> BestTour:

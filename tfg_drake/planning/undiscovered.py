@@ -3,9 +3,10 @@
 Each opening i hides a region of A square metres at least with a probability p_i(A), and each tells by itself:
 
     P(A) = 1 - (1 - q) prod_i (1 - p_i(A))
-    logit p_i = b + u log(U_i / A) + w log(width_i)    where the map leaves room for it, U_i >= A, else p_i = 0
+    logit p_i = b + u log(U_i / A) + w log(width_i) - c    where the map leaves room for it, U_i >= A, else p_i = 0
 
-U_i is `Openings.unknown`. q is for what no opening shows: a door that was shut all the time, or a surface that is none.
+c counts where the robot cannot pass. U_i is `Openings.unknown`. q is for what no opening shows: a door that was shut
+all the time, or a surface that is none.
 """
 
 from __future__ import annotations
