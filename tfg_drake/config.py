@@ -435,7 +435,7 @@ class ExplorerConfig:
     # back. The map's heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every
     # turn; the turns tell where among the landmarks the robot stood.
     first_look: float = 5.0
-    first_turns: int = 2
+    first_turns: int = 1
     # Areas that the robot must not enter, each the corners [x, y] of a polygon in W, m: of a robot in a building that
     # is not known in the frame of its start.
     keep_out: list[list[list[float]]] = dataclasses.field(default_factory=list)

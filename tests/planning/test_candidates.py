@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tfg_drake.config import ExplorerConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.candidates import (
     frontier_seen,
     thin_candidates,
     time_at_goal,
+    time_to_go_on,
 )
 from tfg_drake.planning.expected_view import Visibility
 from tfg_drake.tfg.graph import empty_map
@@ -41,3 +42,8 @@ def test_a_stay_at_a_goal_is_half_of_what_a_turn_has_to_bring_into_view_on_avera
     sensor = dataclasses.replace(TagSensorConfig(), field_of_view=np.pi)
     assert time_at_goal(sensor, ExplorerConfig(turn_rate=0.5)) == pytest.approx(np.pi + 1.0)
     assert time_at_goal(dataclasses.replace(sensor, field_of_view=7.0), ExplorerConfig()) == 1.0
+
+
+def test_from_a_goal_the_robot_turns_by_a_quarter_and_starts_again():
+    robot = RobotConfig(max_turn_rate=0.5, max_speed=0.4, max_acceleration=0.8)
+    assert time_to_go_on(robot) == pytest.approx(np.pi + 0.5)

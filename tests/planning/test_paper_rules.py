@@ -107,6 +107,6 @@ def test_each_rule_that_is_left_out_leaves_the_scenario_as_it_was():
         "frontiers": [],
         "path_cost": [],
         "only_at_goals": ["glance_period", "path_keyframe_period"],
-        "one_turn": ["first_look", "first_turns"],
+        "one_turn": ["first_look"],
         "only_landmarks": ["landmarks"],
     }

@@ -99,6 +99,11 @@ def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     return 0.5 * (time_all_round(sensor, explorer) - OVERHEAD) + OVERHEAD
 
 
+def time_to_go_on(robot: RobotConfig) -> float:
+    """s, from a goal: a quarter of a turn to the next way, on average, and the start on it."""
+    return 0.5 * math.pi / robot.max_turn_rate + robot.max_speed / robot.max_acceleration
+
+
 def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
     """s, at a goal where the robot looks all round."""
     return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD

@@ -18,6 +18,7 @@ from tfg_drake.planning.candidates import (
     places,
     time_all_round,
     time_at_goal,
+    time_to_go_on,
     turn_gains,
 )
 from tfg_drake.planning.doubtful_tags import best_views
@@ -364,7 +365,8 @@ def _values(
         return nearest_frontier(time, np.where(asked, apart, np.inf)), all_of_it
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
-        return tour(expected_gains, time, stay, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
+        stop = stay + time_to_go_on(robot)
+        return tour(expected_gains, time, stop, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
     spent = np.ones(len(time)) if explorer.goal == "argmax" else time + stay
     expected_gains.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
     return gain_per_time(expected_gains.paid, spent), all_of_it

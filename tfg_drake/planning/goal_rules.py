@@ -59,41 +59,54 @@ def tour(
     candidates that are not in it.
 
     1. Goals are chosen one after the other. Of the frontier that a candidate sees some is new, seen by no goal chosen
-       before it: its gain, nats, counts by the share that is new. The most of that over the time (c,), s, of going
-       there and the stay, s, is the next goal.
+       before it: its gain, nats, counts by the share that is new. The most of that over the time, s, that the tour of
+       those chosen so far grows by, and the stay, s, is the next goal.
     2. They are visited in the order that takes least time, with the one farthest from the robot last: exploring goes on
        from there.
     3. The first goal is replaced by the candidate that lies best on the way to the second, among those that see almost
        all that the first was chosen for.
 
-    frontier: (c, f) m that each candidate sees of each frontier point. least: m, less than this is not worth a goal.
-    nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left, gain per time decides; where no candidate that
-    sees enough has any gain, as by an approximation with few tags in view, the metres of frontier do.
+    time: (c,) s, of going to each from the robot. frontier: (c, f) m that each candidate sees of each frontier point.
+    least: m, less than this is not worth a goal. nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left,
+    gain per time decides; where no candidate that sees enough has any gain, as by an approximation with few tags in
+    view, the metres of frontier do.
     """
-    seen = frontier.sum(axis=1)
-    chosen, looked_at = _most_by_time(expected_gains, frontier, least, time + stay)
-    if not chosen:
+    seen, way = frontier.sum(axis=1), _TimesTo(time, nodes, roadmap, speed)
+    goals, looked_at, order = _most_by_time(expected_gains, frontier, least, stay, way)
+    if not order:
         metres = Gains(seen, np.zeros(len(seen)), np.zeros(len(seen)))
-        chosen, looked_at = _most_by_time(ExpectedGains(metres), frontier, least, time + stay)
-    if not chosen:
+        goals, looked_at, order = _most_by_time(ExpectedGains(metres), frontier, least, stay, way)
+    if not order:
         return gain_per_time(expected_gains.paid, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
-    # From a place that only the robot is joined to, as it stands near it, the way leads back past where it stands.
-    past_robot = time[chosen][:, None] + time
-    to_nodes = np.minimum(_times_to(nodes[chosen], nodes, roadmap, speed), past_robot)
-    between = to_nodes[:, chosen]
-    value = np.full(len(time), -np.inf)
-    arrival = 0.0
-    order = shortest_order(time[chosen], between, int(np.argmax(time[chosen])))
-    for before, k in zip([-1, *order[:-1]], order, strict=True):
-        arrival += (time[chosen[k]] if before < 0 else between[before, k]) + stay
-        value[chosen[k]] = -arrival
-    first, look = chosen[order[0]], looked_at[order[0]]
+    value, arrival, to_next = np.full(len(time), -np.inf), 0.0, time
+    for k in order:
+        arrival += to_next[goals[k]] + stay
+        value[goals[k]], to_next = -arrival, way.from_goal(goals[k])
+    first, look = goals[order[0]], looked_at[order[0]]
     wanted = frontier[first, look]
     sees_it = np.minimum(frontier[:, look], wanted).sum(axis=1) >= AS_GOOD_AS_ALL * wanted.sum()
-    onward = to_nodes[order[1]] if len(order) > 1 else np.zeros(len(time))
+    onward = way.from_goal(goals[order[1]]) if len(order) > 1 else np.zeros(len(time))
     best = int(np.argmin(np.where(sees_it, time + onward, np.inf)))
     value[first], value[best] = -np.inf, value[first]
     return value, look
+
+
+class _TimesTo:
+    """Seconds between the candidates along a roadmap, looked up once for each goal. Arguments as of `tour`."""
+
+    def __init__(self, time: FloatArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> None:
+        length = np.maximum(edge_lengths(roadmap.points, roadmap.edges), 1e-9)
+        self._graph = joined(roadmap.edges, length, len(roadmap.points))
+        self.time, self._nodes, self._speed = time, nodes, speed
+        self._found: dict[int, FloatArray] = {}
+
+    def from_goal(self, goal: int) -> FloatArray:
+        """(c,) s between one candidate and each, by the shortest way."""
+        if goal not in self._found:
+            along = dijkstra(self._graph, indices=self._nodes[goal])[self._nodes] / self._speed
+            # From a place that only the robot is joined to, as it stands near it, the way leads back past the robot.
+            self._found[goal] = np.minimum(along, self.time[goal] + self.time)
+        return self._found[goal]
 
 
 def stops(value: FloatArray, first: int) -> IntArray:
@@ -104,36 +117,40 @@ def stops(value: FloatArray, first: int) -> IntArray:
 
 
 def _most_by_time(
-    expected_gains: ExpectedGains, frontier: FloatArray, least: float, spent: FloatArray
-) -> tuple[list[int], list[BoolArray]]:
-    """The goals of a tour, TOUR_GOALS at the most, and which frontier points (f,) each is the first to see.
+    expected_gains: ExpectedGains, frontier: FloatArray, least: float, stay: float, way: _TimesTo
+) -> tuple[list[int], list[BoolArray], list[int]]:
+    """The goals of a tour, TOUR_GOALS at the most, which frontier points (f,) each is the first to see, and the order
+    in which to visit them.
 
-    Step 1 of `tour`. frontier: (c, f) m that each candidate sees of each frontier point. spent: (c,) s, of going there
-    and staying. least: m, as of `tour`.
+    Step 1 of `tour`. frontier: (c, f) m that each candidate sees of each frontier point. stay: s at each goal. least:
+    m, as of `tour`.
     """
     seen = np.maximum(frontier.sum(axis=1), 1e-9)
+    detour = way.time
 
     def by_time(gain: FloatArray, new: FloatArray) -> FloatArray:
-        return np.where(new >= least, gain * new / seen / spent, -np.inf)
+        return np.where(new >= least, gain * new / seen / (detour + stay), -np.inf)
 
     left = np.ones(frontier.shape[1], dtype=np.bool_)
-    chosen: list[int] = []
+    goals: list[int] = []
     looked_at: list[BoolArray] = []
-    while len(chosen) < TOUR_GOALS:
+    order: list[int] = []
+    while len(goals) < TOUR_GOALS:
         goal, rate = expected_gains.best(functools.partial(by_time, new=frontier @ left))
         if rate <= 0.0:
             break
-        chosen.append(goal)
+        goals.append(goal)
         looked_at.append(left & (frontier[goal] > 0.0))
         left = left & ~looked_at[-1]
-    return chosen, looked_at
-
-
-def _times_to(sources: IntArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> FloatArray:
-    """Seconds (k, n) between nodes (k,) of the roadmap and others (n,), by the shortest way."""
-    length = np.maximum(edge_lengths(roadmap.points, roadmap.edges), 1e-9)
-    graph = joined(roadmap.edges, length, len(roadmap.points))
-    return np.asarray(dijkstra(graph, indices=sources)[:, nodes] / speed)
+        between = np.array([way.from_goal(one) for one in goals])
+        first = way.time[goals]
+        order = shortest_order(first, between[:, goals], int(np.argmax(first)))
+        # On the way from each stop, the robot's place first, to the next; or behind the last.
+        before, after = np.array([way.time, *between[order[:-1]]]), between[order]
+        saved = before[np.arange(len(order)), np.array(goals)[order]]
+        detour = np.maximum(0.0, (before + after - saved[:, None]).min(axis=0, initial=np.inf))
+        detour = np.minimum(detour, after[-1])
+    return goals, looked_at, order
 
 
 @read_only_arguments
