@@ -74,6 +74,21 @@ def test_what_shares_no_landmarks_stays_and_no_keyframe_grows_without_end():
     assert max(len(one.ids) for one in several) <= keyframe_graph.FULL
 
 
+def test_keyframes_whose_points_would_be_off_stay_apart(monkeypatch):
+    pieces, _ = drive(3)
+    point = np.array([[1.0, 0.0, -1.0, 0.0]])
+    seen = reckoned([replace(one, points=point) for one in pieces])
+    monkeypatch.setattr(keyframe_graph, "WITH_POINTS", keyframe_graph.MOST_DEVIATION)
+    fewer = fused(seen)
+    assert len(fewer.keyframes) < len(pieces)
+    assert sum(len(one.points) for one in fewer.keyframes) == len(pieces)
+    # The pose between them is known, but not well enough for these.
+    monkeypatch.setattr(keyframe_graph, "WITH_POINTS", 1e-4)
+    assert fused(seen) is seen
+    one_of_two = reckoned([replace(one, points=point[k % 2 :]) for k, one in enumerate(pieces)])
+    assert len(fused(one_of_two).keyframes) < len(pieces)
+
+
 def test_ways_that_only_odometry_speaks_for_are_decoupled():
     keyframes, _, _ = ring(6, views=24)
     # Two turns at the end that have nothing in common with those before, the second nothing with the first but one tag.

@@ -220,6 +220,22 @@ def test_walls_seen_aslant_are_no_edges():
     assert np.isnan(by_ray(scan_points(scan_of(ranges, range_max=25.0)))[aslant]).all()
 
 
+def test_the_last_ray_before_the_end_of_a_wall_seen_aslant_is_no_edge():
+    # A corridor with a door 4 m ahead, and what is behind it: there neighbouring rays meet the wall .3 m apart.
+    doors = [(-3.0, -1.0, 4.0, -1.0), (5.2, -1.0, 9.0, -1.0), (5.2, -4.0, 5.2, -1.0), (-3.0, 1.2, 9.0, 1.2)]
+    end = math.degrees(math.atan2(-1.0, 4.0))
+    for turned in np.radians(np.linspace(0.0, 1.0, 11)):
+        angles = ROUND + turned
+        ranges, _, surface = seen(doors, angles=angles)
+        last = np.flatnonzero((surface == 0) & (np.degrees(angles) < end))[-1]
+        assert surface[last + 1] == 2
+        assert ranges[last] < ranges[last + 1] - 0.2
+        assert last not in edges_of(ranges, angles)
+    # A post there, of a ray or two, is where it is seen.
+    ranges, _, surface = seen(doors, [(4.0, -0.9, 0.06)])
+    assert np.intersect1d(edges_of(ranges), np.flatnonzero(surface == len(doors))).size
+
+
 def test_the_nearer_side_alone_is_an_edge_and_neither_end_of_a_scan():
     angles = np.radians(np.arange(-40.0, 41.0))
     ranges = np.full(len(angles), 3.0) / np.cos(angles)

@@ -11,6 +11,7 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import TagDetections
 from tfg_drake.simulation.tag_sensor import correlated
+from tfg_drake.slam.keyframe import moved_points
 from tfg_drake.slam.odometry_model import REST_SHARE
 from tfg_drake.slam.shared import (
     CLOCK,
@@ -20,11 +21,13 @@ from tfg_drake.slam.shared import (
     LEVER_X,
     LEVER_Y,
     RANGE_SCALE,
+    SCANNER_YAW,
     SHARED,
+    SWEEP,
     by_data_sheet,
     exactly_known,
 )
-from tfg_drake.slam.turn import reduced
+from tfg_drake.slam.turn import in_body, reduced
 
 STEPS = 201
 KNOWN = exactly_known()
@@ -298,3 +301,24 @@ def test_scans_that_see_nothing_in_common_lie_off_each_other_by_how_far_the_turn
         expected = noise.walks[1] ** 2 * span + (scale * turned) ** 2
         assert found[scale].scatter[2, 2] == pytest.approx(0.25 * expected, rel=0.05)
     assert found[0.05].scatter[2, 2] > 2.0 * found[1e-6].scatter[2, 2]
+
+
+def test_points_lie_where_a_scanner_that_sweeps_met_them_while_the_robot_turned():
+    parameters, twist = np.zeros(SHARED), np.array([0.4, 1.2])
+    parameters[SCANNER_YAW : SWEEP + 1] = yaw, ahead, left, clock, sweep = 0.1, 0.2, -0.05, 0.01, -0.016
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(-math.pi, math.pi, 40)
+    there = np.column_stack([rng.uniform(-6.0, 6.0, (40, 2)), np.cos(angle), np.sin(angle)])
+    seen, bearing = there.copy(), np.zeros(40)
+    for _ in range(20):
+        # Where the robot was then, on its circle.
+        turned = -(clock + sweep * bearing) * twist[1]
+        X_BB = np.column_stack([np.sin(turned), 1.0 - np.cos(turned), turned]) * [*np.full(2, twist[0] / twist[1]), 1.0]
+        back = se2.inverse(se2.compose(X_BB, np.array([ahead, left, yaw])))
+        seen = moved_points(back, there)
+        bearing = np.arctan2(seen[:, 1], seen[:, 0])
+    found = in_body(seen, parameters, twist)
+    # But for the bend of its way.
+    np.testing.assert_allclose(found, there, atol=1e-3)
+    at_once = moved_points(np.array([ahead, left, yaw]), seen)
+    assert np.hypot(*(at_once - there)[:, :2].T).max() > 0.1

@@ -27,7 +27,9 @@ WITNESSES = 2
 # Tags of a keyframe up to which others are fused with it.
 FULL = 25
 # Keyframes are fused only where they know the pose between them better than this, m: fusing linearises them about it.
-MOST_DEVIATION = 0.02
+# Where both have scan points these lie to each other as it says from then on: by half of it all that one sees of a
+# surface is off, which is to be little beside `surfaces.FLOOR`.
+MOST_DEVIATION, WITH_POINTS = 0.02, 0.005
 # The newest keyframes stay as they are: a slip may still be found between them.
 UNFUSED = 4
 # Keyframes that fusing looks at, from the newest on.
@@ -138,7 +140,7 @@ def fused(graph: KeyframeGraph, tried: int = 0) -> KeyframeGraph:
         shared = len(np.intersect1d(first.ids, second.ids))
         may = first.unit == second.unit and shared >= WITNESSES and len(first.ids) + len(second.ids) - shared <= FULL
         both, X_AB, deviation = fusion(first, second, graph.shared.mean) if may else (first, np.zeros(3), math.inf)
-        if deviation > MOST_DEVIATION:
+        if deviation > (WITH_POINTS if len(first.points) and len(second.points) else MOST_DEVIATION):
             j += 1
             continue
         keyframes[j : j + 2] = [both]

@@ -27,8 +27,10 @@ STRAIGHT = 2.0
 SLANT = math.cos(math.radians(82.5))
 # Rays are neighbours where no more than two between them met nothing.
 BESIDE = 3
-# An edge is so much, m, before what is seen beside it: more than noise, or than the depth of a door's frame.
-EDGE = 0.2
+# An edge is so much, m, before what is seen beside it: more than noise, or than the depth of a door's frame. It is
+# somewhere between its ray and the next, which meet its surface no more than this, m, apart: so its deviation is no
+# more than what `surfaces.EDGE` has it count for.
+EDGE, APART = 0.2, 0.14
 
 
 def scan_points(scan: LaserScan) -> FloatArray:
@@ -135,6 +137,10 @@ def _is_edge(k: int, r: FloatArray, bearings: FloatArray, rays: IntArray, n: int
         if (side * (rays[far] - rays[k])) % m > BESIDE or (side * (rays[k] - rays[other])) % m > BESIDE:
             continue
         ahead, behind = side * (bearings[far] - bearings[k]), side * (bearings[k] - bearings[other])
+        # Of what is as thin as one ray that behind is no surface.
+        slant = r[k] - r[other] if r[other] < r[k] + EDGE else 0.0
+        if math.hypot(slant, r[k] * behind) > APART:
+            continue
         # The inverse of where the line meets the ray ahead, times the sine of the angle behind.
         inverse = math.sin(ahead + behind) / r[k] - math.sin(ahead) / r[other]
         before = r[far] - EDGE

@@ -38,8 +38,6 @@ from tfg_drake.slam.shared import (
     GYRO_SCALE,
     METRES,
     RANGE_SCALE,
-    SCANNER_Y,
-    SCANNER_YAW,
     SHARED,
     Shared,
     scale_of,
@@ -253,10 +251,9 @@ def reduced(
     scale = scale_of(solution.unit, shared.mean)
     one, walls = _keyframe(solution, shared, floor)
     X_AB = solution.at.X_AB / np.array([scale, scale, 1.0])
-    yaw, ahead, left = solution.parameters[SCANNER_YAW : SCANNER_Y + 1]
-    X_BS, scanned = np.array([ahead, left, yaw]), [k for k, frame in enumerate(every) if len(frame.points)]
+    scanned = [k for k, frame in enumerate(every) if len(frame.points)]
     at = np.array(node, dtype=np.int64)[scanned]
-    of_scans = [moved_points(X_BS, every[k].points) for k in scanned]
+    of_scans = [in_body(every[k].points, solution.parameters, twist[node[k]]) for k in scanned]
     points, scatter = put_together(of_scans, X_AB[at], _ways(noise, shared, problem, X_AB, at), unevenness)
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
@@ -266,6 +263,15 @@ def reduced(
         X_AB=X_AB,
         sample=solution.at if solution.unit != DISTANCE_SCALE and not slipped else None,
     )
+
+
+def in_body(points: FloatArray, parameters: FloatArray, twist: FloatArray) -> FloatArray:
+    """Points (p, 4) of a scan, in B at its stamp, each from where the scanner was when its ray met it. parameters:
+    (13,), twist: (2,) of the robot, m/s and rad/s."""
+    yaw, ahead, left, clock, sweep = parameters[SCANNER : SCANNER + OF_SENSOR]
+    earlier = clock + sweep * np.arctan2(points[:, 1], points[:, 0])
+    X_BB = -earlier[:, None] * [twist[0], 0.0, twist[1]]
+    return moved_points(se2.compose(X_BB, np.array([ahead, left, yaw])), points)
 
 
 def _ways(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
