@@ -161,8 +161,7 @@ def test_a_command_leaves_something_of_the_limits_to_control():
         np.linspace(-np.pi, np.pi, 37), (-0.2, 0.0, 0.2), (0.0, 0.5), (True, False)
     ):
         command = follow(path, np.array([1.0, aside, heading]), speed, 1.0, turning, ROBOT)
-        share = 1.0 if command.turning else TURNING_SHARE  # Nothing has to be steered where it turns in place.
-        assert abs(command.turn_rate) <= share * ROBOT.max_turn_rate + 1e-9
+        assert abs(command.turn_rate) <= TURNING_SHARE * ROBOT.max_turn_rate + 1e-9
 
 
 def test_progress_is_not_lost_where_a_path_comes_back_beside_itself():

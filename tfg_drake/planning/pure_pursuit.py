@@ -22,8 +22,7 @@ LOOK_AHEAD_MAX = 0.4
 # A heading error beyond TURN_ABOVE stops the robot to turn in place until it is below TURN_BELOW, rad.
 TURN_ABOVE = math.radians(50.0)
 TURN_BELOW = math.radians(6.0)
-# The shares of the base's limits that ways are driven by, so that control has something left; turns in place brake by
-# the same share.
+# The shares of the base's limits that plans use, so that control has something left.
 BRAKING_SHARE = 0.6
 TURNING_SHARE = 0.6
 # The end of the path is reached within this, m.
@@ -137,7 +136,7 @@ def _turn_towards(error: float, robot: RobotConfig) -> float:
     rate = min(
         HEADING_GAIN * abs(error),
         math.sqrt(2.0 * BRAKING_SHARE * robot.max_turn_acceleration * abs(error)),
-        robot.max_turn_rate,
+        TURNING_SHARE * robot.max_turn_rate,
     )
     return math.copysign(rate, error)
 

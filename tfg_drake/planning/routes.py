@@ -14,7 +14,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
-from tfg_drake.planning.pure_pursuit import TURN_ABOVE
+from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
 from tfg_drake.planning.roadmap import (
     ACCEPTED,
     COMFORT,
@@ -181,9 +181,10 @@ def _travel(
         turn = heading[i] - (X_MB[2] if at_robot else heading[before])
         turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
         length[i] = step + (0.0 if at_robot else length[before])
-        time[i] = step / speed + turn / turn_rate + (0.0 if at_robot else time[before])
-        if at_robot and turn > TURN_ABOVE:
-            time[i] += stop
+        if at_robot:
+            time[i] = step / speed + turn / (TURNING_SHARE * turn_rate) + (stop if turn > TURN_ABOVE else 0.0)
+        else:
+            time[i] = step / speed + turn / turn_rate + time[before]
     return length, time
 
 
