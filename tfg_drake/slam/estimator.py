@@ -73,7 +73,6 @@ from tfg_drake.slam.localizer import (
     step_localizer,
 )
 from tfg_drake.slam.loop_search import with_loops_closed
-from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of, finished, is_looser, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
@@ -86,8 +85,16 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
-from tfg_drake.slam.relocalizer import in_known, joined, looked_for
-from tfg_drake.slam.reunion import found_again
+from tfg_drake.slam.relocalizer import (
+    PLACED,
+    begun_elsewhere,
+    find_itself,
+    found_again,
+    in_known,
+    joined,
+    looked_for,
+    mapped_elsewhere,
+)
 from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, unevenness_after
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
@@ -497,14 +504,13 @@ def _step(
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
-    contradictions, agreed = state.contradictions, state.agreed
+    contradictions = state.contradictions
     if math.isnan(state.placed):
         contradictions = CONTRADICTIONS
     elif ignored > MOST_IGNORED * known:
         contradictions += state.may_be_moved or state.kidnapped
     elif known:
         contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
-        agreed = agreed if contradictions else stamp
     state = replace(
         state,
         odometry=state.odometry[before:],
@@ -515,7 +521,6 @@ def _step(
         X_OB=X_OB,
         localizer=localizer,
         contradictions=contradictions,
-        agreed=agreed,
         turn=turn,
         piece=piece,
         looked=stamp if looks else state.looked,
@@ -570,7 +575,7 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
         return replace(suspect, frames=(*suspect.frames, taken))
     if not state.contradictions or not (len(taken.detections.ids) or len(taken.lines)):
         return None
-    return replace(opened(state), frames=(taken,), unwatched=min(taken.stamp - state.agreed, LONGEST_DOUBT))
+    return replace(opened(state), frames=(taken,))
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:

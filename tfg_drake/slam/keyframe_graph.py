@@ -17,7 +17,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, way, without_tags
+from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.shared import Shared
 from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.table import empty, take
@@ -163,29 +163,3 @@ def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
     """The graph as if one of its keyframes, by its index, had not seen a landmark that others have seen."""
     one = without_tags(graph.keyframes[keyframe], np.array([tag]))
     return replace(graph, keyframes=(*graph.keyframes[:keyframe], one, *graph.keyframes[keyframe + 1 :]))
-
-
-def decoupled(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
-    """The graph with the newest keyframes decoupled: where only odometry ties them to those before, this covariance
-    (3, 3) takes the place of odometry's, as odometry has been found wrong there.
-
-    It goes back to the newest keyframe that shares WITNESSES landmarks with those before it, or that saw one of the
-    landmarks found_by (f,), by which the robot has found itself.
-    """
-    for j in range(len(graph.keyframes) - 1, 0, -1):
-        one = graph.keyframes[j]
-        before = np.concatenate([other.ids for other in graph.keyframes[:j]])
-        if np.isin(one.ids, before).sum() >= WITNESSES or np.isin(one.ids, found_by).any():
-            break
-        if not len(one.ids):
-            loose = way(one.given(graph.shared.mean)[1], covariance)
-            graph = replace(graph, keyframes=(*graph.keyframes[:j], loose, *graph.keyframes[j + 1 :]))
-        elif len(graph.keyframes[j - 1].ids):
-            later = graph.view_keyframe >= j
-            graph = replace(
-                graph,
-                keyframes=(*graph.keyframes[:j], way(np.zeros(3), covariance), *graph.keyframes[j:]),
-                X_MN=np.insert(graph.X_MN, j, graph.X_MN[j], axis=0),
-                view_keyframe=graph.view_keyframe + later,
-            )
-    return graph

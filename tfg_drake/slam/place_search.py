@@ -70,11 +70,6 @@ def nothing_seen() -> Seen:
     return Seen(np.empty((0, 4)), np.empty((0, 2)), np.zeros(1, dtype=np.int64))
 
 
-def seen_at_once(points: FloatArray) -> Seen:
-    """Points (q, 4) that are all seen from the origin."""
-    return nothing_seen().with_look(points, np.zeros(3))
-
-
 def seen_by_views(graph: KeyframeGraph, after: int = -1) -> Seen:
     """All that the views of a graph have seen, in M, of those behind one of its keyframes."""
     keyframes, first = np.unique(graph.view_keyframe, return_index=True)
