@@ -81,6 +81,13 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
             patch.setattr(relocalizer, "find_places", lambda *_args: no_places())
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
         assert state.map.covariance[-3, -3] > 1.0
+        # It is mapped apart: none of it is what was mapped before, and nothing of that contradicts the pose.
+        newest = state.graph.keyframes[-1]
+        assert newest.walls >= 5
+        assert not np.isin(newest.ids, state.graph.keyframes[0].ids).any()
+        assert state.contradictions == 0
+        reaches = state.localizer.reach[:, 1] > state.localizer.reach[:, 0]
+        np.testing.assert_array_equal(reaches, np.isin(state.map.ids, newest.ids))
     state = robot.view(state)
     assert np.abs(state.map.covariance[-3:, -3:]).max() < 0.05**2
     deviation = known_walls(state.map)[2]

@@ -63,7 +63,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, of_tied, taken_back
 from tfg_drake.slam.localizer import (
     corrected_by_walls,
     localized_pose,
@@ -717,7 +717,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         map=whole,
         walls=walls,
         published=whole.of_tags,
-        localizer=start_localizer(estimate, walls),
+        localizer=start_localizer(of_tied(estimate, graph), walls),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
@@ -746,7 +746,7 @@ def _with_names(
     one, tags = seen.keyframe, is_tag(seen.keyframe.ids)
     if tags.all():
         return seen, source, walls
-    names, walls = identified(one, seen.frames, walls, estimate, source.floor)
+    names, walls = identified(one, seen.frames, walls, of_tied(estimate, graph), source.floor)
     one = beside_walls(named(one, names))
     of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls

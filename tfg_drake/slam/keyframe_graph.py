@@ -17,7 +17,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, fusion, is_unknown, joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.shared import Shared
 from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.table import empty, take
@@ -163,3 +163,29 @@ def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
     """The graph as if one of its keyframes, by its index, had not seen a landmark that others have seen."""
     one = without_tags(graph.keyframes[keyframe], np.array([tag]))
     return replace(graph, keyframes=(*graph.keyframes[:keyframe], one, *graph.keyframes[keyframe + 1 :]))
+
+
+def adrift(graph: KeyframeGraph) -> int:
+    """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
+    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
+
+
+def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
+    """Which landmarks (n,) some keyframes have seen."""
+    seen = np.zeros(len(graph.ids), dtype=bool)
+    for one in keyframes:
+        seen[rows_of(one.ids, graph.ids)[0]] = True
+    return seen
+
+
+def tied(graph: KeyframeGraph) -> BoolArray:
+    """The landmarks (n,) that anything ties to the newest pose: all, or where the newest part of the map is adrift, and
+    has none in common with the rest, those in it."""
+    j = adrift(graph)
+    before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
+    return since if j >= 0 and not (before & since).any() else np.ones(len(graph.ids), dtype=np.bool_)
+
+
+def of_tied(estimate: MapEstimate, graph: KeyframeGraph) -> MapEstimate:
+    """The map of a graph with walls out of reach that nothing ties to the newest pose: they may be anywhere."""
+    return replace(estimate, reach=np.where(tied(graph)[:, None], estimate.reach, [np.inf, -np.inf]))

@@ -22,7 +22,6 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import (
-    BoolArray,
     FloatArray,
     Hypotheses,
     MapEstimate,
@@ -45,7 +44,7 @@ from tfg_drake.slam.estimator_state import (
 from tfg_drake.slam.evidence import Sighted
 from tfg_drake.slam.joining import OF_KNOWN, with_known, without_known
 from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_map, moved_part
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, moved_part, seen_by, tied
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import (
@@ -235,7 +234,7 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
         return graph, estimate, way
     before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
     before = before if j >= 0 else since
-    if not lost and (before & since).any():
+    if not lost and tied(graph).all():
         return graph, estimate, way
     at = estimate.X_MD
     for one, _ in way:
@@ -322,20 +321,7 @@ def _tell_found(state: EstimatorState, found: Placed, X_MB: FloatArray) -> None:
     _operator.warning(message, state.stamp, x, y, found.by)
 
 
-def adrift(graph: KeyframeGraph) -> int:
-    """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
-    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
-
-
 def known_points(graph: KeyframeGraph) -> FloatArray:
     """(p, 4) points with normals, in M, of all that is not adrift."""
     j = adrift(graph)
     return map_points(graph, range(j) if j >= 0 else None)
-
-
-def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
-    """Which landmarks (n,) some keyframes have seen."""
-    seen = np.zeros(len(graph.ids), dtype=bool)
-    for one in keyframes:
-        seen[rows_of(one.ids, graph.ids)[0]] = True
-    return seen
