@@ -54,12 +54,13 @@ from tfg_drake.slam.place_search import (
     Seen,
     find_places,
     is_elsewhere,
+    log_odds,
     nothing_seen,
     seen_by_views,
     tells_place,
 )
 from tfg_drake.slam.shared import seen_from_body
-from tfg_drake.slam.surface_fit import map_points, surface_points
+from tfg_drake.slam.surface_fit import Surfaces, map_points, surface_points
 from tfg_drake.slam.tag_search import Tagged, by_tags
 from tfg_drake.table import empty
 
@@ -166,6 +167,19 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
 
 
+def is_contradicted(state: EstimatorState) -> bool:
+    """Whether the open turn has seen what is likelier seen from no place of the map than from where the robot seems to
+    be: a few lines may agree with it from anywhere. What is not mapped yet does not count."""
+    turn, graph = state.turn, state.graph
+    if turn is None or state.map is None or state.kidnapped:
+        return False
+    _, seen = _seen_of(reduced_now(state, turn).keyframe, state, turn.X_MB)
+    surfaces = map_points(graph, _newest_part(graph))
+    if not len(surfaces) or not tells_place(seen.points):
+        return False
+    return bool(log_odds(surfaces, Surfaces(surfaces), seen, np.zeros((1, 3)), most_beyond=0.0)[0] < 0.0)
+
+
 def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
     """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose. By
     tags it is looked for with each frame of them, by surfaces once a second and at last.
@@ -182,10 +196,11 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     newest = newest_of(suspect)
     tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
     by_surfaces = by_surfaces and tells_place(seen.points)
-    surfaces = known_points(state.graph) if by_surfaces else np.empty((0, 4))
+    graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
+    surfaces = map_points(graph, _newest_part(graph) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
-    found, places = _where(estimate.of_tags, surfaces, tags, seen, prior, MAPPED_WRONG)
+    found, places = _where(known, surfaces, tags, seen, prior, MAPPED_WRONG)
     if not by_surfaces and found is None:
         return state
     if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
@@ -205,7 +220,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         _log.warning(message, stamp, math.hypot(x, y), abs(float(se2.wrap_angle(turn))), found.by)
     X_MB = se2.compose(found.X, se2.between(newest.begin.X_OB, state.X_OB))
     if not estimate.is_joint:
-        graph = replace(state.graph, p_ML=estimate.p_ML)
+        graph = replace(graph, p_ML=estimate.p_ML)
         node = 1 + int(np.argmin(np.hypot(*(graph.X_MN[1:] - X_MB)[:, :2].T)))
         _, estimate = solve(graph, estimate.stamp, estimate.observation, node=node)
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
@@ -242,7 +257,8 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     # Of what is adrift all views tell together where it is.
     tags, seen = _seen_of(view, state, at, nothing_seen() if lost else seen_by_views(graph, j))
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags
-    found, _ = _where(known, known_points(graph), tags, seen, None, MAPPED_WRONG)
+    before_it = map_points(graph, range(j) if j >= 0 else None)
+    found, _ = _where(known, before_it, tags, seen, None, MAPPED_WRONG)
     if found is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself; what follows is tied to the map before", state.stamp)
@@ -254,6 +270,11 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
     return *solve(graph, estimate.stamp, estimate.observation), way
+
+
+def _newest_part(graph: KeyframeGraph) -> range:
+    """The keyframes among which the newest pose is known: where the map is adrift those behind the unknown way."""
+    return range(adrift(graph) + 1, len(graph.keyframes))
 
 
 def _seen_of(
@@ -319,9 +340,3 @@ def _tell_found(state: EstimatorState, found: Placed, X_MB: FloatArray) -> None:
     x, y, _ = X_MB
     message = "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s"
     _operator.warning(message, state.stamp, x, y, found.by)
-
-
-def known_points(graph: KeyframeGraph) -> FloatArray:
-    """(p, 4) points with normals, in M, of all that is not adrift."""
-    j = adrift(graph)
-    return map_points(graph, range(j) if j >= 0 else None)
