@@ -315,7 +315,10 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
     found, places = _where(known.estimate.of_tags, known.surfaces, tags, seen, prior, WRONG)
     at = state.at
     if at is not None and (not len(places.X) or places.near(at.X) > STILL):
-        return state if found is None or known.since else replace(state, at=found)
+        if known.since or not len(places.X):
+            return state
+        nearest = np.argmin(np.hypot(*(places.X - at.X)[:, :2].T))
+        return replace(state, at=found or replace(at, X=places.X[nearest]))
     if at is not None:
         _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
         state = replace(state, at=None, placed=-math.inf)
