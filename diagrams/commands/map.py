@@ -246,7 +246,7 @@ def locate(map_file: MapArgument, other: MapArgument) -> None:
     from tfg_drake.bad_input import BadInput
     from tfg_drake.geometry.se2 import compose
     from tfg_drake.mapfile.placement import places_of
-    from tfg_drake.slam.relocalizer import by_tags
+    from tfg_drake.slam.tag_search import by_tags
 
     a, b = _load(map_file), _load(other)
     try:

@@ -1,12 +1,11 @@
 import numpy as np
 
 from tests.slam.oracle import NOISE, PRIOR, SIGMA, Drive
-from tests.slam.rings import ODOMETRY, built, dense_solution, observed, reckoned, ring
+from tests.slam.rings import built, dense_solution, observed, reckoned, ring
 from tfg_drake.geometry import se2
 from tfg_drake.messages import replace
 from tfg_drake.slam import keyframe_graph
-from tfg_drake.slam.keyframe import without_tags
-from tfg_drake.slam.keyframe_graph import decoupled, empty_graph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, forget, fused, taken_back
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.turn import reduced
 
@@ -87,32 +86,6 @@ def test_keyframes_whose_points_would_be_off_stay_apart(monkeypatch):
     assert fused(seen) is seen
     one_of_two = reckoned([replace(one, points=point[k % 2 :]) for k, one in enumerate(pieces)])
     assert len(fused(one_of_two).keyframes) < len(pieces)
-
-
-def test_ways_that_only_odometry_speaks_for_are_decoupled():
-    keyframes, _, _ = ring(6, views=24)
-    # Two turns at the end that have nothing in common with those before, the second nothing with the first but one tag.
-    first, second = (replace(keyframes[k], ids=keyframes[k].ids + 1000) for k in (4, 6))
-    shared = np.intersect1d(first.ids, second.ids)
-    keyframes = [*keyframes[:4], first, keyframes[5], without_tags(second, shared[1:])]
-    graph, loose = reckoned(keyframes), 100.0 * np.eye(3)
-    freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
-    expected = [ODOMETRY, loose, loose]
-    for j, covariance in zip((1, 3, 5), expected, strict=True):
-        np.testing.assert_allclose(freed.keyframes[j].given(np.zeros(SHARED))[2], covariance)
-    together, _ = drive(7)
-    graph = reckoned(together)
-    assert decoupled(graph, loose, np.empty(0, dtype=np.int64)) is graph
-
-
-def test_a_joint_that_only_odometry_speaks_for_becomes_a_loose_way():
-    pieces, _ = drive(8, count=4)
-    strange = [*pieces[:3], replace(pieces[3], ids=pieces[3].ids + 1000)]
-    graph, loose = reckoned(strange), 100.0 * np.eye(3)
-    freed = decoupled(graph, loose, np.empty(0, dtype=np.int64))
-    assert [len(one.ids) == 0 for one in freed.keyframes] == [False, False, False, True, False]
-    np.testing.assert_allclose(freed.keyframes[3].given(np.zeros(SHARED))[2], loose)
-    np.testing.assert_allclose(freed.X_MA, graph.X_MA)
 
 
 def test_a_forgotten_landmark_leaves_what_it_told():

@@ -6,7 +6,7 @@ import pytest
 from tfg_drake.geometry import se2
 from tfg_drake.slam import place_search
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import BLUR, STEP, WRONG, Prior, find_places, peaks, seen_at_once, tells_place
+from tfg_drake.slam.place_search import BLUR, STEP, WRONG, Prior, find_places, nothing_seen, peaks, tells_place
 from tfg_drake.slam.surface_fit import Surfaces, points_along
 
 # Faces seen from their left: a room of 6 by 4 m with a niche, and beside it one of 5 by 3 m.
@@ -39,7 +39,7 @@ def off(X, pose):
 
 
 def places(known, query, prior=None):
-    return find_places(known, seen_at_once(query), prior)
+    return find_places(known, nothing_seen().with_look(query, np.zeros(3)), prior)
 
 
 @pytest.mark.parametrize("pose", [HERE, np.array([4.0, 2.0, -2.5]), np.array([0.5, 0.5, 3.0])])
@@ -96,7 +96,8 @@ def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
     beyond = [[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)]
     query = np.vstack([known, surfaces(beyond)])
     odds = [
-        place_search._log_odds(known, Surfaces(known), seen_at_once(of), np.zeros((1, 3)))[0] for of in (known, query)
+        place_search.log_odds(known, Surfaces(known), nothing_seen().with_look(of, np.zeros(3)), np.zeros((1, 3)))[0]
+        for of in (known, query)
     ]
     assert odds[0] - odds[1] == pytest.approx(-place_search.MOST_BEYOND, abs=2.0)
 

@@ -5,15 +5,16 @@ import logging
 import numpy as np
 import pytest
 
-from tests.slam.test_reunion import ROOM, Robot
+from tests.slam.test_reunion import Robot
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import as_one_keyframe
-from tfg_drake.messages import Hypotheses, MapEstimate, Odometry, SaidPose, replace
+from tfg_drake.messages import Hypotheses, Odometry, SaidPose, replace
 from tfg_drake.slam.estimator import begin_turn, pose_estimate, process_odometry
 from tfg_drake.slam.estimator_state import KnownMap, Placed, initial_state
+from tfg_drake.slam.joining import with_known
 from tfg_drake.slam.place_search import seen_by_views
-from tfg_drake.slam.relocalizer import by_tags, joined, said_to_be
+from tfg_drake.slam.relocalizer import BY_WALLS, EACH_VIEW, joined, said_to_be
 from tfg_drake.slam.surface_fit import map_points
 from tfg_drake.slam.walls import known_walls
 
@@ -66,7 +67,7 @@ def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known
 
     robot = Session(START, 7)
     state = robot.view(robot.begun(known))
-    assert (state.known, state.at, state.map.stage) == (None, None, 1)
+    assert (state.known.since, state.map.stage) == (1, 1)
     assert pose_estimate(state).places == -1
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
     # The walls of both are one, and known better than by either.
@@ -113,13 +114,56 @@ def test_a_place_that_what_follows_contradicts_is_taken_back(known, monkeypatch,
     assert "contradicts that place" in caplog.text
 
 
+def test_both_are_one_for_good_once_what_follows_agrees(known):
+    robot = Session(START, 7)
+    state = robot.view(robot.begun(known))
+    for stage in range(2, 2 + EACH_VIEW):
+        assert (state.known is None, pose_estimate(state).places) == (False, -1)
+        state = robot.view(robot.drive(state, 0.2, 0.1, 5))
+        assert state.map.stage == stage
+    assert (state.known, state.at) == (None, None)
+
+
+def test_both_become_two_again_where_what_follows_contradicts_that(known, monkeypatch, caplog):
+    """It is in another building, and was believed to be in the known one."""
+    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
+    robot, alone = Session([4.0, 1.0, 0.3], 8), Session([4.0, 1.0, 0.3], 8)
+    state, apart = robot.view(robot.begun(known)), alone.view(alone.begun())
+    wrong = Placed(np.array([2.0, 0.0, -0.3]), np.diag(BY_WALLS**2))
+    state = with_known(state, known, wrong)
+    assert (state.known.since, pose_estimate(state).places) == (1, -1)
+    assert len(state.graph.keyframes) == len(apart.graph.keyframes) + 2
+    np.testing.assert_allclose(state.map.X_MA[0], wrong.X, atol=0.3)
+    with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
+        state = robot.view(robot.drive(state, 0.2, 0.1, 5))
+        apart = alone.view(alone.drive(apart, 0.2, 0.1, 5))
+    assert "contradicts that place" in caplog.text
+    assert (state.at, state.placed, state.known.since) == (None, -np.inf, 0)
+    for field in ("keyframe", "estimate", "surfaces"):
+        assert getattr(state.known, field) is getattr(known, field)
+    # All is as if the session had never been joined to it, but for the names of walls.
+    np.testing.assert_allclose(state.map.X_MA, apart.map.X_MA, atol=0.01)
+    np.testing.assert_allclose(state.map.X_MD, apart.map.X_MD, atol=0.01)
+    assert len(state.graph.keyframes) == len(apart.graph.keyframes)
+    seen = np.concatenate([one.ids for one in state.graph.keyframes])
+    np.testing.assert_array_equal(state.graph.ids, np.unique(seen))
+    ends, ends_apart = known_walls(state.map)[1], known_walls(apart.map)[1]
+    assert len(ends) == len(ends_apart)
+    for wall in ends:
+        assert np.abs(ends_apart - wall).max(axis=(1, 2)).min() < 0.1
+    # It goes on apart.
+    state = robot.view(robot.drive(state, 0.2, 0.0, 5))
+    assert state.known.since == 0
+    np.testing.assert_allclose(state.map.X_MD, se2.between(robot.start, robot.X_WB), atol=0.03)
+
+
 @pytest.mark.parametrize("off", [0.2, 3.0])
 def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog):
     said = Placed(in_K(START) + np.array([off, 0.0, 0.0]), np.diag([0.25, 0.25, 0.09]))
     robot = Session(START, 7)
     with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
         state = robot.view(robot.begun(replace(known, said=said)))
-    assert state.known is None
+    assert state.known.since == 1
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
     assert ("from where it was said to be" in caplog.text) == (off > 1.0)
 
@@ -158,16 +202,3 @@ def test_views_tell_what_was_seen_from_where(first):
     for eye, begin, end in zip(seen.eyes, seen.begin, seen.begin[1:], strict=False):
         p = seen.points[begin:end]
         assert np.mean(np.sum((eye - p[:, :2]) * p[:, 2:], axis=1) > 0.0) > 0.98
-
-
-def test_tags_that_are_few_tell_nothing():
-    def tags(ids):
-        n = len(ids)
-        empty = np.zeros((n, 2))
-        return MapEstimate(
-            1, 0.0, np.array(ids), np.random.default_rng(1).normal(size=(n, 2)), empty, empty, np.zeros(3),
-            np.zeros(0, dtype=np.int64), np.eye(3), np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.zeros((0, 3)), None, 0.0,
-        )  # fmt: skip
-
-    assert by_tags(tags([1, 2, 3, 4]), tags([3, 4, 5])) is None
-    assert ROOM.shape[1] == 4

@@ -5,21 +5,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.slam.rings import NOTHING, observed, way
+from tests.slam.oracle import NOISE
+from tests.slam.rings import NOTHING, observed, reckoned, ring, way
 from tests.slam.test_scan_lines import ANGLES, CONFIG
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import Odometry, replace
+from tfg_drake.messages import Odometry, TagDetections, replace
 from tfg_drake.simulation.laser_scanner import scan
-from tfg_drake.slam import estimator, reunion
+from tfg_drake.slam import estimator, relocalizer
 from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened, unknown_way
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
+from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.place_search import no_places
-from tfg_drake.slam.reunion import found_again
+from tfg_drake.slam.relocalizer import ELSEWHERE, found_again, is_contradicted, mapped_elsewhere
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
 
@@ -76,9 +78,16 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
     if late:
         with monkeypatch.context() as patch:
-            patch.setattr(reunion, "find_places", lambda *_args: no_places())
+            patch.setattr(relocalizer, "find_places", lambda *_args: no_places())
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
         assert state.map.covariance[-3, -3] > 1.0
+        # It is mapped apart: none of it is what was mapped before, and nothing of that contradicts the pose.
+        newest = state.graph.keyframes[-1]
+        assert newest.walls >= 5
+        assert not np.isin(newest.ids, state.graph.keyframes[0].ids).any()
+        assert state.contradictions == 0
+        reaches = state.localizer.reach[:, 1] > state.localizer.reach[:, 0]
+        np.testing.assert_array_equal(reaches, np.isin(state.map.ids, newest.ids))
     state = robot.view(state)
     assert np.abs(state.map.covariance[-3:, -3:]).max() < 0.05**2
     deviation = known_walls(state.map)[2]
@@ -86,6 +95,25 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
+
+
+def test_a_view_of_another_place_contradicts_the_pose(monkeypatch):
+    robot = Robot()
+    state = robot.view(process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry()))
+    state = begin_turn(robot.drive(state, 0.2, 0.0, 5), robot.time)
+    assert not is_contradicted(state)
+    assert not is_contradicted(robot.drive(state, 0.0, 0.5, 126))
+    # A chair more is no other place.
+    chair = np.array([[2.9, 2.4, 3.3, 2.4], [3.3, 2.4, 3.3, 2.8], [3.3, 2.8, 2.9, 2.8], [2.9, 2.8, 2.9, 2.4]])
+    with monkeypatch.context() as patch:
+        patch.setattr("tests.slam.test_reunion.ROOM", np.vstack([ROOM, chair]))
+        assert not is_contradicted(robot.drive(state, 0.0, 0.5, 126))
+    monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
+    offset = np.array([2.3, 0.4, 0.0])
+    robot.X_WB = robot.X_WB + offset
+    robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
+    assert is_contradicted(robot.drive(state, 0.0, 0.5, 126))
+    assert not is_contradicted(replace(robot.drive(state, 0.0, 0.5, 126), kidnapped=True))
 
 
 def observation(rng, points, X):
@@ -146,10 +174,43 @@ def test_nothing_moves_where_the_view_does_not_say_where_to(kidnapped):
     assert before_the_view(whole, after, seen)[0] is whole
 
 
-def test_a_misread_id_moves_nothing(kidnapped):
-    graph, estimate, seen, _ = kidnapped
+def test_a_misread_id_is_outvoted(kidnapped):
+    graph, estimate, seen, p_ML = kidnapped
     first = np.concatenate([one.ids for one in graph.keyframes[:3]])
     row = int(np.flatnonzero(np.isin(seen.ids, first))[0])
     y_AL = seen.y_AL.copy()
     y_AL[row] += 3.0
-    assert before_the_view(graph, estimate, replace(seen, y_AL=y_AL))[0] is graph
+    whole, _, rejected = joined(*before_the_view(graph, estimate, replace(seen, y_AL=y_AL)), replace(seen, y_AL=y_AL))
+    np.testing.assert_array_equal(rejected, seen.ids[row])
+    assert np.hypot(*(whole.p_ML - p_ML[whole.ids - 100]).T).max() < 0.2
+
+
+def sight(estimate, rows, X_MB):
+    p_BL = se2.transform(se2.inverse(X_MB), estimate.p_ML[rows])
+    r, b = np.hypot(*p_BL.T), np.arctan2(p_BL[:, 1], p_BL[:, 0])
+    return TagDetections(0.0, estimate.ids[rows], r, b, 0.02 + 0.01 * r, np.full(len(rows), 0.01))
+
+
+def test_a_tag_of_the_far_end_of_the_map_that_is_seen_here_is_elsewhere():
+    """The localiser knows those near by for itself; a far one seen where the map has it is where it should be."""
+    graph, estimate = solve(reckoned(ring(3, views=12, laps=0.5)[0]), 0.0, NOTHING, joint=20)
+    state = SimpleNamespace(graph=graph, map=estimate, noise=SimpleNamespace(now=NOISE))
+    distance = np.hypot(*(estimate.p_ML - estimate.X_MD[:2]).T)
+    far = np.argsort(distance)[-3:]
+    assert not np.isin(far, estimate.local).any()
+    assert distance[far].min() > ELSEWHERE + 3.0
+
+    def count(rows, ranges):
+        seen = sight(estimate, rows, estimate.X_MD)
+        return mapped_elsewhere(state, start_localizer(estimate), replace(seen, range=ranges))
+
+    assert count(far, distance[far]) == 0
+    assert count(far, np.full(3, 2.0)) == 3
+    assert count(far, np.append(distance[far[:2]], 2.0)) == 1
+    assert count(estimate.local[:3], np.full(3, 30.0)) == 0
+    assert (
+        mapped_elsewhere(
+            SimpleNamespace(graph=graph, map=None), start_localizer(estimate), sight(estimate, far, estimate.X_MD)
+        )
+        == 0
+    )

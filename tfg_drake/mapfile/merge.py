@@ -24,8 +24,8 @@ from tfg_drake.slam.evidence import contradicted, disputed
 from tfg_drake.slam.keyframe import Keyframe, along_walls, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.relocalizer import by_tags
 from tfg_drake.slam.shared import exactly_known
+from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.slam.walls import Names, named, renamed
 from tfg_drake.table import concat, take
 from tfg_drake.tfg.feature_graph import TfgGraph

@@ -16,7 +16,7 @@ from tfg_drake.mapfile.placement import Standing, by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, replace
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.slam.relocalizer import by_tags
+from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.world.map_server import OccupancyMap
 
 # Deviation of a surveyed tag, m.

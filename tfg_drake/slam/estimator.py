@@ -63,7 +63,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, taken_back
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, of_tied, taken_back
 from tfg_drake.slam.localizer import (
     corrected_by_walls,
     localized_pose,
@@ -73,7 +73,6 @@ from tfg_drake.slam.localizer import (
     step_localizer,
 )
 from tfg_drake.slam.loop_search import with_loops_closed
-from tfg_drake.slam.lost_robot import PLACED, begun_elsewhere, find_itself, mapped_elsewhere
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import deviation_of, finished, is_looser, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
@@ -86,8 +85,17 @@ from tfg_drake.slam.odometry_model import (
     interpolate_clock,
     reckon,
 )
-from tfg_drake.slam.relocalizer import in_known, joined, looked_for
-from tfg_drake.slam.reunion import found_again
+from tfg_drake.slam.relocalizer import (
+    PLACED,
+    begun_elsewhere,
+    find_itself,
+    found_again,
+    in_known,
+    is_contradicted,
+    joined,
+    looked_for,
+    mapped_elsewhere,
+)
 from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, unevenness_after
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
@@ -268,6 +276,8 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     if state.turn is None:
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
+    if state.may_be_moved and state.contradictions < CONTRADICTIONS and is_contradicted(state):
+        state = replace(state, contradictions=CONTRADICTIONS, suspect=state.turn)
     if state.contradictions >= CONTRADICTIONS:
         state = find_itself(state, at_last=True)
     turn = state.turn
@@ -497,14 +507,13 @@ def _step(
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
-    contradictions, agreed = state.contradictions, state.agreed
+    contradictions = state.contradictions
     if math.isnan(state.placed):
         contradictions = CONTRADICTIONS
     elif ignored > MOST_IGNORED * known:
         contradictions += state.may_be_moved or state.kidnapped
     elif known:
         contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
-        agreed = agreed if contradictions else stamp
     state = replace(
         state,
         odometry=state.odometry[before:],
@@ -515,7 +524,6 @@ def _step(
         X_OB=X_OB,
         localizer=localizer,
         contradictions=contradictions,
-        agreed=agreed,
         turn=turn,
         piece=piece,
         looked=stamp if looks else state.looked,
@@ -570,7 +578,7 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
         return replace(suspect, frames=(*suspect.frames, taken))
     if not state.contradictions or not (len(taken.detections.ids) or len(taken.lines)):
         return None
-    return replace(opened(state), frames=(taken,), unwatched=min(taken.stamp - state.agreed, LONGEST_DOUBT))
+    return replace(opened(state), frames=(taken,))
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
@@ -712,7 +720,7 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
         map=whole,
         walls=walls,
         published=whole.of_tags,
-        localizer=start_localizer(estimate, walls),
+        localizer=start_localizer(of_tied(estimate, graph), walls),
         evidence=evidence,
         watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
@@ -741,7 +749,7 @@ def _with_names(
     one, tags = seen.keyframe, is_tag(seen.keyframe.ids)
     if tags.all():
         return seen, source, walls
-    names, walls = identified(one, seen.frames, walls, estimate, source.floor)
+    names, walls = identified(one, seen.frames, walls, of_tied(estimate, graph), source.floor)
     one = beside_walls(named(one, names))
     of_walls = np.zeros(one.walls, dtype=np.int64)
     return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls

@@ -47,14 +47,13 @@ class OpenObservation:
     """An observation under way: a turn, or a piece of the way that is mapped like one.
 
     begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
-    seen since. unwatched: s before it in which no tag confirmed the pose.
+    seen since.
     """
 
     begin: TurnFrame
     X_MB: FloatArray
     sigma: FloatArray
     frames: tuple[TurnFrame, ...]
-    unwatched: float = 0.0
 
 
 @message
@@ -81,20 +80,28 @@ class FirstLook:
 @message
 class Placed:
     """How the frame of a map lies in another, as M of a session in the map K that it began with: X_KM (3,) and its
-    covariance (3, 3). moved: ids of the tags that stand elsewhere by now."""
+    covariance (3, 3). moved: ids of the tags that stand elsewhere by now, tags: how many agree, 0 where surfaces say
+    so."""
 
     X: Annotated[FloatArray, 3]
     covariance: Annotated[FloatArray, 3, 3]
     moved: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    tags: int = 0
+
+    @property
+    def by(self) -> str:
+        """The landmarks that say so, in the plural."""
+        return f"{self.tags} tags" if self.tags else "surfaces"
 
 
 @message
 class KnownMap:
-    """The map K that a session began with, as long as it maps apart from that.
+    """The map K that a session began with, as long as it maps apart from that, or that they are one may be taken back.
 
     keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
     with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
-    says that the session begins. X_WK: (3,) where K lies in its world.
+    says that the session begins. X_WK: (3,) where K lies in its world. since: the stage at which both became one, 0 as
+    long as they are apart.
     """
 
     keyframe: Keyframe
@@ -105,35 +112,34 @@ class KnownMap:
     facing: FloatArray
     said: Placed | None = None
     X_WK: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    since: int = 0
 
 
 @message
 class EstimatorState:
     """All the estimator knows; the defaults are before any message.
 
-    noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way
-    that are mapped as one piece; 0 where only its motion is. offset: s, the camera's clock is taken to be so much
-    ahead. graph: its landmarks as they lay at its last solve or when they were first seen, solved: the graph at that
-    solve. ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags,
-    and against them. watch: which of them should have been seen since.
-
-    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames
-    that wait for it. scans: the newest scans. stamp (s), clock (s), X_OB (3,): the localiser's instant and the dead
-    reckoning then. contradictions: frames that contradict the pose, less those that agree since. agreed: s, when
-    the last one agreed. suspect: what was seen since the first that contradicts it, None where none does. lost:
-    where the robot is since then is a guess. kidnapped: the robot was moved since the last view by something else
-    than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in which it
-    may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has mapped on
-    without. turn, piece: the open turn and piece of the way, way: those before it since the last view. map: what
-    has become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of
-    the newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that
-    has none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait
-    for odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by something else than
-    its wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and
-    of all surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight.
-    loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that
-    the session began with, until it is part of this one; at: where in it that is, once it is known; hypotheses:
-    where in it that may be, none where that is anywhere or nowhere.
+    noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way that
+    are mapped as one piece; 0 where only its motion is. offset: s, the camera's clock is taken to be so much ahead.
+    graph: its landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve.
+    ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags, and
+    against them. watch: which of them should have been seen since. newest: the last odometry message. odometry: dead
+    reckoning from the localiser's instant on. pending: frames that wait for it. scans: the newest scans. stamp (s),
+    clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions: frames that contradict
+    the pose, less those that agree since. suspect: what was seen since the first that contradicts it, None where none
+    does. lost: where the robot is since then is a guess. kidnapped: the robot was moved since the last view by
+    something else than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in
+    which it may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has
+    mapped on without. turn, piece: the open turn and piece of the way, way: those before it since the last view. map:
+    what has become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of
+    the newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
+    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
+    odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by something else than its
+    wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and of all
+    surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight. loops: the
+    search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session
+    began with, until it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in
+    it that may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -154,7 +160,6 @@ class EstimatorState:
     clock: float = -np.inf
     X_OB: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
     contradictions: int = 0
-    agreed: float = -np.inf
     suspect: OpenObservation | None = None
     lost: bool = False
     kidnapped: bool = False

@@ -17,7 +17,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, message, replace
-from tfg_drake.slam.keyframe import Keyframe, fusion, joined_reach, placed, rows_of, way, without_tags
+from tfg_drake.slam.keyframe import Keyframe, fusion, is_unknown, joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.shared import Shared
 from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.table import empty, take
@@ -167,27 +167,27 @@ def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
     return replace(graph, keyframes=(*graph.keyframes[:keyframe], one, *graph.keyframes[keyframe + 1 :]))
 
 
-def decoupled(graph: KeyframeGraph, covariance: FloatArray, found_by: IntArray) -> KeyframeGraph:
-    """The graph with the newest keyframes decoupled: where only odometry ties them to those before, this covariance
-    (3, 3) takes the place of odometry's, as odometry has been found wrong there.
+def adrift(graph: KeyframeGraph) -> int:
+    """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
+    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
 
-    It goes back to the newest keyframe that shares WITNESSES landmarks with those before it, or that saw one of the
-    landmarks found_by (f,), by which the robot has found itself.
-    """
-    for j in range(len(graph.keyframes) - 1, 0, -1):
-        one = graph.keyframes[j]
-        before = np.concatenate([other.ids for other in graph.keyframes[:j]])
-        if np.isin(one.ids, before).sum() >= WITNESSES or np.isin(one.ids, found_by).any():
-            break
-        if not len(one.ids):
-            loose = way(one.given(graph.shared.mean)[1], covariance)
-            graph = replace(graph, keyframes=(*graph.keyframes[:j], loose, *graph.keyframes[j + 1 :]))
-        elif len(graph.keyframes[j - 1].ids):
-            later = graph.view_keyframe >= j
-            graph = replace(
-                graph,
-                keyframes=(*graph.keyframes[:j], way(np.zeros(3), covariance), *graph.keyframes[j:]),
-                X_MN=np.insert(graph.X_MN, j, graph.X_MN[j], axis=0),
-                view_keyframe=graph.view_keyframe + later,
-            )
-    return graph
+
+def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
+    """Which landmarks (n,) some keyframes have seen."""
+    seen = np.zeros(len(graph.ids), dtype=bool)
+    for one in keyframes:
+        seen[rows_of(one.ids, graph.ids)[0]] = True
+    return seen
+
+
+def tied(graph: KeyframeGraph) -> BoolArray:
+    """The landmarks (n,) that anything ties to the newest pose: all, or where the newest part of the map is adrift, and
+    has none in common with the rest, those in it."""
+    j = adrift(graph)
+    before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
+    return since if j >= 0 and not (before & since).any() else np.ones(len(graph.ids), dtype=np.bool_)
+
+
+def of_tied(estimate: MapEstimate, graph: KeyframeGraph) -> MapEstimate:
+    """The map of a graph with walls out of reach that nothing ties to the newest pose: they may be anywhere."""
+    return replace(estimate, reach=np.where(tied(graph)[:, None], estimate.reach, [np.inf, -np.inf]))

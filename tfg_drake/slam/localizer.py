@@ -29,8 +29,6 @@ from tfg_drake.table import empty, take
 MOST_LOCAL = 30
 # Tags seen in fewer frames become no goal: one of them may be wrong, or its id misread.
 LEAST_FRAMES = 2
-# Standard deviations of a pose found by geometry before the tags it was found from are used, m, m, rad.
-ANYWHERE = (1.0, 1.0, 0.5)
 
 
 @message
@@ -88,16 +86,6 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
         reach=estimate.reach[of_walls],
         floor=walls.floor,
     )
-
-
-def restart_localizer(
-    estimate: MapEstimate, noise: FloatArray, X_MB: FloatArray, detections: TagDetections
-) -> Localizer:
-    """The localiser at a pose X_MB (3,) found by geometry, as uncertain as the mapped tags it was found from say."""
-    localizer = start_localizer(estimate)
-    mean = se2.between(estimate.X_MD, X_MB)
-    localizer = replace(localizer, mean=mean, covariance=np.diag(ANYWHERE) ** 2)
-    return step_localizer(localizer, noise, np.zeros(3), 0.0, detections, np.zeros(2), 0.0)[0]
 
 
 def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigma: FloatArray) -> Localizer:

@@ -70,11 +70,6 @@ def nothing_seen() -> Seen:
     return Seen(np.empty((0, 4)), np.empty((0, 2)), np.zeros(1, dtype=np.int64))
 
 
-def seen_at_once(points: FloatArray) -> Seen:
-    """Points (q, 4) that are all seen from the origin."""
-    return nothing_seen().with_look(points, np.zeros(3))
-
-
 def seen_by_views(graph: KeyframeGraph, after: int = -1) -> Seen:
     """All that the views of a graph have seen, in M, of those behind one of its keyframes."""
     keyframes, first = np.unique(graph.view_keyframe, return_index=True)
@@ -160,7 +155,7 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
     share = share[[kept[k] for k in first]]
-    log = _log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
+    log = log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
     odds = np.exp(log - max(log.max(), 0.0))
     probability, order = odds / (odds.sum() + math.exp(-max(log.max(), 0.0))), np.argsort(-log, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
@@ -168,8 +163,11 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     return Places(X[order], information[order], probability[order], tells[order], share[order])
 
 
-def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
-    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's."""
+def log_odds(
+    before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray, most_beyond: float = MOST_BEYOND
+) -> FloatArray:
+    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's. most_beyond: of what is seen where
+    the map has nothing."""
     eyes = np.unique(np.linspace(0, len(seen.eyes) - 1, MOST_EYES).round().astype(np.int64))
     views = [nearest(seen.eyes[i], seen.points[seen.begin[i] : seen.begin[i + 1]]) for i in eyes]
     cells, there, log = thinned(seen.points), thinned(before), np.empty(len(X))
@@ -184,7 +182,7 @@ def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray)
         is_before[is_before] = cKDTree(old[:, :2]).query(cells[is_before, :2])[0] > BESIDE
         through = looked_through(old, seen.eyes[eyes], np.array(views))
         through[through] = mine.query(old[through, :2])[0] > BESIDE
-        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), MOST_BEYOND)
+        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), most_beyond)
         log[k] = CELL * (ON * on.sum() + BEFORE * is_before.sum() + THROUGH * through.sum()) + beyond
     return log
 

@@ -1,16 +1,20 @@
-"""Finds where a session is in the map that it began with. Until it is found it maps apart, in a frame of its own.
+"""Finds where a robot is: a session in the map that it began with, or a robot in its own that is suddenly elsewhere.
 
-Hypotheses are the poses from which the tags of both, or the surfaces seen so far, fit the map (`place_search`); one is
-believed when the odds that it is wrong are small. Then both maps become one: the older one is a keyframe at the
-beginning of the graph, in whose frame all lies from then on, with the names of the session's walls where they are the
-same.
+Hypotheses are the poses from which the tags of both, or the surfaces seen lately, fit the map (`tag_search`,
+`place_search`); one is believed when the odds that it is wrong are small.
+
+A session maps apart, in a frame of its own, until it is found; then both maps become one (`joining`), and apart again
+if what follows contradicts that. A robot that may be elsewhere in its own map is looked for by what it has seen since
+the first frame that contradicts its pose: it is where it seemed to be, or elsewhere, by a motion that is not known, or
+lost. A lost one maps on. All that follows is known to metres for ever then, however long it looks: walls are recognised
+where it is known where they must be. So as long as the newest part of the map is adrift each view is asked where it is,
+and that part is moved there as a whole, farther than a linearisation reaches.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -20,21 +24,29 @@ from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import (
     FloatArray,
     Hypotheses,
-    IntArray,
     MapEstimate,
     SaidPose,
     TagDetections,
-    is_tag,
     replace,
 )
-from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, newest_of, opened, reduced_now, unknown_way
-from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
-from tfg_drake.slam.keyframe import joined_reach, placed, rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import empty_graph, empty_map, extended, no_observation
-from tfg_drake.slam.localizer import start_localizer
-from tfg_drake.slam.lost_robot import Expected, relocalize
-from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.map_update import deviation_of
+from tfg_drake.slam.estimator_state import (
+    KIDNAPPED,
+    EstimatorState,
+    KnownMap,
+    OpenObservation,
+    Placed,
+    Source,
+    newest_of,
+    opened,
+    reduced_now,
+    unknown_way,
+)
+from tfg_drake.slam.evidence import Sighted
+from tfg_drake.slam.joining import OF_KNOWN, with_known, without_known
+from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, moved_part, seen_by, tied
+from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
+from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import (
     WRONG,
     Places,
@@ -42,73 +54,45 @@ from tfg_drake.slam.place_search import (
     Seen,
     find_places,
     is_elsewhere,
+    log_odds,
     nothing_seen,
     seen_by_views,
+    tells_place,
 )
-from tfg_drake.slam.surface_fit import surface_points
-from tfg_drake.slam.walls import named, renamed
-from tfg_drake.table import concat, empty, take
+from tfg_drake.slam.shared import seen_from_body
+from tfg_drake.slam.surface_fit import Surfaces, map_points, surface_points
+from tfg_drake.slam.tag_search import Tagged, by_tags
+from tfg_drake.table import empty
 
-# A pose that says nothing of where to look.
-ANYWHERE = Expected(np.array([1e6, 0.0, 0.0]), None, np.ones(3))
-# Tags that must agree.
-LEAST_TAGS = 3
+Ways = tuple[tuple[Sighted, Source | None], ...]
+
 # Deviations of a pose by walls, m, m, rad.
 BY_WALLS = np.array([0.05, 0.05, 0.005])
 # The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
 FRAMES, TURNED = 4, 1.0
-# And after each of the first views, so many, and then after each of so many.
+# And after each of the first views, so many, and then after each of so many. Both maps are one for good once so many
+# views have followed.
 EACH_VIEW, LATER = 4, 4
 # The place that somebody says is so much likelier than others, as a logarithm.
-ELSEWHERE = -4.0
+SAID = -4.0
 # One that was believed is so as long as it is this probable.
 STILL = 0.9
+# A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
+ELSEWHERE = 5.0
+# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this or no more than
+# such a share of what it has seen fits it within so much, m, m, rad, and three deviations, and is elsewhere if it has
+# not found itself for so long, s.
+LOOKS, LIKELY, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 0.65, 5.0
+HERE = np.array([0.05, 0.05, 0.02])
+# It is somewhere in what it has just mapped: there a place is believed that is wrong with such a probability.
+MAPPED_WRONG = 0.01
+# That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
+# logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
+DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
+# Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
+PLACED = np.array([0.1, 0.1, 0.03])
 
-_operator = logging.getLogger("tfg_drake.operator")
-
-
-class Tagged(Protocol):
-    """A map with tags."""
-
-    @property
-    def ids(self) -> IntArray:
-        """(n,) of the tags, ascending."""
-
-    @property
-    def p_ML(self) -> FloatArray:
-        """(n, 2) places of the tags, m."""
-
-    @property
-    def landmark_covariance(self) -> FloatArray:
-        """(n, 2, 2) of these, m^2."""
-
-
-def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
-    """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
-
-    Raises:
-        BadInput: there are enough, and they stand differently.
-    """
-    common, in_A, in_B = np.intersect1d(of_A.ids, of_B.ids, return_indices=True)
-    if len(common) < LEAST_TAGS:
-        return None
-    # Seen from amid them: far off a small error of heading is a large one of the place.
-    middle = of_B.p_ML[in_B].mean(axis=0)
-    x, y = (of_B.p_ML[in_B] - middle).T
-    both = of_A.landmark_covariance[in_A], of_B.landmark_covariance[in_B]
-    sigma, distance = np.sqrt(sum(np.linalg.eigvalsh(one)[:, -1] for one in both)), np.hypot(x, y)
-    seen = TagDetections(0.0, common, distance, np.arctan2(y, x), sigma, sigma / np.maximum(distance, 0.1))
-    known = replace(empty_map(), ids=of_A.ids, p_ML=of_A.p_ML, landmark_covariance=of_A.landmark_covariance)
-    found = relocalize(known, seen, ANYWHERE)
-    if found is None:
-        raise BadInput(
-            f"{len(common)} tags are in both, but fewer than three in five of them stand alike: are both of one place?"
-        )
-    if not found.is_known:
-        return None
-    X_AB, J = se2.compose(found.X_MB, np.append(-middle, 0.0)), np.eye(3)
-    J[:2, 2] = (found.X_MB[:2] - X_AB[:2])[::-1] * [1.0, -1.0]
-    return Placed(X_AB, J @ found.covariance @ J.T, common[~found.agreeing])
+_log, _operator = logging.getLogger("tfg_drake.slam"), logging.getLogger("tfg_drake.operator")
 
 
 def said_to_be(state: EstimatorState, said: SaidPose, X_MB: FloatArray) -> EstimatorState:
@@ -130,31 +114,31 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     known, turn = state.known, state.turn
     if known is None or turn is None or state.map is not None:
         return state
-    count, parts = (
-        len(turn.frames),
-        [round((frame.X_OB[2] - turn.begin.X_OB[2]) / TURNED) for frame in turn.frames[-2:]],
-    )
+    count = len(turn.frames)
+    parts = [round((frame.X_OB[2] - turn.begin.X_OB[2]) / TURNED) for frame in turn.frames[-2:]]
     if count != FRAMES and (count < FRAMES or parts[0] == parts[1]):
         return state
-    newest, shared = newest_of(turn), state.graph.shared
-    one, X_MA = reduced_now(state, newest).keyframe, newest.X_MB
-    w = one.walls
-    y_AL, _, R = one.given(shared.mean)
-    rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
-    covariance = R[rows[:, :, None], rows[:, None]]
-    tags = replace(empty_map(), ids=one.ids[w:], p_ML=se2.transform(X_MA, y_AL[w:]), landmark_covariance=covariance)
-    seen = nothing_seen().with_look(surface_points(one, shared.mean), X_MA)
-    return _with_place(state, *_placement(known, tags, seen))
+    newest = newest_of(turn)
+    return _with_place(state, known, *_seen_of(reduced_now(state, newest).keyframe, state, newest.X_MB))
 
 
 def joined(state: EstimatorState) -> EstimatorState:
-    """The state of a session after a view, one with the map that it began with if it knows where in that it is."""
+    """The state of a session after a view: one with the map that it began with as long as it knows where in that it
+    is."""
     known, estimate = state.known, state.map
-    if known is None or estimate is None or (estimate.stage > EACH_VIEW and estimate.stage % LATER):
+    if known is None or estimate is None or adrift(state.graph) >= 0:
         return state
-    found, places = _placement(known, estimate.of_tags, seen_by_views(state.graph))
-    state = _with_place(state, found, places)
-    return state if state.at is None else _with_known(state, known, state.at)
+    views = estimate.stage - known.since
+    if views > EACH_VIEW and views % LATER:
+        return state
+    # Of what is seen all that is the session's own.
+    tags, after = (empty_map(), OF_KNOWN) if known.since else (estimate.of_tags, -1)
+    state = _with_place(state, known, tags, seen_by_views(state.graph, after))
+    if state.at is None:
+        return state
+    if not known.since:
+        return with_known(state, known, state.at)
+    return replace(state, known=None, at=None) if views >= EACH_VIEW else state
 
 
 def in_known(
@@ -169,110 +153,193 @@ def in_known(
     return X_KB, np.asarray(both), se2.transform(at.X, p_MU)
 
 
-def _placement(known: KnownMap, tags: MapEstimate, seen: Seen) -> tuple[Placed | None, Places | None]:
-    """How a session lies in the map that it began with, by its tags or by its surfaces; the places that it may be."""
+def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
+    """The number of a frame's tags that are mapped too far away for the localiser and seen far from there."""
+    row, mapped = rows_of(seen.ids, state.graph.ids)
+    estimate = localizer.map
+    mapped &= ~rows_of(seen.ids, estimate.ids[estimate.local])[1]
+    if state.map is None or not mapped.any():
+        return 0
+    X_MB, _ = localized_pose(localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    seen = seen_from_body(seen, state.graph.shared)
+    angle = X_MB[2] + seen.bearing[mapped]
+    p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
+
+
+def is_contradicted(state: EstimatorState) -> bool:
+    """Whether the open turn has seen what is likelier seen from no place of the map than from where the robot seems to
+    be: a few lines may agree with it from anywhere. What is not mapped yet does not count."""
+    turn, graph = state.turn, state.graph
+    if turn is None or state.map is None or state.kidnapped:
+        return False
+    _, seen = _seen_of(reduced_now(state, turn).keyframe, state, turn.X_MB)
+    surfaces = map_points(graph, _newest_part(graph))
+    if not len(surfaces) or not tells_place(seen.points):
+        return False
+    return bool(log_odds(surfaces, Surfaces(surfaces), seen, np.zeros((1, 3)), most_beyond=0.0)[0] < 0.0)
+
+
+def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
+    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose. By
+    tags it is looked for with each frame of them, by surfaces once a second and at last.
+
+    at_last: what has been seen is about to be mapped, as if the robot were where it seems to be, unless it is found
+    elsewhere or is known to be.
+    """
+    estimate, suspect, stamp = state.map, state.suspect, state.stamp
+    if estimate is None or suspect is None:
+        return state
+    by_surfaces = at_last or sum(len(frame.lines) > 0 for frame in suspect.frames) % LOOKS == 0
+    if not by_surfaces and not len(suspect.frames[-1].detections.ids):
+        return state
+    newest = newest_of(suspect)
+    tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
+    by_surfaces = by_surfaces and tells_place(seen.points)
+    graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
+    surfaces = map_points(graph, _newest_part(graph) if by_surfaces else ())
+    expected, anywhere = newest.X_MB, math.isnan(state.placed)
+    prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
+    found, places = _where(known, surfaces, tags, seen, prior, MAPPED_WRONG)
+    if not by_surfaces and found is None:
+        return state
+    if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
+        return replace(state, contradictions=0, suspect=None)
+    if found is None:
+        if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
+            return state
+        _log.warning("%.2f s: what is in view contradicts the pose; the robot looks for itself", stamp)
+        # Tags met before the robot was moved have another place relative to it now.
+        state = replace(state, localizer=without_local(state.localizer))
+        return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
+    if anywhere:
+        _tell_found(state, found, found.X)
+    else:
+        x, y, turn = found.X - expected
+        message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
+        _log.warning(message, stamp, math.hypot(x, y), abs(float(se2.wrap_angle(turn))), found.by)
+    X_MB = se2.compose(found.X, se2.between(newest.begin.X_OB, state.X_OB))
+    if not estimate.is_joint:
+        graph = replace(graph, p_ML=estimate.p_ML)
+        node = 1 + int(np.argmin(np.hypot(*(graph.X_MN[1:] - X_MB)[:, :2].T)))
+        _, estimate = solve(graph, estimate.stamp, estimate.observation, node=node)
+    localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
+    placed = stamp if anywhere else state.placed
+    state = replace(state, localizer=localizer, placed=placed, contradictions=0, lost=False, suspect=None)
+    return begun_elsewhere(state, replace(newest, X_MB=found.X, sigma=PLACED))
+
+
+def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
+    """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
+    if state.turn is None:
+        return replace(state, kidnapped=True, way=(), piece=begun)
+    assert state.map is not None
+    if begun.begin.stamp < state.turn.begin.stamp:
+        begun = replace(opened(state), sigma=begun.sigma)
+    way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
+    return replace(state, kidnapped=True, way=(way,), turn=begun)
+
+
+def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[KeyframeGraph, MapEstimate, Ways]:
+    """Graph and map before a view, and the way to it, known where they were not but what the view sees tells where it
+    is."""
+    graph, estimate = state.graph, state.map or state.localizer.map
+    j, lost = adrift(graph), any(is_unknown(one.keyframe) for one, _ in way)
+    if not (lost or j >= 0) or not state.placed < np.inf:
+        return graph, estimate, way
+    before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
+    before = before if j >= 0 else since
+    if not lost and tied(graph).all():
+        return graph, estimate, way
+    at = estimate.X_MD
+    for one, _ in way:
+        at = se2.compose(at, one.keyframe.y_AD)
+    # Of what is adrift all views tell together where it is.
+    tags, seen = _seen_of(view, state, at, nothing_seen() if lost else seen_by_views(graph, j))
+    known = estimate.of_landmarks(before & (lost | ~since)).of_tags
+    before_it = map_points(graph, range(j) if j >= 0 else None)
+    found, _ = _where(known, before_it, tags, seen, None, MAPPED_WRONG)
+    if found is None:
+        return graph, estimate, way
+    _log.warning("%.2f s: the robot has found itself; what follows is tied to the map before", state.stamp)
+    if lost:
+        return graph, estimate, (unknown_way(se2.between(estimate.X_MD, se2.compose(found.X, at)), PLACED),)
+    poses = graph.X_MN.copy()
+    poses[j + 1 :] = se2.compose(found.X, poses[j + 1 :])
+    tie, _ = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
+    keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
+    graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
+    return *solve(graph, estimate.stamp, estimate.observation), way
+
+
+def _newest_part(graph: KeyframeGraph) -> range:
+    """The keyframes among which the newest pose is known: where the map is adrift those behind the unknown way."""
+    return range(adrift(graph) + 1, len(graph.keyframes))
+
+
+def _seen_of(
+    one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen | None = None
+) -> tuple[MapEstimate, Seen]:
+    """The tags and surfaces that a keyframe sees, which begins at a pose (3,) of some frame, in that; and what was seen
+    before."""
+    w, shared = one.walls, state.graph.shared.mean
+    y_AL, _, R = one.given(shared)
+    rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
+    covariance = R[rows[:, :, None], rows[:, None]]
+    tags = replace(empty_map(), ids=one.ids[w:], p_ML=se2.transform(X, y_AL[w:]), landmark_covariance=covariance)
+    return tags, (before or nothing_seen()).with_look(surface_points(one, shared), X)
+
+
+def _where(
+    tags: Tagged, surfaces: FloatArray, seen_tags: Tagged, seen: Seen, prior: Prior | None, wrong: float
+) -> tuple[Placed | None, Places]:
+    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces (p, 4), wrongly
+    with no greater probability than this; the places that it may be."""
     try:
-        found = by_tags(known.estimate.of_tags, tags)
+        found = by_tags(tags, seen_tags)
     except BadInput:  # Ids that hang elsewhere: in another building they do.
         found = None
     if found is not None:
-        return found, None
-    prior = None if known.said is None else Prior(known.said.X, np.sqrt(np.diag(known.said.covariance)), ELSEWHERE)
-    places = find_places(known.surfaces, seen, prior)
-    X = places.found()
+        only = np.ones(1)
+        information = np.asarray(np.linalg.inv(found.covariance))
+        return found, Places(found.X[None], information[None], only, only > 0.0, only)
+    places = find_places(surfaces, seen, prior)
+    X = places.found(wrong)
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
 
-def _with_place(state: EstimatorState, found: Placed | None, places: Places | None) -> EstimatorState:
-    """The state with where the session is, and what it is to be told of that."""
+def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen: Seen) -> EstimatorState:
+    """The state of a session that has seen these, in its frame, with where it is in the map that it began with."""
+    said = None if known.since else known.said
+    prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
+    found, places = _where(known.estimate.of_tags, known.surfaces, tags, seen, prior, WRONG)
+    at = state.at
+    if at is not None and (not len(places.X) or places.near(at.X) > STILL):
+        if known.since or not len(places.X):
+            return state
+        nearest = np.argmin(np.hypot(*(places.X - at.X)[:, :2].T))
+        return replace(state, at=found or replace(at, X=places.X[nearest]))
+    if at is not None:
+        _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
+        state = replace(state, at=None, placed=-math.inf)
+        if known.since:
+            return without_known(state, known)
     if found is None:
-        if state.at is not None and places is not None and places.near(state.at.X) > STILL:
-            nearest = np.argmin(np.hypot(*(places.X - state.at.X)[:, :2].T))
-            return replace(state, at=replace(state.at, X=places.X[nearest]))
-        if state.at is not None:
-            _operator.warning("%.2f s: what follows contradicts that place: the robot looks for itself", state.stamp)
-        hypotheses = _not_refuted(state.known, places)
+        left = places.probability > WRONG
+        hypotheses = Hypotheses(places.X[left], places.probability[left], known.surfaces)
         count = hypotheses.likely
         if count > 1 and count != state.hypotheses.likely:
             _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)
-        return replace(state, at=None, placed=-math.inf, hypotheses=hypotheses)
-    if state.at is None:
-        x, y, _ = found.X if state.map is None else se2.compose(found.X, state.map.X_MD)
-        by = "surfaces" if places is not None else "tags"
-        _operator.warning(
-            "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s", state.stamp, x, y, by
-        )
-        said = None if state.known is None else state.known.said
-        if said is not None and is_elsewhere(found.X[None], said.X)[0]:
-            off = math.dist(found.X[:2], said.X[:2])
-            _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
-    placed = state.stamp if state.at is None else state.placed
-    return replace(state, at=found, placed=placed, hypotheses=empty(Hypotheses))
+        return replace(state, hypotheses=hypotheses)
+    _tell_found(state, found, found.X if state.map is None else se2.compose(found.X, state.map.X_MD))
+    if said is not None and is_elsewhere(found.X[None], said.X)[0]:
+        off = math.dist(found.X[:2], said.X[:2])
+        _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
+    return replace(state, at=found, placed=state.stamp, hypotheses=empty(Hypotheses))
 
 
-def _not_refuted(known: KnownMap | None, places: Places | None) -> Hypotheses:
-    """Those of the places that keep the session from believing in another one."""
-    if known is None or places is None:
-        return empty(Hypotheses)
-    left = places.probability > WRONG
-    return Hypotheses(places.X[left], places.probability[left], known.surfaces)
-
-
-def _with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
-    """The state of a session that lies so in the map that it began with as one map, in the frame of that."""
-    X_KM, graph, stamp = at.X, state.graph, state.stamp
-    assert state.map is not None
-    told = solve(graph, stamp, no_observation(), joint=known_jointly(graph))[1]
-    one = without_tags(known.keyframe, at.moved)
-    names, walls = renamed(one, state.walls, told, se2.inverse(X_KM), at.covariance)
-    one = named(one, names)
-    both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
-    both = extended(both, one, known.X_KD, is_view=False)
-    way, _ = unknown_way(se2.between(known.X_KD, X_KM), np.sqrt(np.diag(at.covariance)))
-    both = extended(both, way.keyframe, X_KM, is_view=False)
-    for later, X_MN in zip(graph.keyframes, graph.X_MN[1:], strict=True):
-        both = extended(both, later, se2.compose(X_KM, X_MN), is_view=False)
-    # Surfaces and free space hang on the views, and on the walls where the session has them.
-    rows, w = np.searchsorted(both.ids, graph.ids), int(np.count_nonzero(~is_tag(graph.ids)))
-    (p_ML, anchor), reach = placed(X_KM, graph.ids, told.p_ML, graph.anchor), graph.reach.copy()
-    reach[:w] = joined_reach(p_ML[:w], anchor[:w], reach[:w], both.anchor[rows[:w]], both.reach[rows[:w]])
-    where = {name: getattr(both, name).copy() for name in ("p_ML", "anchor", "reach")}
-    for values, of_session in zip(where.values(), (p_ML, anchor, reach), strict=True):
-        values[rows] = of_session
-    both = replace(
-        both,
-        **where,
-        view_keyframe=graph.view_keyframe + 2,
-        X_AV=graph.X_AV,
-        tag_error=graph.tag_error,
-        unevenness=graph.unevenness,
-    )
-    both, estimate = solve(both, stamp, state.map.observation)
-    others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))
-    evidence = concat(state.evidence, others)
-    whole = with_doubts(replace(estimate, frame_worth=state.map.frame_worth), evidence, both)
-    state = replace(
-        state,
-        graph=both,
-        solved=both,
-        map=whole,
-        published=whole.of_tags,
-        walls=walls,
-        evidence=evidence,
-        watch=_watch(state.watch, whole.of_tags.ids, known, X_KM),
-        localizer=start_localizer(estimate, walls),
-        known=None,
-        at=None,
-        deviation=deviation_of(estimate),
-    )
-    return replace(state, piece=opened(state))
-
-
-def _watch(watch: TagWatch, ids: IntArray, known: KnownMap, X_KM: FloatArray) -> TagWatch:
-    """The watch over the tags (n,) of both maps; of those that only the older has it knows which way they face."""
-    watch = renewed(replace(watch, seen_from=watch.seen_from @ rotation(float(X_KM[2])).T), ids)
-    row, is_old = rows_of(ids, known.estimate.of_tags.ids)
-    only_old = is_old & ~watch.seen_from.any(axis=1)
-    seen_from = watch.seen_from.copy()
-    seen_from[only_old] = known.facing[row[only_old]]
-    return replace(watch, seen_from=seen_from)
+def _tell_found(state: EstimatorState, found: Placed, X_MB: FloatArray) -> None:
+    """Tells where in its map the robot has found itself."""
+    x, y, _ = X_MB
+    message = "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s"
+    _operator.warning(message, state.stamp, x, y, found.by)

@@ -1,0 +1,127 @@
+"""Two maps of a session become one, or apart again: that which it began with, and its own.
+
+The older one is a keyframe at the beginning of the graph, in whose frame all lies from then on, with the names of the
+session's walls where they are the same. Without this keyframe, and the way to the session's first, that is as it was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tfg_drake.geometry import se2
+from tfg_drake.geometry.se2 import rotation
+from tfg_drake.messages import FloatArray, is_tag, replace
+from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, opened, unknown_way
+from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
+from tfg_drake.slam.keyframe import Keyframe, joined_reach, placed, rows_of, without_tags
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
+from tfg_drake.slam.localizer import start_localizer
+from tfg_drake.slam.map_solver import known_jointly, solve
+from tfg_drake.slam.map_update import deviation_of
+from tfg_drake.slam.walls import named, renamed
+from tfg_drake.table import concat, take
+
+# The last keyframe of the older map in the graph of both: all of it, and the way to the session's first.
+OF_KNOWN = 1
+
+
+def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
+    """The state of a session that lies so in the map that it began with as one map, in the frame of that. Where no tags
+    say so this may be taken back."""
+    graph = state.graph
+    assert state.map is not None
+    told = solve(graph, state.stamp, no_observation(), joint=known_jointly(graph))[1]
+    one = without_tags(known.keyframe, at.moved)
+    names, walls = renamed(one, state.walls, told, se2.inverse(at.X), at.covariance)
+    way, _ = unknown_way(se2.between(known.X_KD, at.X), np.sqrt(np.diag(at.covariance)))
+    first = ((named(one, names), known.X_KD), (way.keyframe, at.X))
+    both = _moved(replace(graph, p_ML=told.p_ML), at.X, first, graph.keyframes, graph.X_MN)
+    others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))
+    state = replace(
+        state,
+        walls=walls,
+        evidence=concat(state.evidence, others),
+        watch=_turned(state.watch, at.X),
+        known=None if at.tags else replace(known, since=state.map.stage),
+        at=None if at.tags else Placed(np.zeros(3), np.zeros((3, 3))),
+    )
+    state = _mapped(state, both)
+    return replace(state, watch=_with_facing(state.watch, known))
+
+
+def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
+    """The state of a session that does not lie so in the map that it began with, apart from that again, in a frame of
+    its own."""
+    graph, begin = state.graph, OF_KNOWN + 1
+    assert state.map is not None
+    X_SM = se2.inverse(graph.X_MN[begin])
+    graph = replace(graph, p_ML=state.map.p_ML)
+    own = _moved(graph, X_SM, (), graph.keyframes[begin:], graph.X_MN[begin:])
+    evidence = take(state.evidence, np.isin(state.evidence.ids, own.ids))
+    watch = _turned(state.watch, X_SM)
+    return _mapped(replace(state, evidence=evidence, watch=watch, known=replace(known, since=0)), own)
+
+
+def _moved(
+    graph: KeyframeGraph,
+    X_FM: FloatArray,
+    first: tuple[tuple[Keyframe, FloatArray], ...],
+    keyframes: tuple[Keyframe, ...],
+    X_MN: FloatArray,
+) -> KeyframeGraph:
+    """The graph of its newest keyframes, k, and the poses between them (k + 1, 3), in another frame, in which M lies at
+    X_FM (3,), behind the first there, each with the pose (3,) at its end.
+
+    Surfaces and free space hang on the views, and on the walls where those of the graph have them.
+    """
+    both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
+    for one, X in (*first, *zip(keyframes, se2.compose(X_FM, X_MN[1:]), strict=True)):
+        both = extended(both, one, X, is_view=False)
+    row, known = rows_of(both.ids, graph.ids)
+    row, w = row[known], np.flatnonzero(known & ~is_tag(both.ids))
+    p_ML, anchor, reach = both.p_ML.copy(), both.anchor.copy(), both.reach.copy()
+    p_ML[known], anchor[known] = placed(X_FM, graph.ids[row], graph.p_ML[row], graph.anchor[row])
+    nowhere = np.tile([np.inf, -np.inf], (len(w), 1))
+    reach[w] = joined_reach(p_ML[w], anchor[w], nowhere, both.anchor[w], reach[w])
+    return replace(
+        both,
+        p_ML=p_ML,
+        anchor=anchor,
+        reach=reach,
+        view_keyframe=graph.view_keyframe + len(both.keyframes) - len(graph.keyframes),
+        X_AV=graph.X_AV,
+        tag_error=graph.tag_error,
+        unevenness=graph.unevenness,
+    )
+
+
+def _mapped(state: EstimatorState, graph: KeyframeGraph) -> EstimatorState:
+    """The state after a view with another graph of all that it has seen, solved."""
+    assert state.map is not None
+    graph, estimate = solve(graph, state.stamp, state.map.observation)
+    whole = with_doubts(replace(estimate, frame_worth=state.map.frame_worth), state.evidence, graph)
+    state = replace(
+        state,
+        graph=graph,
+        solved=graph,
+        map=whole,
+        published=whole.of_tags,
+        watch=renewed(state.watch, whole.of_tags.ids),
+        localizer=start_localizer(estimate, state.walls),
+        deviation=deviation_of(estimate),
+    )
+    return replace(state, piece=opened(state))
+
+
+def _turned(watch: TagWatch, X_FM: FloatArray) -> TagWatch:
+    """The watch in another frame, in which M lies at X_FM (3,)."""
+    return replace(watch, seen_from=watch.seen_from @ rotation(float(X_FM[2])).T)
+
+
+def _with_facing(watch: TagWatch, known: KnownMap) -> TagWatch:
+    """The watch over the tags of both maps; of those that only the older has it knows which way they face."""
+    row, is_old = rows_of(watch.ids, known.estimate.of_tags.ids)
+    only_old = is_old & ~watch.seen_from.any(axis=1)
+    seen_from = watch.seen_from.copy()
+    seen_from[only_old] = known.facing[row[only_old]]
+    return replace(watch, seen_from=seen_from)

@@ -1,0 +1,104 @@
+"""Search for the place of some tags among those of a map: robustly, by the poses that any two of them give."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Protocol
+
+import numpy as np
+
+from tfg_drake.bad_input import BadInput
+from tfg_drake.geometry import se2
+from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.slam.estimator_state import Placed
+from tfg_drake.slam.place_search import is_elsewhere
+
+# Tags that must agree, and the share of those that are in both.
+LEAST_TAGS, LEAST_SHARE = 3, 0.6
+# Squared deviations of a tag from where it should be, beyond which they say no more: it is misread, or was moved.
+GATE = 3.5**2
+# A tag may be this far from where the map has it, m. One less certain than LOOSE, m, is not where it seems.
+MAP_SIGMA, LOOSE = 0.05, 10.0
+# Two tags nearer than this to each other tell no heading, m. Tags that are tried, the surest.
+LEAST_BASE, MOST_TAGS = 0.4, 12
+# Steps to the least squares.
+STEPS = 8
+# A pose is known when its deviations amid the tags are below these, m, m, rad, and any that is another place leaves so
+# many squared deviations more.
+KNOWN, AHEAD = np.array([0.3, 0.3, 0.1]), 6.0
+
+
+class Tagged(Protocol):
+    """A map with tags."""
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) of the tags, ascending."""
+
+    @property
+    def p_ML(self) -> FloatArray:
+        """(n, 2) places of the tags, m."""
+
+    @property
+    def landmark_covariance(self) -> FloatArray:
+        """(n, 2, 2) of these, m^2."""
+
+
+def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
+    """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
+
+    Raises:
+        BadInput: there are enough, and they stand differently.
+    """
+    common, in_A, in_B = np.intersect1d(of_A.ids, of_B.ids, return_indices=True)
+    in_both = of_A.landmark_covariance[in_A], of_B.landmark_covariance[in_B]
+    variance = np.linalg.eigvalsh(in_both[0])[:, -1] + np.linalg.eigvalsh(in_both[1])[:, -1]
+    told = variance < LOOSE**2
+    ids, weight = common[told], np.asarray(1.0 / (variance[told] + MAP_SIGMA**2))
+    # Seen from amid them: far off a small error of heading is a large one of the place.
+    p_A, p_B = of_A.p_ML[in_A[told]], of_B.p_ML[in_B[told]]
+    middle = p_B.mean(axis=0) if len(ids) else np.zeros(2)
+    p_B = p_B - middle
+    tried = np.argsort(-weight, kind="stable")[:MOST_TAGS]
+    pairs = np.array(list(itertools.combinations(tried, 2)), dtype=np.int64).reshape(-1, 2)
+    pairs = pairs[np.hypot(*(p_B[pairs[:, 1]] - p_B[pairs[:, 0]]).T) >= LEAST_BASE]
+    if len(ids) < LEAST_TAGS or not len(pairs):
+        return None
+    X = _aligned(p_A, p_B, np.eye(len(ids))[pairs].sum(axis=1))
+    for _ in range(STEPS):
+        X = _aligned(p_A, p_B, weight * (_squared(p_A, p_B, weight, X) < GATE))
+    squared = _squared(p_A, p_B, weight, X)
+    cost = np.minimum(squared, GATE).sum(axis=1)
+    best = int(np.argmin(cost))
+    agree = squared[best] < GATE
+    if agree.sum() < LEAST_SHARE * len(ids):
+        raise BadInput(
+            f"{len(common)} tags are in both, but fewer than three in five of them stand alike: are both of one place?"
+        )
+    J = np.tile(np.eye(2, 3), (len(ids), 1, 1))
+    J[:, :, 2] = (se2.transform(X[best], p_B) - X[best, :2])[:, ::-1] * [-1.0, 1.0]
+    covariance = np.linalg.inv(np.einsum("n,nia,nib->ab", weight * agree, J, J) + 1e-4 * np.eye(3))
+    rivals = cost[is_elsewhere(X, X[best])] < cost[best] + AHEAD
+    if agree.sum() < LEAST_TAGS or rivals.any() or np.any(np.diag(covariance) >= KNOWN**2):
+        return None
+    X_AB, J = se2.compose(X[best], np.append(-middle, 0.0)), np.eye(3)
+    J[:2, 2] = (X[best, :2] - X_AB[:2])[::-1] * [1.0, -1.0]
+    return Placed(X_AB, J @ covariance @ J.T, ids[~agree], int(agree.sum()))
+
+
+def _aligned(p_A: FloatArray, p_B: FloatArray, weight: FloatArray) -> FloatArray:
+    """Poses (k, 3) that bring points of B (n, 2) closest to those of A (n, 2), by weights (k, n)."""
+    share = weight / np.maximum(weight.sum(axis=1), 1e-9)[:, None]
+    mean_A, mean_B = share @ p_A, share @ p_B
+    cross = np.einsum("kn,ni,nj->kij", share, p_B, p_A) - mean_B[:, :, None] * mean_A[:, None]
+    theta = np.arctan2(cross[:, 0, 1] - cross[:, 1, 0], cross[:, 0, 0] + cross[:, 1, 1])
+    turned = np.column_stack([np.zeros((len(theta), 2)), theta])
+    return np.column_stack([mean_A - se2.compose(turned, np.pad(mean_B, ((0, 0), (0, 1))))[:, :2], theta])
+
+
+def _squared(p_A: FloatArray, p_B: FloatArray, weight: FloatArray, X: FloatArray) -> FloatArray:
+    """(k, n) squared deviations of the tags of B (n, 2) from those of A (n, 2), where B lies at poses X (k, 3)."""
+    c, s = np.cos(X[:, 2, None]), np.sin(X[:, 2, None])
+    x, y = p_B.T
+    off = X[:, 0, None] + c * x - s * y - p_A[:, 0], X[:, 1, None] + s * x + c * y - p_A[:, 1]
+    return np.asarray(weight * (np.square(off[0]) + np.square(off[1])))
