@@ -157,7 +157,14 @@ def _commands(
         interruption.first, interruption.again = _tell_interruption, _leave
 
 
-@app.command(cls=grouped_help(_GROUPS), epilog="Example: tfg-drake explore house --seed 3 --realtime-rate 8")
+# Below the options of explore.
+_EXPLORE_ENDS = (
+    "Example: tfg-drake explore house --seed 3 --realtime-rate 8. Exit codes: 0 ended as it should; 1 stuck or apart; "
+    "2 bad input; 3 something failed; 4 nothing could be written; 130, 143, 129 interrupted."
+)
+
+
+@app.command(cls=grouped_help(_GROUPS), epilog=_EXPLORE_ENDS)
 def explore(
     scenario: Annotated[
         str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
@@ -514,31 +521,35 @@ def slam(
             "folder, a .g2o file or, with --calibration, a video or folder of images."
         ),
     ],
-    robot: Annotated[int | None, typer.Option(metavar="N", help="Whose run, where there are several robots.")] = None,
+    robot: Annotated[int | None, typer.Option(metavar="N", help="The robot to map with, if there are several.")] = None,
     calibration: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Of the camera of a video, OpenCV's YAML or ROS's camera_info.")
+        Path | None,
+        typer.Option(metavar="FILE", help="A video's camera calibration: OpenCV's YAML or ROS's camera_info."),
     ] = None,
     tag_size: Annotated[float | None, typer.Option(metavar="M", help="Side of the tags' black square.")] = None,
     mount: Annotated[
         str, typer.Option(metavar="X,Y,YAW,PITCH", help="The camera on what moves, m and rad; pitch is downward.")
     ] = "0,0,0,0",
     odometry: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Of a video: a TUM trajectory, or a CSV of time, x, y, heading.")
+        Path | None,
+        typer.Option(metavar="FILE", help="A video's odometry: a TUM trajectory, or a CSV of time, x, y, heading."),
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="walls|grid", help="Of a laser recording: walls as landmarks, or GMapping. [walls]"),
+        typer.Option(
+            metavar="walls|grid", help="How to map a laser recording: walls as landmarks, or GMapping. [walls]"
+        ),
     ] = None,
     relations: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Of a laser recording: relations of poses, to be held against it."),
+        typer.Option(metavar="FILE", help="Relations of poses to compare a laser recording's map with."),
     ] = None,
     odometry_noise: Annotated[
         float | None,
-        typer.Option(metavar="K", help="Of a corrected CARMEN log: errors of its odometry, times the usual. [1]"),
+        typer.Option(metavar="K", help="Odometry errors drawn for a corrected CARMEN log, times the usual. [1]"),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Of these errors, and of the grid's particles. [0]")
+        int | None, typer.Option(metavar="N", help="Seed of the drawn odometry errors and of GMapping's particles. [0]")
     ] = None,
     settings: Settings = None,
     page: Annotated[bool, typer.Option("--page", help="A page that shows how a laser recording is mapped.")] = False,

@@ -50,6 +50,9 @@ def _map_file(path: Path) -> Path:
 
 
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map or the folder of a run.", callback=_map_file)]
+OtherMap = Annotated[
+    Path, typer.Argument(metavar="OTHER", help="Another map, or the folder of a run.", callback=_map_file)
+]
 NewMap = Annotated[Path, typer.Argument(metavar="OUT", help="The map to write, a .npz file.")]
 
 # What is less probable is not told.
@@ -92,14 +95,17 @@ def export(
     map_file: MapArgument,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.")],
     name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help=f"By default the first with OUT's suffix: {_NAMED}.")
+        str | None,
+        typer.Option("--format", metavar="NAME", help=f"The format; by default the first with OUT's suffix: {_NAMED}."),
     ] = None,
     tag_height: Annotated[
-        float, typer.Option(metavar="M", help="Of the tags' centres (tagslam, apriltag_ros, wpilib).")
+        float, typer.Option(metavar="M", help="Height of the tags' centres (tagslam, apriltag_ros, wpilib).")
     ] = CameraConfig.tag_height,
     tag_size: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Of the tags' black squares (tagslam, apriltag_ros); by default the run's."),
+        typer.Option(
+            metavar="M", help="Side of the tags' black squares (tagslam, apriltag_ros); by default the run's."
+        ),
     ] = None,
 ) -> None:
     """Write a map in another format.
@@ -224,8 +230,8 @@ def _write_page(saved: SavedMap, map_file: Path, out: Path) -> None:
 
 
 @map_app.command()
-def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
-    """Make one map of two of the same place, in the frame of the first."""
+def merge(first: MapArgument, second: OtherMap, out: NewMap) -> None:
+    """Make one map of MAP and OTHER, which are of the same place, in the frame of MAP."""
     from tfg_drake.mapfile.merge import merge as merged
     from tfg_drake.mapfile.summary import landmark_counts
 
@@ -241,8 +247,8 @@ def merge(first: MapArgument, second: MapArgument, out: NewMap) -> None:
 
 
 @map_app.command()
-def locate(map_file: MapArgument, other: MapArgument) -> None:
-    """Say where another map or run lies in a map, and how sure that is; exit code 1 where it is not known."""
+def locate(map_file: MapArgument, other: OtherMap) -> None:
+    """Say where OTHER lies in MAP, and how sure that is; exit code 1 where it is not known."""
     from tfg_drake.bad_input import BadInput
     from tfg_drake.geometry.se2 import compose
     from tfg_drake.mapfile.placement import places_of

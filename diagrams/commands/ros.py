@@ -22,7 +22,9 @@ ros2_app = command_group("A robot on a ROS 2 graph.")
 @ros2_app.command()
 def emulate(
     scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of its noise [default: the scenario's].")] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Seed of the emulated noise [default: the scenario's].")
+    ] = None,
     network: Annotated[bool, typer.Option("--network", help="Join the whole network, not this machine only.")] = False,
 ) -> None:
     """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
