@@ -96,7 +96,7 @@ def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
     beyond = [[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)]
     query = np.vstack([known, surfaces(beyond)])
     odds = [
-        place_search.log_odds(known, Surfaces(known), nothing_seen().with_look(of, np.zeros(3)), np.zeros((1, 3)))[0]
+        place_search._log_odds(known, Surfaces(known), nothing_seen().with_look(of, np.zeros(3)), np.zeros((1, 3)))[0]
         for of in (known, query)
     ]
     assert odds[0] - odds[1] == pytest.approx(-place_search.MOST_BEYOND, abs=2.0)

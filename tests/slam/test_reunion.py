@@ -21,7 +21,7 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.place_search import no_places
-from tfg_drake.slam.relocalizer import ELSEWHERE, found_again, is_contradicted, mapped_elsewhere
+from tfg_drake.slam.relocalizer import ELSEWHERE, found_again, mapped_elsewhere
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
 
@@ -95,25 +95,6 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
-
-
-def test_a_view_of_another_place_contradicts_the_pose(monkeypatch):
-    robot = Robot()
-    state = robot.view(process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry()))
-    state = begin_turn(robot.drive(state, 0.2, 0.0, 5), robot.time)
-    assert not is_contradicted(state)
-    assert not is_contradicted(robot.drive(state, 0.0, 0.5, 126))
-    # A chair more is no other place.
-    chair = np.array([[2.9, 2.4, 3.3, 2.4], [3.3, 2.4, 3.3, 2.8], [3.3, 2.8, 2.9, 2.8], [2.9, 2.8, 2.9, 2.4]])
-    with monkeypatch.context() as patch:
-        patch.setattr("tests.slam.test_reunion.ROOM", np.vstack([ROOM, chair]))
-        assert not is_contradicted(robot.drive(state, 0.0, 0.5, 126))
-    monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
-    offset = np.array([2.3, 0.4, 0.0])
-    robot.X_WB = robot.X_WB + offset
-    robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
-    assert is_contradicted(robot.drive(state, 0.0, 0.5, 126))
-    assert not is_contradicted(replace(robot.drive(state, 0.0, 0.5, 126), kidnapped=True))
 
 
 def observation(rng, points, X):

@@ -91,7 +91,6 @@ from tfg_drake.slam.relocalizer import (
     find_itself,
     found_again,
     in_known,
-    is_contradicted,
     joined,
     looked_for,
     mapped_elsewhere,
@@ -276,8 +275,6 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     if state.turn is None:
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
-    if state.may_be_moved and state.contradictions < CONTRADICTIONS and is_contradicted(state):
-        state = replace(state, contradictions=CONTRADICTIONS, suspect=state.turn)
     if state.contradictions >= CONTRADICTIONS:
         state = find_itself(state, at_last=True)
     turn = state.turn

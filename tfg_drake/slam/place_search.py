@@ -155,7 +155,7 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
     share = share[[kept[k] for k in first]]
-    log = log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
+    log = _log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
     odds = np.exp(log - max(log.max(), 0.0))
     probability, order = odds / (odds.sum() + math.exp(-max(log.max(), 0.0))), np.argsort(-log, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
@@ -163,11 +163,8 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     return Places(X[order], information[order], probability[order], tells[order], share[order])
 
 
-def log_odds(
-    before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray, most_beyond: float = MOST_BEYOND
-) -> FloatArray:
-    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's. most_beyond: of what is seen where
-    the map has nothing."""
+def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
+    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's."""
     eyes = np.unique(np.linspace(0, len(seen.eyes) - 1, MOST_EYES).round().astype(np.int64))
     views = [nearest(seen.eyes[i], seen.points[seen.begin[i] : seen.begin[i + 1]]) for i in eyes]
     cells, there, log = thinned(seen.points), thinned(before), np.empty(len(X))
@@ -182,7 +179,7 @@ def log_odds(
         is_before[is_before] = cKDTree(old[:, :2]).query(cells[is_before, :2])[0] > BESIDE
         through = looked_through(old, seen.eyes[eyes], np.array(views))
         through[through] = mine.query(old[through, :2])[0] > BESIDE
-        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), most_beyond)
+        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), MOST_BEYOND)
         log[k] = CELL * (ON * on.sum() + BEFORE * is_before.sum() + THROUGH * through.sum()) + beyond
     return log
 

@@ -54,13 +54,12 @@ from tfg_drake.slam.place_search import (
     Seen,
     find_places,
     is_elsewhere,
-    log_odds,
     nothing_seen,
     seen_by_views,
     tells_place,
 )
 from tfg_drake.slam.shared import seen_from_body
-from tfg_drake.slam.surface_fit import Surfaces, map_points, surface_points
+from tfg_drake.slam.surface_fit import map_points, surface_points
 from tfg_drake.slam.tag_search import Tagged, by_tags
 from tfg_drake.table import empty
 
@@ -165,19 +164,6 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
     angle = X_MB[2] + seen.bearing[mapped]
     p_ML = X_MB[:2] + seen.range[mapped, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return int(np.count_nonzero(np.hypot(*(p_ML - state.map.p_ML[row[mapped]]).T) > ELSEWHERE))
-
-
-def is_contradicted(state: EstimatorState) -> bool:
-    """Whether the open turn has seen what is likelier seen from no place of the map than from where the robot seems to
-    be: a few lines may agree with it from anywhere. What is not mapped yet does not count."""
-    turn, graph = state.turn, state.graph
-    if turn is None or state.map is None or state.kidnapped:
-        return False
-    _, seen = _seen_of(reduced_now(state, turn).keyframe, state, turn.X_MB)
-    surfaces = map_points(graph, _newest_part(graph))
-    if not len(surfaces) or not tells_place(seen.points):
-        return False
-    return bool(log_odds(surfaces, Surfaces(surfaces), seen, np.zeros((1, 3)), most_beyond=0.0)[0] < 0.0)
 
 
 def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
