@@ -110,9 +110,9 @@ class Places(NamedTuple):
     tells: BoolArray
     share: FloatArray
 
-    def found(self, wrong: float = WRONG) -> FloatArray | None:
-        """The pose that is wrong with no greater probability than this, None for none."""
-        sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - wrong
+    def found(self) -> FloatArray | None:
+        """The pose that is wrong with no greater probability than WRONG, None for none."""
+        sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - WRONG
         return self.X[0] if sure else None
 
     def near(self, X: FloatArray, within: FloatArray = SAME_PLACE, least_share: float = 0.0) -> float:

@@ -83,8 +83,6 @@ ELSEWHERE = 5.0
 # not found itself for so long, s.
 LOOKS, LIKELY, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 0.65, 5.0
 HERE = np.array([0.05, 0.05, 0.02])
-# It is somewhere in what it has just mapped: there a place is believed that is wrong with such a probability.
-MAPPED_WRONG = 0.01
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
 # logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
 DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
@@ -186,7 +184,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     surfaces = map_points(graph, _newest_part(graph) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
-    found, places = _where(known, surfaces, tags, seen, prior, MAPPED_WRONG)
+    found, places = _where(known, surfaces, tags, seen, prior)
     if not by_surfaces and found is None:
         return state
     if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
@@ -244,7 +242,7 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     tags, seen = _seen_of(view, state, at, nothing_seen() if lost else seen_by_views(graph, j))
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags
     before_it = map_points(graph, range(j) if j >= 0 else None)
-    found, _ = _where(known, before_it, tags, seen, None, MAPPED_WRONG)
+    found, _ = _where(known, before_it, tags, seen, None)
     if found is None:
         return graph, estimate, way
     _log.warning("%.2f s: the robot has found itself; what follows is tied to the map before", state.stamp)
@@ -277,10 +275,10 @@ def _seen_of(
 
 
 def _where(
-    tags: Tagged, surfaces: FloatArray, seen_tags: Tagged, seen: Seen, prior: Prior | None, wrong: float
+    tags: Tagged, surfaces: FloatArray, seen_tags: Tagged, seen: Seen, prior: Prior | None
 ) -> tuple[Placed | None, Places]:
-    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces (p, 4), wrongly
-    with no greater probability than this; the places that it may be."""
+    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces (p, 4), None
+    where that is not known; the places that it may be."""
     try:
         found = by_tags(tags, seen_tags)
     except BadInput:  # Ids that hang elsewhere: in another building they do.
@@ -290,7 +288,7 @@ def _where(
         information = np.asarray(np.linalg.inv(found.covariance))
         return found, Places(found.X[None], information[None], only, only > 0.0, only)
     places = find_places(surfaces, seen, prior)
-    X = places.found(wrong)
+    X = places.found()
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
 
@@ -298,7 +296,7 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
     """The state of a session that has seen these, in its frame, with where it is in the map that it began with."""
     said = None if known.since else known.said
     prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
-    found, places = _where(known.estimate.of_tags, known.surfaces, tags, seen, prior, WRONG)
+    found, places = _where(known.estimate.of_tags, known.surfaces, tags, seen, prior)
     at = state.at
     if at is not None and (not len(places.X) or places.near(at.X) > STILL):
         if known.since or not len(places.X):
