@@ -67,8 +67,8 @@ docs: $(VENV)/.docs  ## build the reference from the docstrings, with the diagra
 kernels: $(VENV)/.test  ## list anew which kernels missions call, and with what types
 	$(BIN)/python benchmarks/mission_kernels.py
 
-results: $(VENV)/.test  ## make the tables of docs/results.md anew, an hour
-	$(BIN)/python benchmarks/results.py
+results: $(VENV)/.test  ## make the tables of docs/results.md anew, some hours (DATA=FOLDER: those of recordings, too)
+	$(BIN)/python benchmarks/results.py $(if $(DATA),--data $(DATA))
 
 figures: $(VENV)/.test  ## make the figures of the docs anew, twenty minutes
 	$(BIN)/python benchmarks/figures.py

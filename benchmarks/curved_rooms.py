@@ -115,7 +115,7 @@ def main() -> None:
             print(json.dumps(rows[-1]), flush=True)
     complete, told, wrong = (sum(map(bool, of)) for of in zip(*(
         (row["outcome"] == "complete", row["told"], row["wrong"]) for row in rows), strict=True))  # fmt: skip
-    print(f"{len(rows)} rooms: {complete} complete, {told} told that walls are not straight, {wrong} told wrongly")
+    print(f"\n{len(rows)} rooms: {complete} complete, {told} told that walls are not straight, {wrong} told wrongly")
 
 
 if __name__ == "__main__":

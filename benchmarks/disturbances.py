@@ -188,10 +188,13 @@ def main() -> None:
             results.append(r)
             figures = [f"{r.get(key, np.nan):>14.3f}" for key in KEYS]
             print(f"{r['seed']:>4}" + "".join(figures), flush=True)
+    print()
     for key, what in (("seconds", "in the world"), ("among_tags", "among the tags in view")):
         seconds = np.array([r.get(key, np.nan) for r in results])
         found = f"{np.count_nonzero(seconds < PATIENCE)} of {len(results)} found themselves {what}"
         print(f"{found} within {PATIENCE:g} s of three mapped tags in view; median {np.nanmedian(seconds):.2f} s")
+    false = np.array([r.get("false", 0.0) for r in results])
+    print(f"{np.count_nonzero(false)} were falsely sure of their position, for {np.max(false):.1f} s at most")
 
 
 if __name__ == "__main__":

@@ -107,4 +107,4 @@ if __name__ == "__main__":
         print(
             *(f"{key} {value}" for key, value in next(one for one in done if one["seed"] == seed).items()), flush=True
         )
-    print(f"{sum(one['same'] for one in done)} of {len(done)} end as if nobody had killed them")
+    print(f"\n{sum(one['same'] for one in done)} of {len(done)} end as if nobody had killed them")

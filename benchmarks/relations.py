@@ -140,7 +140,7 @@ def main() -> None:
             rows.append({"log": name, "method": method, **row(options.data, name, method)})
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
-    print(table(rows))
+    print("\n" + table(rows))
 
 
 if __name__ == "__main__":

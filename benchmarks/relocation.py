@@ -104,9 +104,15 @@ def main() -> None:
                 with file.open("a") as out:
                     out.write(json.dumps(row) + "\n")
                 print(*(f"{key} {value}" for key, value in row.items()), flush=True)
-    found = [row["found_at_s"] for row in rows if row["found_at_s"] is not None]
-    wrong = sum(row["wrong"] for row in rows)
-    print(f"{len(found)} of {len(rows)} found, median {np.median(found) if found else np.nan:.1f} s; {wrong} wrong")
+    print(f"\n{'world':16s} sessions found  wrong  median s  last s  position m  NEES")
+    for name in dict.fromkeys(row["world"] for row in rows):
+        some = [row for row in rows if row["world"] == name]
+        at = np.array([row["found_at_s"] for row in some if row["found_at_s"] is not None] or [np.nan])
+        error, nees = (np.mean([row[key] for row in some]) for key in ("error_m", "nees"))
+        print(
+            f"{name:16s} {len(some):8d} {np.count_nonzero(np.isfinite(at)):5d} {sum(row['wrong'] for row in some):6d}"
+            f" {np.median(at):9.1f} {np.max(at):7.1f} {error:11.4f} {nees:5.2f}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,17 +1,21 @@
-"""Makes the tables of whole missions in docs/results.md anew, all rows by the code that is here.
+"""Makes the tables of docs/results.md anew, all by the code that is here.
 
-    python benchmarks/results.py
-    python benchmarks/results.py --rows house paper_real --seeds 3 --dry
+    python benchmarks/results.py --data FOLDER
+    python benchmarks/results.py --tables offices flat --data FOLDER
+    python benchmarks/results.py --tables missions --rows house paper_real --seeds 3 --dry
 
-Each mission is a process of its own, and kept in a folder of its own (--out, row, seed; unless it is given, --out has
-the commit in its name): what is there is not run again, so that a run that was ended goes on. A row that has fewer
-missions than it should says so by its number of seeds. --dry prints the tables and leaves the document alone.
+A table is what one benchmark prints after its last empty line, with the command and the commit; the tables missions and
+deviations are made here, a row a world. All runs are in --out, which has the commit in its name unless it is given:
+what is there is not run again, so that a run that was ended goes on. FOLDER has recordings and floors that are not the
+project's; tables that need it stay as they are without it. A table goes to docs/tables, and from there into the
+document. --dry prints the tables and leaves both alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +24,31 @@ from pathlib import Path
 import numpy as np
 import reality
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "results.md"
+BENCHMARKS = Path(__file__).parent
+DOCUMENT = BENCHMARKS.parent / "docs" / "results.md"
+TABLES = DOCUMENT.parent / "tables"
+DATA = "DATA"
+# Arguments of the benchmark that prints a table, and the CPU minutes that it takes; DATA stands for --data.
+PRINTED: dict[str, tuple[str, int]] = {
+    "relations": (f"relations.py {DATA}/radish --methods walls --out relations.jsonl", 6),
+    "regions": (f"relation_regions.py {DATA}/radish regions", 10),
+    "mapex": (f"mapex.py {DATA}/mapex --methods nearest exact tour", 60),
+    "consistency": ("consistency.py --seeds 3", 12),
+    "offices": ("offices.py --rows offices", 45),
+    "people": ('offices.py --rows "people, glass" --seeds 10', 25),
+    "look_alikes": ("look_alikes.py --seeds 1", 8),
+    "curved_rooms": ("curved_rooms.py", 10),
+    "tag_spacing": ("tag_spacing.py --seeds 3", 20),
+    "flat": (f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat", 10),
+    "relocation": ("relocation.py house paper offices --starts 2 --time 60 --out relocation", 60),
+    "later": ("relocation.py offices --later --starts 2 --time 60 --out later", 30),
+    "carry": ("disturbances.py carry --scenario house --seeds 20", 10),
+    "pieces": (f"located_pieces.py {DATA}/radish regions --pieces 100", 30),
+    "sessions": ("sessions.py", 8),
+    "kills": ("kills.py", 20),
+    "regret": ("regret.py --out regret --tours tours", 15),
+    "undiscovered": ("undiscovered.py", 60),
+}
 # The rows of either table: scenario and number of seeds. All missions together take 54 CPU-minutes.
 MISSIONS = {"paper": 20, "corridor": 6, "house": 10, "paper_real": 10, "house_real": 30}
 DEVIATIONS = [row for row in reality.ROWS if row != reality.BELIEVED]
@@ -101,9 +129,43 @@ def replaced(text: str, name: str, table: str) -> str:
     return f"{before}{begin}{table}\n{end}{after}"
 
 
+def printed(name: str, data: Path | None, out: Path) -> str | None:
+    """A table that a benchmark prints, with its command and version; None where it needs data that is not there, or
+    fails."""
+    arguments, _ = PRINTED[name]
+    if data is None and DATA in arguments:
+        print(f"{name}: needs --data", flush=True)
+        return None
+    script, *rest = shlex.split(arguments.replace(DATA, str(data and data.resolve())))
+    out.mkdir(parents=True, exist_ok=True)
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / script), *rest], cwd=out, stdout=subprocess.PIPE, text=True, check=False
+    )
+    if done.returncode:
+        print(f"{name}: exit code {done.returncode}", flush=True)
+        return None
+    table = done.stdout.rstrip().rsplit("\n\n", 1)[-1]
+    return f"`python benchmarks/{arguments}`, `{version()}`:\n\n```\n{table}\n```\n"
+
+
+def of_missions(name: str, options: argparse.Namespace) -> str | None:
+    """The table of whole missions, or that of worlds that are not as believed; None where no row of it is wanted."""
+    lines = {}
+    with ThreadPoolExecutor(options.jobs) as pool:
+        for row in [row for row in (MISSIONS if name == "missions" else DEVIATIONS) if row in options.rows]:
+            seeds = range(options.seeds or MISSIONS.get(row, SEEDS))
+            runs = [one for one in pool.map(lambda seed, row=row: run(row, seed, options.out), seeds) if one]
+            if runs:
+                lines[row] = line(row, runs)
+    ruled = "|" + "---|" * (HEADER.count("|") - 1)
+    return "\n".join([f"Version `{version()}`.\n", HEADER, ruled, *lines.values(), ""]) if lines else None
+
+
 def main() -> None:
     """Run what is missing and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tables", nargs="+", choices=["missions", "deviations", *PRINTED], help="These alone.")
+    parser.add_argument("--data", type=Path)
     parser.add_argument("--rows", nargs="+", choices=[*MISSIONS, *DEVIATIONS], default=[*MISSIONS, *DEVIATIONS])
     parser.add_argument("--seeds", type=int, help="Of each row, instead of its own number.")
     parser.add_argument("--jobs", type=int, default=2, help="Missions at a time.")
@@ -111,23 +173,17 @@ def main() -> None:
     parser.add_argument("--dry", action="store_true", help="Print the tables only.")
     options = parser.parse_args()
 
-    lines = {}
-    with ThreadPoolExecutor(options.jobs) as pool:
-        for row in options.rows:
-            seeds = range(options.seeds or MISSIONS.get(row, SEEDS))
-            runs = [one for one in pool.map(lambda seed, row=row: run(row, seed, options.out), seeds) if one]
-            if runs:
-                lines[row] = line(row, runs)
-    text = DOCUMENT.read_text()
-    for name, rows in (("missions", list(MISSIONS)), ("deviations", DEVIATIONS)):
-        ruled = "|" + "---|" * (HEADER.count("|") - 1)
-        made = [lines[row] for row in rows if row in lines]
-        table = "\n".join([f"Version `{version()}`.\n", HEADER, ruled, *made, ""])
-        print(table, flush=True)
-        if made and not options.dry:
-            text = replaced(text, name, table)
-    if not options.dry:
-        DOCUMENT.write_text(text)
+    wanted, made = options.tables or ["missions", "deviations", *PRINTED], {}
+    for name in wanted:
+        table = printed(name, options.data, options.out) if name in PRINTED else of_missions(name, options)
+        if table is not None:
+            print(table, flush=True)
+            made[name] = table
+    if made and not options.dry:
+        TABLES.mkdir(exist_ok=True)
+        for name, table in made.items():
+            (TABLES / f"{name}.md").write_text(table)
+            DOCUMENT.write_text(replaced(DOCUMENT.read_text(), name, table))
 
 
 if __name__ == "__main__":

@@ -108,7 +108,15 @@ def main() -> None:
         }
         with rows.open("a") as file:
             file.write(json.dumps(row) + "\n")
+        done.append(row)
         print(*(f"{key} {value}" for key, value in row.items()), flush=True)
+    print("\nsession  found s  moved  told rightly  falsely  RMSE m  of a fresh map m  NEES")
+    for row in done[1:]:
+        found = np.nan if row["found_at_s"] is None else row["found_at_s"]
+        print(
+            f"{row['session']:7d} {found:8.1f} {row['moved']:6d} {row['told']:13d}"
+            f" {len(row['false']):8d} {row['rmse_m']:7.4f} {row['fresh_rmse_m']:17.4f} {row['nees']:5.2f}"
+        )
 
 
 if __name__ == "__main__":
