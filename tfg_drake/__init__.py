@@ -49,7 +49,7 @@ else:
 # Before any module with kernels is imported.
 use_locator()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["Exploration", "__version__", "explore", "fork", "load_run", "map_graph", "merge"]
 
 

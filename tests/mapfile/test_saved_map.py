@@ -349,8 +349,10 @@ def test_a_map_of_before_is_read(path, small_map):
 
 
 def test_the_format_is_described(small_map):
-    table = FORMAT.read_text().split("## The arrays")[1]
-    documented = dict(re.findall(r"^\| `([^`]+)` \| (.+?) \|", table, re.MULTILINE))
+    section = FORMAT.read_text().split("## The arrays")[1].split("\n## ")[0]
+    lists = re.findall(r"(?<=[-;] )`(\w+)`: ", section)
+    rows = re.findall(r"^\| `([^`]+)` \| (.+?) \|", section, re.MULTILINE)
+    documented = {name.replace("LIST", one): kind for name, kind in rows for one in lists}
     assert documented.pop("schema") == f"int64, {SCHEMA}"
     assert documented == array_names(SavedMap)
 
