@@ -1,4 +1,4 @@
-"""What the published approximations to the information gain are worth, on the maps that a robot really has.
+"""Published approximations to the information gain against the exact one, on the maps of missions.
 
     python benchmarks/gains.py paper --seeds 3
 

@@ -1,4 +1,4 @@
-"""What each way of choosing goals costs and brings, on the same seeds: time to complete, accuracy, completeness.
+"""Rules for choosing goals on the same seeds: time to complete, accuracy, completeness.
 
     python benchmarks/goal_rules.py paper --seeds 12 --jobs 2
 

@@ -1,4 +1,4 @@
-"""What the map loses by forgetting the way: goals only, path keyframes, and a batch smoother given every measurement.
+"""The map's loss by marginalising the way: goals only, path keyframes, and a batch smoother of every measurement.
 
     python benchmarks/keyframes.py paper --seeds 5
 

@@ -1,4 +1,4 @@
-"""What one more view costs on maps of 1000, 4000 and 10 000 landmarks.
+"""CPU time of one more view on maps of 1000, 4000 and 10 000 landmarks.
 
     python benchmarks/map_size.py
     python benchmarks/map_size.py --landmarks 1000 10000 --goals 40
@@ -133,7 +133,7 @@ def grown(plain: Plain, graph: KeyframeGraph, estimate: MapEstimate, views: int)
 
 
 def bytes_in_memory(graph: KeyframeGraph) -> int:
-    """Of all its arrays."""
+    """Bytes of all its arrays."""
     total = sum(value.nbytes for value in vars(graph).values() if isinstance(value, np.ndarray))
     for one in graph.keyframes:
         total += sum(value.nbytes for value in vars(one).values() if isinstance(value, np.ndarray))

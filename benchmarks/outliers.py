@@ -1,4 +1,4 @@
-"""What gross errors and misread ids do to a recorded run: RMSE with and without them.
+"""Gross errors and misread ids in a recorded run: RMSE with and without them.
 
     python benchmarks/outliers.py DATASET --robots 1 2 3 4 5
     python benchmarks/outliers.py DATASET --seeds 5

@@ -1,4 +1,4 @@
-"""What picture and page cost the explorer: CPU time of a mission, and the shares of timeline and server in it.
+"""Cost of picture and page: CPU time of a mission, and the shares of timeline and server in it.
 
     python benchmarks/page_cost.py
     python benchmarks/page_cost.py --world floor.vectormap.txt --tag-spacing 1 --max-time 600

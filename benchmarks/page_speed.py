@@ -89,7 +89,7 @@ class Building:
         return (1.0 - share) * middle[0] + share * middle[1]
 
     def begin(self, writer: TimelineWriter) -> None:
-        """What stays as it is."""
+        """The part that stays as it is."""
         camera = {"range": 3.0, "field_of_view": 2.1}
         writer.write("world", 0.0, {}, title="building", radius=0.18, rule="tour", simulated=True, camera=camera)
         writer.write("frame", 0.0, {"pose": np.zeros(3, dtype=np.float32)})
@@ -179,7 +179,7 @@ def cpu(driver: Any) -> float:
 
 
 def live(driver: Any, building: Building, folder: Path, seconds: float) -> list[tuple[str, list[float]]]:
-    """Of the picture from above and in space: pictures a second, CPU ms each, longest gap, s, and the CPU, ms a
+    """The picture from above and in space: pictures a second, CPU ms each, longest gap, s, and the CPU, ms a
     second, of the program that is looked at."""
     rows = []
     with Cockpit(viewer_script(), "building", rate=1.0) as cockpit:

@@ -130,7 +130,7 @@ class Copies:
 
 
 def recorded(name: str) -> list[dict[str, tuple[Any, ...]]]:
-    """What the parts of planning were asked at each stage of a mission."""
+    """Arguments of the parts of planning at each stage of a mission."""
     stages: list[dict[str, tuple[Any, ...]]] = []
 
     def noted(part: str, function: Callable[..., Any]) -> Callable[..., Any]:

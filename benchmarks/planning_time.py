@@ -1,4 +1,4 @@
-"""What one stage of planning costs, part by part, and whether screening second looks changes the choice.
+"""CPU time of one stage of planning, part by part, and whether screening second looks changes the choice.
 
     python benchmarks/planning_time.py paper --seeds 5
 

@@ -108,7 +108,7 @@ class Emulator:
 
 
 def _calibrated(camera: str, board: str, out: Path) -> list[str]:
-    """What explore is told of a camera, after it was calibrated and looked through."""
+    """Options of explore for a camera, after it was calibrated and looked through."""
     file, source = out / "camera.yaml", camera.removeprefix("camera:")
     subprocess.run(
         [*CLI, "camera", "calibrate", board, "--board", "9x6", "--square", "0.025", "--out", str(file)], check=True

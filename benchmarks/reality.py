@@ -1,4 +1,4 @@
-"""What a world that is not as believed does to a mission: a row a deviation, the mean over the seeds.
+"""Missions in worlds that are not as believed: a row a deviation, the mean over the seeds.
 
     python benchmarks/reality.py --seeds 10
     python benchmarks/reality.py --seeds 20 --rows "clock and yaw"
@@ -48,7 +48,7 @@ MOST_OFFSET, MOST_YAW = 0.08, np.deg2rad(1.0)
 
 
 def settings(row: str, seed: int) -> list[str]:
-    """What a row sets in the scenario of a seed."""
+    """Settings of a row in the scenario of a seed."""
     if row != "clock and yaw":
         return ROWS[row]
     offset, yaw = np.random.default_rng(seed).uniform(-1.0, 1.0, 2) * [MOST_OFFSET, MOST_YAW]

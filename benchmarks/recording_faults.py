@@ -1,4 +1,4 @@
-"""What a recording that went wrong for a while does to the online estimate: RMSE with and without the fault.
+"""Recordings that went wrong for a while: RMSE of the online estimate with and without the fault.
 
     python benchmarks/recording_faults.py DATASET --robots 1 2 3 4 5
 

@@ -142,7 +142,7 @@ def cases(data: Path | None, seeds: int) -> Iterator[tuple[str, Path | Callable[
 
 
 def measure(checkout: Path, dataset: Path, robot: int | None, out: Path) -> dict[str, object]:
-    """What a version makes of a data set, in a process of its own."""
+    """Results of a version on a data set, in a process of its own."""
     command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "slam", str(dataset), "--out", str(out)]
     command += [] if robot is None else ["--robot", str(robot)]
     environment = os.environ | {"PYTHONPATH": str(checkout.resolve()), "OMP_NUM_THREADS": "1"}

@@ -60,7 +60,7 @@ HEADER = (
 
 
 def command(row: str, seed: int, folder: Path) -> list[str]:
-    """What runs one mission of a row."""
+    """The command of one mission of a row."""
     scenario = row if row in MISSIONS else "paper"
     line = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", scenario, "--headless"]
     line += ["--seed", str(seed), "--out", str(folder), "--max-time", "3600"]
