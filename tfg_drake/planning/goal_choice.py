@@ -143,8 +143,7 @@ def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
 def _to_the_best(now: Situation, ranked: _Ranked, previous: GoalChoice, *, open_left: bool) -> GoalChoice:
     """The choice of the best candidate. open_left: places see enough live frontier."""
     best, candidates = ranked.best, ranked.candidates
-    candidates.expected_gains.ask(np.array([best]))
-    gain = candidates.expected_gains.gains.gain[best]
+    gain = candidates.gains.gain[best]
     rate = gain / (candidates.time[best] + ranked.budget.stay)
     reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     explored = _explored(now, previous, open_left=open_left)
@@ -163,7 +162,7 @@ def _choice(
     """The choice of a node, -1 for none. looked: (t,) node ids, as of `_last`."""
     name, p_MG = _named(now.roadmap, node)
     candidates, best, budget = ranked.candidates, ranked.best, ranked.budget
-    gains = candidates.expected_gains.gains
+    gains = candidates.gains
     look, planned = np.zeros(0), np.zeros(0, dtype=np.int64)
     if best >= 0:
         look = _directions(now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - p_MG)
@@ -357,7 +356,7 @@ def _values(
 
     stay: s at each. open_to: (c,) those that may be chosen.
     """
-    expected_gains, time, open_ahead = candidates.expected_gains, candidates.time, candidates.open_ahead
+    paid, time, open_ahead = candidates.paid, candidates.time, candidates.open_ahead
     all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
     if explorer.goal == "nearest_frontier":
         apart = np.hypot(*(candidates.points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
@@ -366,10 +365,9 @@ def _values(
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
         stop = stay + time_to_go_on(robot)
-        return tour(expected_gains, time, stop, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
+        return tour(paid, time, stop, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
     spent = np.ones(len(time)) if explorer.goal == "argmax" else time + stay
-    expected_gains.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
-    return gain_per_time(expected_gains.paid, spent), all_of_it
+    return gain_per_time(paid, spent), all_of_it
 
 
 def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:

@@ -71,15 +71,8 @@ def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _insert(points: FloatArray, step: float) -> FloatArray:
     """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
-    pieces = np.diff(points, axis=0)
-    length = np.hypot(pieces[:, 0], pieces[:, 1])
-    count = np.maximum(1, np.ceil(length / step - 1e-9).astype(np.int64))
-    piece = np.repeat(np.arange(len(count)), count)
-    k = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)
-    more, between = points[piece], k > 0
-    piece, k = piece[between], k[between]
-    more[between] += pieces[piece] / length[piece, None] * (k * (length / count)[piece])[:, None]
-    return np.vstack([more, points[-1:]])
+    pieces = [resample(points[i : i + 2], step)[:-1] for i in range(len(points) - 1)]
+    return np.vstack([*pieces, points[-1:]])
 
 
 def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:

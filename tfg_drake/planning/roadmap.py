@@ -27,7 +27,7 @@ from tfg_drake.config import (
 )
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.connected import component_labels, connect
-from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
+from tfg_drake.geometry.distance import clearance, nearest_on_segment, room_beside
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
@@ -202,69 +202,22 @@ def fitting(
 def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
     """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long with
     nothing nearer to their middles than their two sides."""
-    found = np.empty((64, 4))
-    count = 0
     grid = segment_grid(segments)
-    rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
-    near, to, order = (
-        np.empty(len(segments), dtype=np.int64),
-        np.empty((len(segments), 3)),
-        np.empty(64, dtype=np.int64),
-    )
+    rows = np.empty(len(grid[4]), dtype=np.int64)
+    found, count = np.empty((64, 4)), 0
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        stop = 0
-        for k in range(rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, rows)):
-            j = rows[k]
-            if noted[j] == i:
-                continue
-            noted[j] = i
+        near = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, rows)
+        for j in np.unique(rows[:near]):
             qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
-            square = (qx - x) ** 2 + (qy - y) ** 2
-            if square <= widest * widest:
-                # Its own surface first: it stands in most of its gaps.
-                place = stop
-                if square == 0.0:
-                    near[stop], to[stop] = near[0], to[0]
-                    place = 0
-                near[place], to[place, 0], to[place, 1], to[place, 2] = j, qx, qy, square
-                stop += 1
-        between, first = 0, count
-        for k in range(stop):
-            if to[k, 2] < narrowest * narrowest:
-                continue
-            qx, qy = to[k, 0], to[k, 1]
-            width = math.hypot(qx - x, qy - y)
-            # What stands in one gap stands in the next: look there first.
-            between = _nearer(0.5 * (x + qx), 0.5 * (y + qy), HALF_GAP * width, segments, near[:stop], between)
-            if between < stop:
-                continue
-            if count == len(found):
-                more, order_more = np.empty((2 * count, 4)), np.empty(2 * count, dtype=np.int64)
-                more[:count], order_more[:count] = found, order
-                found, order = more, order_more
-            # In the order of the segments.
-            place = count
-            while place > first and order[place - 1] > near[k]:
-                found[place], order[place] = found[place - 1], order[place - 1]
-                place -= 1
-            found[place, 0], found[place, 1], found[place, 2], found[place, 3] = x, y, qx, qy
-            order[place] = near[k]
-            count += 1
+            width, mx, my = math.hypot(qx - x, qy - y), 0.5 * (x + qx), 0.5 * (y + qy)
+            half = HALF_GAP * width
+            if narrowest <= width <= widest and room_beside(mx, my, mx, my, segments, grid, half) >= half:
+                if count == len(found):
+                    found = np.vstack((found, np.empty_like(found)))
+                found[count, 0], found[count, 1], found[count, 2], found[count, 3] = x, y, qx, qy
+                count += 1
     return found[:count].copy()
-
-
-@njit(cache=True)
-def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: IntArray, first: int) -> int:
-    """An entry of rows, looked for from the first on and round, whose segment is nearer to (x, y) than distance, m;
-    their number if there is none."""
-    at = first if first < len(rows) else 0
-    for _ in range(len(rows)):
-        j = rows[at]
-        if point_segment_distance(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]) < distance:
-            return at
-        at = at + 1 if at + 1 < len(rows) else 0
-    return len(rows)
 
 
 def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
