@@ -69,40 +69,28 @@ class PlannerState:
 
     nodes: RoadmapState
     part: RoadmapState
-    radius: float
     estimate: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
     path: Path
-    status: PathStatus
     replans: int
     obstacles: Annotated[FloatArray, "b", 4]
     obstacle_view: Annotated[IntArray, "b"]
-    scan_stamp: float
-    look_stamp: float
-    waiting_since: float
-    asked: float
     driven: Annotated[FloatArray, "d", 2]
     driven_before: float
-    open_length: float
+    status: PathStatus = PathStatus(path_id=0, free=True)
+    radius: float = math.inf
+    scan_stamp: float = -math.inf
+    look_stamp: float = -math.inf
+    waiting_since: float = math.inf
+    asked: float = -math.inf
+    open_length: float = math.inf
 
 
 def initial_state() -> PlannerState:
     """Before the first view."""
     nodes = empty_roadmap()
-    return empty(
-        PlannerState,
-        nodes=nodes,
-        part=nodes,
-        radius=np.inf,
-        estimate=keyframe_graph.empty_map(),
-        status=PathStatus(path_id=0, free=True),
-        scan_stamp=-np.inf,
-        look_stamp=-np.inf,
-        waiting_since=np.inf,
-        asked=-np.inf,
-        open_length=np.inf,
-    )
+    return empty(PlannerState, nodes=nodes, part=nodes, estimate=keyframe_graph.empty_map())
 
 
 @dataclasses.dataclass(frozen=True)
