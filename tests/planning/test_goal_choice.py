@@ -54,7 +54,9 @@ def homewards(reachable, entry, looked=()):
     names, no_edges = np.array([4, 7, 9]), np.zeros((0, 2), dtype=np.int64)
     roadmap = Roadmap(1, points, no_edges, reachable, reachable, np.array(entry), *2 * [np.zeros(3)], ids=names)
     estimate = replace(keyframe_graph.empty_map(), X_MA=np.zeros((1, 3)), X_MD=np.array([2.0, 0.0, 0.0]))
-    node, verdict, reason, after = _homewards(estimate, roadmap, "complete", "Done.", np.array(looked, dtype=int))
+    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(return_home=True))
+    now = Situation(estimate, empty_map(), roadmap, parameters)
+    node, verdict, reason, after = _homewards(now, "complete", "Done.", np.array(looked, dtype=int))
     return node, verdict, reason, after.tolist()
 
 

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.goal_rules import gain_per_time, nearest_frontier, shortest_order, stops, tour
-from tfg_drake.planning.information_gain import Gains
 
 
 def test_gain_per_time():
@@ -50,15 +48,10 @@ def corridor(where):
     return Roadmap(1, points, edges, all_of, all_of, np.arange(n), away, away)
 
 
-def judged(gain):
-    gain = np.asarray(gain, dtype=float)
-    return ExpectedGains(Gains(gain, 0.0 * gain, 0.0 * gain))
-
-
 def tour_of(where, gain, frontier):
     roadmap = corridor(where)
-    frontier = np.asarray(frontier, dtype=float)
-    return tour(judged(gain), roadmap.travel_time, 2.0, frontier, 0.24, np.arange(len(where)), roadmap, 1.0)
+    gain, frontier = np.asarray(gain, dtype=float), np.asarray(frontier, dtype=float)
+    return tour(gain, roadmap.travel_time, 2.0, frontier, 0.24, np.arange(len(where)), roadmap, 1.0)
 
 
 def test_a_tour_clears_the_short_end_before_it_leaves_for_the_long_one():
@@ -88,7 +81,7 @@ def test_a_tour_begins_with_what_is_near_though_only_the_robot_is_joined_to_it()
     roadmap = corridor([0.5, 5.0, 9.0])
     roadmap = replace(roadmap, edges=np.array([[1, 2]]))
     gain = np.array([5.0, 60.0, 60.0])
-    value, _ = tour(judged(gain), roadmap.travel_time, 2.0, np.eye(3), 0.24, np.arange(3), roadmap, 1.0)
+    value, _ = tour(gain, roadmap.travel_time, 2.0, np.eye(3), 0.24, np.arange(3), roadmap, 1.0)
     np.testing.assert_array_equal(value, [-2.5, -10.0, -16.0])
 
 

@@ -11,9 +11,9 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose_near, empty_choice
-from tfg_drake.planning.local import local, local_roadmap, planning_radius, with_part
+from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
 from tfg_drake.planning.planner import grow, initial_state, make_roadmap
-from tfg_drake.planning.roadmap import extend
+from tfg_drake.planning.roadmap import extend, unchecked
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 from tfg_drake.tfg.near import RADIUS, radius_of
@@ -108,34 +108,36 @@ def test_only_on_a_large_map_is_anything_far():
 def edges_of(state):
     """Each edge by its nodes' ids, with what is known of it."""
     edges = state.edges
-    columns = edges.travelled, edges.free, edges.clearance, edges.required, edges.usable
+    columns = edges.travelled, edges.free, edges.clearance, edges.required
     pairs = map(tuple, np.sort(state.ids[edges.nodes], axis=1).tolist())
     return dict(zip(pairs, zip(*(column.tolist() for column in columns), strict=True), strict=True))
 
 
 @pytest.mark.parametrize("radius", [1.0, 3.0, 6.0, 50.0])
-def test_a_part_of_a_roadmap_is_put_back(radius):
+def test_only_what_is_near_of_a_roadmap_changes(radius):
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    part, near = local_roadmap(state, estimate, radius)
+    near = near_nodes(state, estimate, radius)
+    part = local_roadmap(state, near)
     assert part.ids.tolist() == state.ids[near].tolist()
     whole = edges_of(state)
     assert edges_of(part) == {pair: row for pair, row in whole.items() if set(pair) <= set(part.ids.tolist())}
-    again = with_part(state, near, part, estimate)
-    for name in ("ids", "anchor", "p_AN", "points", "sigma"):
-        np.testing.assert_allclose(getattr(again, name), getattr(state, name), atol=1e-12)
-    assert edges_of(again) == whole
-    # What becomes of the part becomes of the whole, and nothing else.
+    # Where nothing is known any more, it becomes known again of what is near, and of nothing else.
+    edges = unchecked(state.edges.nodes, state.edges.travelled)
+    unknown = replace(state, sigma=np.full(len(near), 7.0), edges=edges)
     later = replace(estimate, stage=3, X_MA=np.vstack([estimate.X_MA, [2.1, -1.3, 0.0]]))
-    part, near = local_roadmap(state, later, radius)
-    grown = extend(part, tfg, later, PARAMETERS, radius=radius, effort=1)
-    after = with_part(state, near, grown, later)
-    assert len(after.ids) - len(state.ids) == len(grown.ids) - len(part.ids) > 0
+    after = extend(unknown, tfg, later, PARAMETERS, radius=radius, effort=1)
     assert (np.diff(after.ids) > 0).all()
-    assert edges_of(after) == whole | edges_of(grown)
-    rows = np.searchsorted(after.ids, grown.ids)
-    np.testing.assert_allclose(after.points[rows], grown.points, atol=1e-12)
-    np.testing.assert_array_equal(after.sigma[rows], grown.sigma)
-    np.testing.assert_array_equal(after.sigma[: len(near)][~near], state.sigma[~near])
+    old = len(near)
+    assert len(after.ids) > old
+    near = near_nodes(after, later, radius)
+    ids, were = set(after.ids[near].tolist()), edges_of(unknown)
+    for pair, row in edges_of(after).items():
+        assert row[3] > 0.0 if set(pair) <= ids else row == were[pair]
+    assert (after.sigma[:old][~near[:old]] == 7.0).all()
+    assert (after.sigma[near] != 7.0).all()
+    np.testing.assert_allclose(after.points[:old], state.points, atol=1e-12)
+    pair = after.edges.nodes @ [len(after.ids), 1]
+    assert (np.diff(pair) > 0).all()
 
 
 VIEWS = [(-4.0, 1.0, 0.0), (-2.0, 0.0, 0.0), (3.0, 0.5, 1.0)]

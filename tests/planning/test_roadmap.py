@@ -447,7 +447,7 @@ def test_a_shortcut_that_is_too_narrow_gives_way_to_the_edges_that_are_not(monke
 
 def test_no_path_to_where_no_edge_leads():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
-    cut_off = replace(state, edges=replace(state.edges, usable=np.zeros_like(state.edges.usable)))
+    cut_off = replace(state, edges=replace(state.edges, free=np.zeros_like(state.edges.free)))
     assert len(plan_path(cut_off, estimate, tfg, estimate.X_MD, nearest(state, (-0.6, -1)), PARAMETERS)) == 0
     assert len(plan_path(empty_roadmap(), estimate, tfg, estimate.X_MD, 0, PARAMETERS)) == 0
 

@@ -15,7 +15,7 @@ def diamond(narrow, *, only_narrow=False, aside=1.0):
     nodes = np.array([[0, 1], [1, 3], [0, 2], [2, 3]])
     all_of = np.ones(4, dtype=bool)
     usable = np.array([True, True, not only_narrow, not only_narrow])
-    edges = Edges(nodes, ~all_of, all_of, np.array([narrow, narrow, 1.0, 1.0]), np.full(4, 0.2), usable)
+    edges = Edges(nodes, ~all_of, usable, np.array([narrow, narrow, 1.0, 1.0]), np.full(4, 0.2))
     return replace(empty_roadmap(), ids=np.arange(4), points=points, sigma=np.zeros(4), edges=edges)
 
 

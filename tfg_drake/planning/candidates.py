@@ -13,9 +13,8 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanCo
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, Hypotheses, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
-from tfg_drake.planning.expected_gains import ExpectedGains
 from tfg_drake.planning.expected_view import Visibility, expected_tags
-from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach, turns
+from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.pure_pursuit import TURNING_SHARE
 from tfg_drake.tfg.star_polygon import looked_round
@@ -59,10 +58,11 @@ class Situation:
         """The map of the tags."""
         return self.landmarks.of_tags
 
+    @functools.cached_property
     def turns(self) -> Turns:
         """The input of the gains."""
         of = self.parameters
-        return turns(self.landmarks, self.tfg, of.sensor, of.scan_range, of.odometry, of.explorer)
+        return Turns(self.landmarks, self.tfg, of.sensor, of.scan_range, of.odometry, of.explorer)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,15 +70,17 @@ class Candidates:
     """Places to go to next.
 
     nodes: (c,) of the roadmap, ascending, node_ids: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there.
-    expected_gains: (c,) of a full turn at each. tags: (c,) known landmarks in view, -1 where they were not looked up.
-    open_ahead: (c, f) m that each sees of each live frontier point.
+    gains: (c,) of a full turn at each, paid: (c,) nats, of these what goals are preferred by: with the pose's price, or
+    without it. tags: (c,) known landmarks in view, -1 where they were not looked up. open_ahead: (c, f) m that each
+    sees of each live frontier point.
     """
 
     nodes: IntArray
     node_ids: IntArray
     points: FloatArray
     time: FloatArray
-    expected_gains: ExpectedGains
+    gains: Gains
+    paid: FloatArray
     tags: IntArray
     open_ahead: FloatArray
 
@@ -90,9 +92,7 @@ class Candidates:
     def worth(self, stop_gain: float, asked: BoolArray) -> BoolArray:
         """Which (c,) are worth a visit: they see enough live frontier, or have a gain above stop_gain, nats. The
         gain counts only where it is asked for (c,)."""
-        enough = self.sees_enough
-        self.expected_gains.ask(np.flatnonzero(asked & ~enough & (self.expected_gains.gains.gain > stop_gain)))
-        return np.asarray(enough | (asked & (self.expected_gains.gains.gain > stop_gain)))
+        return np.asarray(self.sees_enough | (asked & (self.gains.gain > stop_gain)))
 
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
@@ -118,29 +118,21 @@ def judged(now: Situation) -> Candidates:
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     nodes = thin_candidates(nodes, sees.count[nodes], explorer.samples)
     points, time, frontiers_seen = roadmap.points.take(nodes, axis=0), roadmap.travel_time[nodes], sees.of(nodes)
-    judge = now.turns()
-    arrival = judge.arrival(points, roadmap.travel_length[nodes], time)
-    grid = segment_grid(tfg.segments)
-
-    def expected(rows: IntArray) -> Gains:
-        seen, frontiers = judge.seen(points[rows], grid), frontiers_seen.of(rows)
-        gains = judge.gains(points[rows], arrival._replace(odometry=arrival.odometry[rows]), seen, frontiers)
-        return _found_again(gains, judge.targets.known_jointly(seen).count == seen.count)
-
-    # The most that a place can bring is known of the exact gain alone.
-    all_at_once = explorer.gain != "exact" or not explorer.pose_price
-    gains = expected(np.arange(len(nodes))) if all_at_once else judge.most(points, arrival, frontiers_seen)
-    expected_gains = ExpectedGains(gains, np.full(len(nodes), all_at_once), expected, pay=explorer.pose_price)
+    judge, grid = now.turns, segment_grid(tfg.segments)
+    seen = judge.seen(points, grid)
+    gains = judge.gains(points, judge.arrival(points, roadmap.travel_length[nodes], time), seen, frontiers_seen)
+    gains = _found_again(gains, judge.targets.known_jointly(seen).count == seen.count)
+    paid = gains.gain if explorer.pose_price else gains.gain + gains.pose_price
     in_view = np.full(len(nodes), -1)
     if explorer.least_tags:
         in_view = expected_tags(points, estimate, tfg, sensor, grid).count
     open_ahead = frontier_seen(points, frontiers_seen, tfg, sensor)
-    return Candidates(nodes, roadmap.node_ids(nodes), points, time, expected_gains, in_view, open_ahead)
+    return Candidates(nodes, roadmap.node_ids(nodes), points, time, gains, paid, in_view, open_ahead)
 
 
 def turn_gains(nodes: IntArray, now: Situation) -> Gains:
     """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap."""
-    roadmap, judge = now.roadmap, now.turns()
+    roadmap, judge = now.roadmap, now.turns
     points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
     frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
     return judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)

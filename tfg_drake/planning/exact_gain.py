@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.measurement import whitened_tag
 
@@ -179,38 +178,14 @@ def arrival_covariance(F: FloatArray, arrival: Arrival, covariance: FloatArray) 
     return of_arrival, F @ arrival.departure_given_map @ F_T + arrival.odometry
 
 
+@njit(cache=True)
 def terms(
     points: FloatArray, F: FloatArray, known: Known, new: New, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of each candidate: log|C| and log|D| (c, 2); T (c, 6, 6) = W^T C^-1 W, W = [G S_Lx, K], by known landmarks; and
     (c, 3, 3, 3) K^T K by known, K^T K and K^T D^-1 K by new ones. F: (c, 3, 3). C, G, K, D: `known_terms`, `new_terms`.
     """
-    return _terms(points, F, *known, *new, noise)
-
-
-@njit(cache=True)
-def _terms(
-    points: FloatArray,
-    F: FloatArray,
-    known_offsets: IntArray,
-    known_rows: IntArray,
-    p_MT: FloatArray,
-    entry: IntArray,
-    by_landmark: FloatArray,
-    normal: FloatArray,
-    covariance: FloatArray,
-    new_offsets: IntArray,
-    new_rows: IntArray,
-    p_MU: FloatArray,
-    number: FloatArray,
-    prior_sigma: float,
-    reach: FloatArray,
-    noise: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As terms. Known and New are passed field by field: numba dispatches on arrays many times quicker than on named
-    tuples."""
-    known = Known(known_offsets, known_rows, p_MT, entry, by_landmark, normal, covariance)
-    new = New(new_offsets, new_rows, p_MU, number, prior_sigma, reach)
+    covariance = known.covariance
     logs, T, B = np.zeros((len(points), 2)), np.zeros((len(points), 6, 6)), np.zeros((len(points), 3, 3, 3))
     pose = len(covariance) - 3
     for c in range(len(points)):
@@ -230,104 +205,6 @@ def _terms(
             T[c] = W.T.copy() @ W
         logs[c, 1], B[c, 1], B[c, 2] = new_terms(x, y, c, new, noise)
     return logs, T, B
-
-
-@njit(cache=True)
-def _adjugate(S: FloatArray) -> tuple[float, float, float, float, float, float]:
-    """The upper triangle, row by row, of the inverse of a symmetric S (3, 3) times its determinant."""
-    xx, xy, xt, yy, yt, tt = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
-    return (
-        yy * tt - yt * yt,
-        xt * yt - xy * tt,
-        xy * yt - xt * yy,
-        xx * tt - xt * xt,
-        xy * xt - xx * yt,
-        xx * yy - xy * xy,
-    )
-
-
-@njit(cache=True)
-def most_gain(
-    points: FloatArray,
-    S_xx: FloatArray,
-    S_x_given_L: FloatArray,
-    F: FloatArray,
-    p_MT: FloatArray,
-    facing: FloatArray,
-    entry: IntArray,
-    by_landmark: FloatArray,
-    normal: FloatArray,
-    covariance: FloatArray,
-    range_max: float,
-    max_incidence: float,
-    new_offsets: IntArray,
-    new_rows: IntArray,
-    p_MU: FloatArray,
-    number: FloatArray,
-    prior_sigma: float,
-    reach: FloatArray,
-    noise: FloatArray,
-) -> FloatArray:
-    """The most that a turn at each point (c, 2), m in M, brings by known and by new landmarks, (c, 2), nats, whatever
-    hides some of them: with z the measurements,
-
-        I(L; z) <= I(L; x) + I(L; z | x),   I(L; z | x) <= the sum over all landmarks that could be in view.
-
-    S_xx, S_x_given_L: (c, 3, 3) covariance of the arrival pose, also given all landmarks, F: (c, 3, 3), see
-    `to_arrival`. p_MT to normal: as of `expected_view.Targets`. covariance: as in Known. What is farther away than
-    range_max (m) or seen more aslant than max_incidence (rad) is not in view. The fields of New; noise: as in
-    whitened_tag.
-    """
-    most, cos_max, pose = np.zeros((len(points), 2)), math.cos(max_incidence), len(covariance) - 3
-    grid, near = segment_grid(np.hstack((p_MT, p_MT))), np.empty(len(p_MT), dtype=np.int64)
-    variance = prior_sigma**2
-    for c in range(len(points)):
-        x, y = points[c, 0], points[c, 1]
-        # The inverse of the arrival pose's covariance, but for its determinant.
-        a, b, d, e, f, g = _adjugate(S_xx[c])
-        det = S_xx[c, 0, 0] * a + S_xx[c, 0, 1] * b + S_xx[c, 0, 2] * d
-        of_T = _adjugate(S_x_given_L[c])
-        det_T = S_x_given_L[c, 0, 0] * of_T[0] + S_x_given_L[c, 0, 1] * of_T[1] + S_x_given_L[c, 0, 2] * of_T[2]
-        if not (det > 0.0 and det_T > 0.0):
-            most[c] = np.inf
-            continue
-        product = max(1.0, det / det_T)
-        for k in range(rows_in_box(grid, x - range_max, x + range_max, y - range_max, y + range_max, near)):
-            i = near[k]
-            dx, dy = p_MT[i, 0] - x, p_MT[i, 1] - y
-            r = math.sqrt(dx * dx + dy * dy)
-            if entry[i] < 0 or r > range_max or -(dx * facing[i, 0] + dy * facing[i, 1]) < cos_max * r:
-                continue
-            # Its covariance given the arrival pose.
-            p, q = 2 * entry[i], 2 * entry[i] + 1
-            x0, x1, x2 = covariance[p, pose], covariance[p, pose + 1], covariance[p, pose + 2]
-            y0, y1, y2 = covariance[q, pose], covariance[q, pose + 1], covariance[q, pose + 2]
-            x0, x1, y0, y1 = x0 + F[c, 0, 2] * x2, x1 + F[c, 1, 2] * x2, y0 + F[c, 0, 2] * y2, y1 + F[c, 1, 2] * y2
-            u0, u1, u2 = a * x0 + b * x1 + d * x2, b * x0 + e * x1 + f * x2, d * x0 + f * x1 + g * x2
-            xx = covariance[p, p] - (u0 * x0 + u1 * x1 + u2 * x2) / det
-            xy = covariance[p, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
-            u0, u1, u2 = a * y0 + b * y1 + d * y2, b * y0 + e * y1 + f * y2, d * y0 + f * y1 + g * y2
-            yy = covariance[q, q] - (u0 * y0 + u1 * y1 + u2 * y2) / det
-            n_x, n_y, on = normal[i, 0], normal[i, 1], by_landmark[i]
-            if n_x != 0.0 or n_y != 0.0:
-                g0, g1 = n_x * on[0, 0] + n_y * on[1, 0], n_x * on[0, 1] + n_y * on[1, 1]
-                product *= max(1.0, 1.0 + g0 * g0 * xx + 2.0 * g0 * g1 * xy + g1 * g1 * yy)
-            else:
-                g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
-                of_range = g00 * g00 * xx + 2.0 * g00 * g01 * xy + g01 * g01 * yy
-                of_bearing = g10 * g10 * xx + 2.0 * g10 * g11 * xy + g11 * g11 * yy
-                of_both = g00 * (g10 * xx + g11 * xy) + g01 * (g10 * xy + g11 * yy)
-                product *= max(1.0, (1.0 + of_range) * (1.0 + of_bearing) - of_both**2)
-            if product > 1e100:
-                most[c, 0], product = most[c, 0] + 0.5 * math.log(product), 1.0
-        most[c, 0] += 0.5 * math.log(product)
-        for u in new_rows[new_offsets[c] : new_offsets[c + 1]]:
-            dx, dy = p_MU[u, 0] - x, p_MU[u, 1] - y
-            count = number[u] * _share_seen(math.sqrt(dx * dx + dy * dy), reach)
-            g00, g01, g10, g11 = whitened_tag(dx, dy, noise)
-            d_range, d_bearing = 1.0 + variance * (g00 * g00 + g01 * g01), 1.0 + variance * (g10 * g10 + g11 * g11)
-            most[c, 1] += 0.5 * count * math.log(d_range * d_bearing)
-    return most
 
 
 def exact_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noise: FloatArray) -> FloatArray:

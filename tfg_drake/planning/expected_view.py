@@ -10,9 +10,8 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.config import TagSensorConfig
-from tfg_drake.geometry.distance import crossed, segments_cross
+from tfg_drake.geometry.distance import crossed
 from tfg_drake.geometry.read_only import read_only_arguments
-from tfg_drake.geometry.sectors import sector_of, segments_by_sector
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.slam.scan_lines import SLANT
@@ -26,8 +25,6 @@ SURFACE_TOLERANCE = 0.1
 FROM_CORNER = 0.2
 # A frontier point lies a little inside the unknown: count it only well within range.
 FRONTIER_RANGE_SHARE = 0.9
-# So many entries of a grid are few.
-FEW = 100
 # A frontier must be looked at this much less slantwise than the sensor could, rad.
 FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
@@ -103,13 +100,9 @@ def visible_targets(
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
     index = np.empty(256, dtype=np.int64)
     count, before = 0, -1
-    target_grid, rows = segment_grid(np.hstack((targets, targets))), np.empty(len(grid[4]), dtype=np.int64)
-    asked, ends = np.empty(len(targets), dtype=np.int64), np.empty((len(targets), 2))
-    near, noted = np.empty((FEW, 4)), np.full(len(segments), -1)
+    target_grid, asked = segment_grid(np.hstack((targets, targets))), np.empty(len(targets), dtype=np.int64)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        left, right, low, high = x, x, y, y
-        lines = 0
         for k in range(rows_in_box(target_grid, x - range_max, x + range_max, y - range_max, y + range_max, asked)):
             t = asked[k]
             dx, dy = targets[t, 0] - x, targets[t, 1] - y
@@ -121,74 +114,25 @@ def visible_targets(
                 continue
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
-            asked[lines], ends[lines, 0], ends[lines, 1] = t, ex, ey
-            left, right = min(left, ex - graze), max(right, ex + graze)
-            low, high = min(low, ey - graze), max(high, ey + graze)
-            lines += 1
-        # Most places see nothing of the few frontiers that are left. A few surfaces are sorted by direction; of many
-        # those that may hide a target are looked for on the line of sight: sorting them would take longer.
-        in_box = rows_in_box(grid, left, right, low, high, rows) if lines > 0 else 0
-        found = 0
-        for k in range(in_box if in_box <= FEW else 0):
-            j = rows[k]
-            if noted[j] == i:
-                continue
-            noted[j] = i
-            x0, y0, x1, y1 = segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]
-            if min(x0, x1) <= right and max(x0, x1) >= left and min(y0, y1) <= high and max(y0, y1) >= low:
-                near[found] = segments[j]
-                found += 1
-        sector, hiding = segments_by_sector(near[:found], x, y)
-        first = count
-        for k in range(lines):
-            t, ex, ey = asked[k], ends[k, 0], ends[k, 1]
-            dx, dy = targets[t, 0] - x, targets[t, 1] - y
-            if in_box <= FEW:
-                s = sector_of(dx, dy)
-                h = _hiding(x, y, ex, ey, near, hiding, sector[s], sector[s + 1])
-                if h >= 0:
-                    # What hid one target often hides the next: look there first.
-                    hiding[sector[s]], hiding[h] = hiding[h], hiding[sector[s]]
-            else:
-                h = crossed(x, y, ex, ey, segments, grid, before)
-                before = h if h >= 0 else before
-            clear = h < 0
+            # What hid one target often hides the next: look there first.
+            hidden_by = crossed(x, y, ex, ey, segments, grid, before)
+            before = hidden_by if hidden_by >= 0 else before
+            clear = hidden_by < 0
             if clear and graze > 0.0:
-                r = math.sqrt(dx * dx + dy * dy)
                 gx, gy = -graze * dy / r, graze * dx / r
-                if in_box <= FEW:
-                    a, b = sector_of(dx + gx, dy + gy), sector_of(dx - gx, dy - gy)
-                    one = _hiding(x, y, ex + gx, ey + gy, near, hiding, sector[a], sector[a + 1])
-                    other = _hiding(x, y, ex - gx, ey - gy, near, hiding, sector[b], sector[b + 1])
-                else:
-                    one = crossed(x, y, ex + gx, ey + gy, segments, grid, before)
-                    other = crossed(x, y, ex - gx, ey - gy, segments, grid, before)
+                one = crossed(x, y, ex + gx, ey + gy, segments, grid, before)
+                other = crossed(x, y, ex - gx, ey - gy, segments, grid, before)
                 clear = (one < 0) == (other < 0)
             if clear:
                 if count == len(index):
                     grown = np.empty(2 * count, dtype=np.int64)
                     grown[:count] = index
                     index = grown
-                place = count
-                while place > first and index[place - 1] > t:
-                    index[place] = index[place - 1]
-                    place -= 1
-                index[place] = t
+                index[count] = t
                 count += 1
+        index[offsets[i] : count].sort()
         offsets[i + 1] = count
     return offsets, index[:count].copy()
-
-
-@njit(cache=True)
-def _hiding(
-    x: float, y: float, ex: float, ey: float, segments: FloatArray, rows: IntArray, start: int, stop: int
-) -> int:
-    """The first entry of rows, in start:stop, whose segment crosses the line from (x, y) to (ex, ey), -1 if none."""
-    for h in range(start, stop):
-        x0, y0, x1, y1 = segments[rows[h], 0], segments[rows[h], 1], segments[rows[h], 2], segments[rows[h], 3]
-        if segments_cross(x, y, ex, ey, x0, y0, x1, y1):
-            return h
-    return -1
 
 
 def expected_tags(

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig
-from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap, replace
+from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, IntArray, Roadmap, TfgMap, replace
 from tfg_drake.planning.budget import Budget, budget_left, way_home
 from tfg_drake.planning.candidates import (
     Candidates,
@@ -23,6 +23,7 @@ from tfg_drake.planning.candidates import (
 )
 from tfg_drake.planning.doubtful_tags import best_views
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, stops, tour
+from tfg_drake.planning.information_gain import Gains
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
 from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
@@ -34,6 +35,8 @@ from tfg_drake.table import empty
 NOTHING_WITHIN = 5.0
 # Where frames tell less than they seem to, the first look has up to so many times its turns.
 MOST_FIRST_TURNS = 2.0
+# Ids of no node.
+NOWHERE = np.zeros(0, dtype=np.int64)
 
 
 def empty_choice() -> GoalChoice:
@@ -55,10 +58,11 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept
     estimate, roadmap, explorer, sensor = now.estimate, now.roadmap, now.parameters.explorer, now.parameters.sensor
     is_empty = len(estimate.ids) == 0 and len(now.tfg.segments) == 0
     if is_empty and roadmap.driven >= NOTHING_WITHIN * sensor.range:
-        return _nothing_to_map(estimate, roadmap, previous, explorer)
+        reason = f"Neither a landmark nor a surface was seen on {roadmap.driven:.0f} m of way: there is nothing to map."
+        return _choice(now, *_homewards(now, "stuck", reason, previous.looked_again))
     if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
         reason = "The tags' errors go on from frame to frame: it turns once more before it drives."
-        return replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason)
+        return _choice(now, -1, "look", reason)
     open_left, _ = frontier_in_sight(roadmap, now.tfg, sensor)
     looks_again = explorer.revisit and explorer.goal == "tour" and not recalled
     if looks_again and not open_left:
@@ -78,9 +82,9 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept
             again = _second_look(now, previous, kept)
             if again is not None:
                 return again
-    if verdict != "goal" and explorer.return_home:
-        node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
-    return _choice(now, ranked, node, verdict, reason, looked, explored)
+    if verdict != "goal":
+        node, verdict, reason, looked = _homewards(now, verdict, reason, looked)
+    return _among(_choice(now, node, verdict, reason, looked, explored, ranked.budget), now, ranked)
 
 
 def choose_near(now: Situation, previous: GoalChoice, radius: float, *, recalled: bool = False) -> GoalChoice | None:
@@ -143,12 +147,12 @@ def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
 def _to_the_best(now: Situation, ranked: _Ranked, previous: GoalChoice, *, open_left: bool) -> GoalChoice:
     """The choice of the best candidate. open_left: places see enough live frontier."""
     best, candidates = ranked.best, ranked.candidates
-    candidates.expected_gains.ask(np.array([best]))
-    gain = candidates.expected_gains.gains.gain[best]
+    gain = candidates.gains.gain[best]
     rate = gain / (candidates.time[best] + ranked.budget.stay)
     reason = f"{gain:.1f} nats are expected at the rate of {rate:.2f} nats per second."
     explored = _explored(now, previous, open_left=open_left)
-    return _choice(now, ranked, int(candidates.nodes[best]), "goal", reason, previous.looked_again, explored)
+    node, looked = int(candidates.nodes[best]), previous.looked_again
+    return _among(_choice(now, node, "goal", reason, looked, explored, ranked.budget), now, ranked)
 
 
 def _explored(now: Situation, previous: GoalChoice, *, open_left: bool) -> float:
@@ -158,48 +162,47 @@ def _explored(now: Situation, previous: GoalChoice, *, open_left: bool) -> float
 
 
 def _choice(
-    now: Situation, ranked: _Ranked, node: int, verdict: str, reason: str, looked: IntArray, explored: float
+    now: Situation,
+    node: int,
+    verdict: str,
+    reason: str,
+    looked: IntArray = NOWHERE,
+    explored: float = math.inf,
+    budget: Budget | None = None,
 ) -> GoalChoice:
-    """The choice of a node, -1 for none. looked: (t,) node ids, as of `_last`."""
-    name, p_MG = _named(now.roadmap, node)
-    candidates, best, budget = ranked.candidates, ranked.best, ranked.budget
-    gains = candidates.expected_gains.gains
-    look, planned = np.zeros(0), np.zeros(0, dtype=np.int64)
-    if best >= 0:
-        look = _directions(now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - p_MG)
-        planned = stops(ranked.value, best) if now.parameters.explorer.goal == "tour" else planned
-    return GoalChoice(
+    """The choice of a node of the roadmap, -1 for none, without candidates. looked: (t,) node ids, as of `_last`.
+    budget: what a goal is to be reached within."""
+    choice = replace(
+        empty_choice(),
         stage=now.estimate.stage,
-        node=name,
-        p_MG=p_MG,
-        candidates=candidates.node_ids,
-        exploitation=gains.exploitation,
-        exploration=gains.exploration,
-        pose_price=gains.pose_price,
-        gain=gains.gain,
-        value=ranked.value,
         verdict=verdict,
         reason=reason,
-        latest_arrival=budget.latest_arrival(now.roadmap, node) if verdict == "goal" else math.inf,
-        longest_way=budget.longest_way(now.roadmap, node) if verdict == "goal" else math.inf,
-        look=look,
         looked_again=looked,
         explored=explored,
-        tour=candidates.node_ids[planned],
     )
+    if node < 0:
+        return choice
+    choice = replace(choice, node=int(now.roadmap.node_ids(np.array([node]))[0]), p_MG=now.roadmap.points[node])
+    if verdict != "goal" or budget is None:
+        return choice
+    latest, longest = budget.latest_arrival(now.roadmap, node), budget.longest_way(now.roadmap, node)
+    return replace(choice, latest_arrival=latest, longest_way=longest)
 
 
-def _nothing_to_map(
-    estimate: MapEstimate, roadmap: Roadmap, previous: GoalChoice, explorer: ExplorerConfig
-) -> GoalChoice:
-    """The end of a mission that has seen nothing."""
-    reason = f"Neither a landmark nor a surface was seen on {roadmap.driven:.0f} m of way: there is nothing to map."
-    node, verdict, looked = -1, "stuck", previous.looked_again
-    if explorer.return_home:
-        node, verdict, reason, looked = _homewards(estimate, roadmap, verdict, reason, looked)
-    name, p_MG = _named(roadmap, node)
-    ended = replace(empty_choice(), stage=estimate.stage, node=name, p_MG=p_MG)
-    return replace(ended, verdict=verdict, reason=reason, looked_again=looked)
+def _of_candidates(choice: GoalChoice, node_ids: IntArray, gains: Gains, value: FloatArray) -> GoalChoice:
+    """The choice as one of candidates with these ids, gains and values, all (c,)."""
+    return replace(choice, candidates=node_ids, **vars(gains), gain=gains.gain, value=value)
+
+
+def _among(choice: GoalChoice, now: Situation, ranked: _Ranked) -> GoalChoice:
+    """The choice as one among ranked candidates, with where to look at the best of them and the tour that it begins."""
+    candidates, best = ranked.candidates, ranked.best
+    choice = _of_candidates(choice, candidates.node_ids, candidates.gains, ranked.value)
+    if best < 0:
+        return choice
+    look = _directions(now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - choice.p_MG)
+    is_tour = now.parameters.explorer.goal == "tour"
+    return replace(choice, look=look, tour=candidates.node_ids[stops(ranked.value, best)] if is_tour else choice.tour)
 
 
 def _nearer_before(best: int, candidates: Candidates, open_to: BoolArray, previous: GoalChoice) -> int:
@@ -218,16 +221,16 @@ def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
     return round(explorer.first_turns * (min(1.0 / math.sqrt(frame_worth), MOST_FIRST_TURNS) - 1.0))
 
 
-def _homewards(
-    estimate: MapEstimate, roadmap: Roadmap, verdict: str, reason: str, looked: IntArray
-) -> tuple[int, str, str, IntArray]:
-    """The end at home of a mission with this verdict and reason: the node there, -1 for where the robot stands; verdict
-    and reason; and the node ids (t,) as of `_last`.
+def _homewards(now: Situation, verdict: str, reason: str, looked: IntArray) -> tuple[int, str, str, IntArray]:
+    """The end of a mission with this verdict and reason, at home if it is to end there: the node, -1 for where the
+    robot stands; verdict and reason; and the node ids (t,) as of `_last`.
 
     Where the way is too narrow, the robot looks at it once more from as near as it gets. If that does not help, it is
     stuck.
     """
-    home = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2])
+    estimate, roadmap = now.estimate, now.roadmap
+    returns = now.parameters.explorer.return_home
+    home = way_home(roadmap, estimate.X_MA[0, :2], estimate.X_MD[:2]) if returns else -1
     if home < 0 or roadmap.reachable[home]:
         return home, verdict, reason, looked
     before = int(roadmap.entry[home])
@@ -235,13 +238,6 @@ def _homewards(
     if before >= 0 and not np.isin(name, looked).any():
         return before, "goal", "The way home is too narrow: it looks once more.", np.union1d(looked, name)
     return -1, "stuck", f"{reason} But the robot cannot get back to where it began.", looked
-
-
-def _named(roadmap: Roadmap, node: int) -> tuple[int, FloatArray]:
-    """A node's name and place (2,), m in M; -1 and the origin for none."""
-    if node < 0:
-        return -1, np.zeros(2)
-    return int(roadmap.node_ids(np.array([node]))[0]), roadmap.points[node]
 
 
 def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoice | None:
@@ -256,36 +252,20 @@ def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoic
     explored = min(previous.explored, estimate.stamp)
     nodes = places(roadmap, now.tfg, estimate.X_MD[:2])
     affordable = budget.affords(roadmap, nodes)
+    looked = previous.looked_again
     if now.is_large and not previous.is_explored:
         if not affordable.any():
             return None
         reason = "All is explored: it looks round once while it works out where the map can grow more accurate."
-        looked = replace(empty_choice(), stage=estimate.stage, verdict="look", reason=reason, explored=explored)
-        return replace(looked, looked_again=previous.looked_again)
+        return _choice(now, -1, "look", reason, looked, explored)
     value = kept * worth_revisiting(nodes, now) * affordable
     best = pick(value, value > 1.0, roadmap.travel_time[nodes])
     if best < 0:
         return None
-    asked, node = nodes[[best]], int(nodes[best])
-    node_ids, points = roadmap.node_ids(asked), roadmap.points[asked]
-    gains = turn_gains(asked, now)
-    return GoalChoice(
-        stage=estimate.stage,
-        node=int(node_ids[0]),
-        p_MG=points[0],
-        candidates=node_ids,
-        exploitation=gains.exploitation,
-        exploration=gains.exploration,
-        pose_price=gains.pose_price,
-        gain=gains.gain,
-        value=value[[best]],
-        verdict="goal",
-        reason="All is explored, but the map grows more accurate yet: it looks round once more.",
-        latest_arrival=budget.latest_arrival(roadmap, node),
-        longest_way=budget.longest_way(roadmap, node),
-        looked_again=previous.looked_again,
-        explored=explored,
-    )
+    reason = "All is explored, but the map grows more accurate yet: it looks round once more."
+    choice = _choice(now, int(nodes[best]), "goal", reason, looked, explored, budget)
+    asked = nodes[[best]]
+    return _of_candidates(choice, roadmap.node_ids(asked), turn_gains(asked, now), value[[best]])
 
 
 def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> tuple[int, str, str, IntArray]:
@@ -357,7 +337,7 @@ def _values(
 
     stay: s at each. open_to: (c,) those that may be chosen.
     """
-    expected_gains, time, open_ahead = candidates.expected_gains, candidates.time, candidates.open_ahead
+    paid, time, open_ahead = candidates.paid, candidates.time, candidates.open_ahead
     all_of_it = np.ones(len(tfg.frontiers), dtype=np.bool_)
     if explorer.goal == "nearest_frontier":
         apart = np.hypot(*(candidates.points[:, None] - tfg.frontiers[None]).transpose(2, 0, 1))
@@ -366,10 +346,9 @@ def _values(
     if explorer.goal == "tour":
         ahead = np.where(open_to[:, None], open_ahead, 0.0)
         stop = stay + time_to_go_on(robot)
-        return tour(expected_gains, time, stop, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
+        return tour(paid, time, stop, ahead, ENOUGH_FRONTIER, candidates.nodes, roadmap, robot.max_speed)
     spent = np.ones(len(time)) if explorer.goal == "argmax" else time + stay
-    expected_gains.best(lambda paid: np.where(open_to, paid / spent, -np.inf))
-    return gain_per_time(expected_gains.paid, spent), all_of_it
+    return gain_per_time(paid, spent), all_of_it
 
 
 def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:

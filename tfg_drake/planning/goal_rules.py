@@ -5,16 +5,12 @@ Every rule gives the candidates a value; the one of most value among those worth
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numba import njit
 from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
-from tfg_drake.planning.expected_gains import ExpectedGains
-from tfg_drake.planning.information_gain import Gains
 from tfg_drake.planning.routes import edge_lengths
 from tfg_drake.planning.shortest_ways import joined
 
@@ -44,7 +40,7 @@ def nearest_frontier(time: FloatArray, frontier_distance: FloatArray) -> FloatAr
 
 
 def tour(
-    expected_gains: ExpectedGains,
+    gain: FloatArray,
     time: FloatArray,
     stay: float,
     frontier: FloatArray,
@@ -66,18 +62,17 @@ def tour(
     3. The first goal is replaced by the candidate that lies best on the way to the second, among those that see almost
        all that the first was chosen for.
 
-    time: (c,) s, of going to each from the robot. frontier: (c, f) m that each candidate sees of each frontier point.
-    least: m, less than this is not worth a goal. nodes: (c,) of the roadmap; speed: m/s. Where no frontier is left,
-    gain per time decides; where no candidate that sees enough has any gain, as by an approximation with few tags in
-    view, the metres of frontier do.
+    gain: (c,) nats. time: (c,) s, of going to each from the robot. frontier: (c, f) m that each candidate sees of each
+    frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the roadmap; speed: m/s. Where no
+    frontier is left, gain per time decides; where no candidate that sees enough has any gain, as by an approximation
+    with few tags in view, the metres of frontier do.
     """
     seen, way = frontier.sum(axis=1), _TimesTo(time, nodes, roadmap, speed)
-    goals, looked_at, order = _most_by_time(expected_gains, frontier, least, stay, way)
+    goals, looked_at, order = _most_by_time(gain, frontier, least, stay, way)
     if not order:
-        metres = Gains(seen, np.zeros(len(seen)), np.zeros(len(seen)))
-        goals, looked_at, order = _most_by_time(ExpectedGains(metres), frontier, least, stay, way)
+        goals, looked_at, order = _most_by_time(seen, frontier, least, stay, way)
     if not order:
-        return gain_per_time(expected_gains.paid, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
+        return gain_per_time(gain, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
     value, arrival, to_next = np.full(len(time), -np.inf), 0.0, time
     for k in order:
         arrival += to_next[goals[k]] + stay
@@ -117,7 +112,7 @@ def stops(value: FloatArray, first: int) -> IntArray:
 
 
 def _most_by_time(
-    expected_gains: ExpectedGains, frontier: FloatArray, least: float, stay: float, way: _TimesTo
+    gain: FloatArray, frontier: FloatArray, least: float, stay: float, way: _TimesTo
 ) -> tuple[list[int], list[BoolArray], list[int]]:
     """The goals of a tour, TOUR_GOALS at the most, which frontier points (f,) each is the first to see, and the order
     in which to visit them.
@@ -127,18 +122,16 @@ def _most_by_time(
     """
     seen = np.maximum(frontier.sum(axis=1), 1e-9)
     detour = way.time
-
-    def by_time(gain: FloatArray, new: FloatArray) -> FloatArray:
-        return np.where(new >= least, gain * new / seen / (detour + stay), -np.inf)
-
     left = np.ones(frontier.shape[1], dtype=np.bool_)
     goals: list[int] = []
     looked_at: list[BoolArray] = []
     order: list[int] = []
     while len(goals) < TOUR_GOALS:
-        goal, rate = expected_gains.best(functools.partial(by_time, new=frontier @ left))
-        if rate <= 0.0:
+        new = frontier @ left
+        rate = np.where(new >= least, gain * new / seen / (detour + stay), -np.inf)
+        if rate.max(initial=-np.inf) <= 0.0:
             break
+        goal = int(np.argmax(rate))
         goals.append(goal)
         looked_at.append(left & (frontier[goal] > 0.0))
         left = left & ~looked_at[-1]

@@ -19,24 +19,9 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
-from tfg_drake.planning.exact_gain import (
-    Arrival,
-    Known,
-    New,
-    arrival_covariance,
-    exact_gain,
-    most_gain,
-    to_arrival,
-)
-from tfg_drake.planning.expected_view import (
-    Targets,
-    Visibility,
-    expected_tags,
-    expected_walls,
-    targets,
-)
+from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
+from tfg_drake.planning.expected_view import Targets, Visibility, expected_tags, expected_walls, targets
 from tfg_drake.planning.odometry_drift import odometry_covariance
-from tfg_drake.slam.scan_lines import SLANT
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
 # and tie all tags of a view together.
@@ -123,8 +108,7 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class Turns:
-    """The input of the gains at one stage: map, TFG and settings, and the covariance (3, 3) of the departure pose given
-    all landmarks (see `departure_given_landmarks`), which is computed once. scan_range: the scanner's, m."""
+    """The input of the gains at one stage: map, TFG and settings. scan_range: the scanner's, m."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -132,7 +116,11 @@ class Turns:
     scan_range: float
     odometry: OdometryConfig
     explorer: ExplorerConfig
-    departure_given_map: FloatArray
+
+    @functools.cached_property
+    def departure_given_map(self) -> FloatArray:
+        """See `departure_given_landmarks`."""
+        return departure_given_landmarks(self.estimate)
 
     @functools.cached_property
     def noise(self) -> FloatArray:
@@ -144,15 +132,6 @@ class Turns:
     def targets(self) -> Targets:
         """The points that the known landmarks are seen at."""
         return targets(self.estimate, self.tfg)
-
-    @functools.cached_property
-    def _number(self) -> FloatArray:
-        return self.explorer.density * self.tfg.frontier_length
-
-    def _new(self, frontiers: Visibility) -> New:
-        reach = frontier_reach(self.sensor)
-        index = frontiers.offsets, frontiers.index
-        return New(*index, self.tfg.frontiers, self._number, self.explorer.prior_sigma, reach)
 
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
         """The arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known by
@@ -179,51 +158,18 @@ class Turns:
         landmarks, seen where the frontier point is, less where the view ends soon behind it. Landmarks that are not
         known jointly with the departure pose count for nothing. explorer.gain names the formula.
         """
-        explorer, of = self.explorer, self.targets
+        explorer, of, tfg, noise = self.explorer, self.targets, self.tfg, self.noise
         seen = of.known_jointly(seen)
         points = np.ascontiguousarray(points)
         at = of.p_MT, of.entry, of.by_landmark, of.normal
         known = Known(seen.offsets, seen.index, *at, self.estimate.covariance)
-        new, noise = self._new(frontiers), self.noise
+        number, reach = explorer.density * tfg.frontier_length, frontier_reach(self.sensor)
+        new = New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
         if explorer.gain == "authors":
-            out = authors_gain(points, known, new, self.tfg.frontier_normal)
+            out = authors_gain(points, known, new, tfg.frontier_normal)
         elif explorer.gain == "paper":
             out = paper_gain(points, known, new, noise)
         else:
             gain = exact_gain if explorer.gain == "exact" else limit_gain
             out = gain(points, arrival, known, new, noise)
         return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=out[:, 2])
-
-    def most(self, points: FloatArray, arrival: Arrival, frontiers: Visibility) -> Gains:
-        """As much as gains can be by the exact formula at the most, whichever of the known landmarks the points see:
-        many times cheaper than that, and little more where most of it lies beyond the frontiers."""
-        estimate, sensor = self.estimate, self.sensor
-        points = np.ascontiguousarray(points)
-        F, new = to_arrival(arrival.X_MD, points), self._new(frontiers)
-        range_max, max_incidence = sensor.range, sensor.max_incidence
-        if self.targets.of_walls:
-            range_max, max_incidence = max(range_max, self.scan_range), max(max_incidence, math.acos(SLANT))
-        out = most_gain(
-            points,
-            *arrival_covariance(F, arrival, estimate.covariance),
-            F,
-            *self.targets,  # type: ignore[arg-type]
-            estimate.covariance,
-            range_max,
-            max_incidence,
-            *new,  # type: ignore[arg-type]
-            self.noise,
-        )
-        return Gains(exploitation=out[:, 0], exploration=out[:, 1], pose_price=np.zeros(len(points)))
-
-
-def turns(
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    sensor: TagSensorConfig,
-    scan_range: float,
-    odometry: OdometryConfig,
-    explorer: ExplorerConfig,
-) -> Turns:
-    """The input of the gains with this map, its TFG and these settings."""
-    return Turns(estimate, tfg, sensor, scan_range, odometry, explorer, departure_given_landmarks(estimate))

@@ -13,10 +13,10 @@ import numpy as np
 
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import BoolArray, IntArray, MapEstimate, TfgMap, is_tag, replace
-from tfg_drake.planning.roadmap import Edges, RoadmapState, place_in_map
+from tfg_drake.messages import BoolArray, MapEstimate, TfgMap, is_tag, replace
+from tfg_drake.planning.roadmap import RoadmapState, place_in_map
 from tfg_drake.slam.walls import wall_ends
-from tfg_drake.table import concat, put, take
+from tfg_drake.table import take
 from tfg_drake.tfg.near import radius_of, within
 
 # Rules that look for the next goal in the whole map at every stage.
@@ -56,43 +56,15 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     return estimate.of_landmarks(landmarks), take(tfg, **near)
 
 
-def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> tuple[RoadmapState, BoolArray]:
-    """The roadmap with those of its nodes (n,) only that lie within a radius (m) of the map's newest view, and the
-    edges between them; and which these are (n,)."""
-    if math.isinf(radius):
-        return nodes, np.ones(len(nodes.ids), dtype=np.bool_)
-    points = place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA)
-    near = within(points, estimate.X_MA[-1], radius)
-    rows = _rows_between(near, nodes.edges)
-    ends = (np.cumsum(near) - 1)[nodes.edges.nodes[rows]]
-    order = np.argsort(_pairs(ends, len(near)))
-    part = take(replace(nodes, points=points), n=near, e=rows[order])
-    return replace(part, edges=replace(part.edges, nodes=ends[order])), near
+def near_nodes(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> BoolArray:
+    """Which nodes (n,) of a roadmap lie within a radius (m) of the map's newest view."""
+    return within(place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA), estimate.X_MA[-1], radius)
 
 
-def with_part(nodes: RoadmapState, near: BoolArray, part: RoadmapState, estimate: MapEstimate) -> RoadmapState:
-    """The roadmap, placed by the map, with that part of it of which the nodes near (n,) are, as it has become since.
-    Its new edges are the last."""
-    old, first, count = np.flatnonzero(near), np.count_nonzero(near), len(near) + len(part.ids)
-    names = np.append(old, len(near) + np.arange(len(part.ids) - first))
-    edges, rows = replace(part.edges, nodes=names[part.edges.nodes]), _rows_between(near, nodes.edges)
-    # The part's edges are in the order of the nodes, and those that it had are among them.
-    at = np.searchsorted(_pairs(edges.nodes, count), _pairs(nodes.edges.nodes[rows], count))
-    added = np.setdiff1d(np.arange(len(edges)), at, assume_unique=True)
-    sigma = nodes.sigma.copy()
-    sigma[old] = part.sigma[:first]
-    whole = replace(nodes, sigma=sigma, edges=put(nodes.edges, rows, take(edges, at)))
-    part = replace(part, edges=edges)
-    whole = concat(whole, take(part, n=np.arange(first, len(part.ids)), e=added))
-    points = place_in_map(whole.anchor, whole.p_AN, estimate.X_MA)
-    return replace(whole, stage=part.stage, next_id=part.next_id, way_end=part.way_end, points=points)
-
-
-def _rows_between(near: BoolArray, edges: Edges) -> IntArray:
-    """The edges (k,) between two of the nodes near (n,)."""
-    return np.flatnonzero(near[edges.nodes[:, 0]] & near[edges.nodes[:, 1]])
-
-
-def _pairs(nodes: IntArray, count: int) -> IntArray:
-    """A number (e,) for each edge's nodes (e, 2), of count nodes: in the order of the nodes."""
-    return nodes[:, 0] * count + nodes[:, 1]
+def local_roadmap(nodes: RoadmapState, near: BoolArray) -> RoadmapState:
+    """The roadmap with those of its nodes (n,) only that are near, and the edges between them."""
+    if near.all():
+        return nodes
+    rows = nodes.edges.between(near)
+    part = take(nodes, n=near, e=rows)
+    return replace(part, edges=replace(part.edges, nodes=(np.cumsum(near) - 1)[part.edges.nodes]))

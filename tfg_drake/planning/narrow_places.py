@@ -35,7 +35,7 @@ class NarrowPlaces:
 
 def narrow_places(now: Situation) -> NarrowPlaces:
     """All such places of the roadmap, with their gains."""
-    roadmap, parameters, judge = now.roadmap, now.parameters, now.turns()
+    roadmap, parameters, judge = now.roadmap, now.parameters, now.turns
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
     entry, points = roadmap.entry[nodes], roadmap.points[nodes]
     beyond = np.hypot(*(points - roadmap.points[entry]).T)

@@ -11,7 +11,7 @@ from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.se2 import compose, inverse, transform
-from tfg_drake.geometry.segment_grid import segment_grid
+from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
@@ -71,15 +71,8 @@ def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _insert(points: FloatArray, step: float) -> FloatArray:
     """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
-    pieces = np.diff(points, axis=0)
-    length = np.hypot(pieces[:, 0], pieces[:, 1])
-    count = np.maximum(1, np.ceil(length / step - 1e-9).astype(np.int64))
-    piece = np.repeat(np.arange(len(count)), count)
-    k = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)
-    more, between = points[piece], k > 0
-    piece, k = piece[between], k[between]
-    more[between] += pieces[piece] / length[piece, None] * (k * (length / count)[piece])[:, None]
-    return np.vstack([more, points[-1:]])
+    pieces = [resample(points[i : i + 2], step)[:-1] for i in range(len(points) - 1)]
+    return np.vstack([*pieces, points[-1:]])
 
 
 def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:
@@ -123,6 +116,12 @@ def _shortest(
     return kept[:count]
 
 
+@njit(cache=True)
+def _room(a: FloatArray, b: FloatArray, segments: FloatArray, grid: SegmentGrid, enough: float) -> float:
+    """As `room_beside`, of the edge between two points (2,)."""
+    return float(room_beside(a[0], a[1], b[0], b[1], segments, grid, enough))
+
+
 @read_only_arguments
 @njit(cache=True)
 def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> FloatArray:
@@ -131,37 +130,25 @@ def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> Fl
     smooth, count = np.empty((ARC_POINTS * len(points), 2)), 1
     smooth[0] = points[0]
     for i in range(1, len(points) - 1):
-        cx, cy = points[i, 0], points[i, 1]
-        back_x, back_y, on_x, on_y = (
-            points[i - 1, 0] - cx,
-            points[i - 1, 1] - cy,
-            points[i + 1, 0] - cx,
-            points[i + 1, 1] - cy,
-        )
-        back, on = math.hypot(back_x, back_y), math.hypot(on_x, on_y)
-        sharp = room_beside(cx, cy, points[i - 1, 0], points[i - 1, 1], segments, grid, enough)
-        sharp = min(sharp, room_beside(cx, cy, points[i + 1, 0], points[i + 1, 1], segments, grid, enough))
-        cut, rounded = min(ROUNDING, 0.5 * min(back, on)), False
+        corner, back, on = points[i], points[i - 1] - points[i], points[i + 1] - points[i]
+        to_back, to_on = math.hypot(back[0], back[1]), math.hypot(on[0], on[1])
+        sharp = _room(corner, points[i - 1], segments, grid, enough)
+        sharp = min(sharp, _room(corner, points[i + 1], segments, grid, enough))
+        cut, rounded = min(ROUNDING, 0.5 * min(to_back, to_on)), False
         while cut > 0.05 and not rounded:
-            ax, ay = cx + back_x / back * cut, cy + back_y / back * cut
-            bx, by = cx + on_x / on * cut, cy + on_y / on * cut
+            a, b = corner + back / to_back * cut, corner + on / to_on * cut
             rounded = True
             for k in range(ARC_POINTS):
                 t = k * (1.0 / (ARC_POINTS - 1))
-                arc[k, 0] = (1 - t) ** 2 * ax + 2 * t * (1 - t) * cx + t**2 * bx
-                arc[k, 1] = (1 - t) ** 2 * ay + 2 * t * (1 - t) * cy + t**2 * by
-                if k > 0:
-                    x, y = arc[k - 1, 0], arc[k - 1, 1]
-                    if room_beside(x, y, arc[k, 0], arc[k, 1], segments, grid, enough) < sharp - 1e-9:
-                        rounded = False
-                        break
+                arc[k] = (1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b
+                if k > 0 and _room(arc[k - 1], arc[k], segments, grid, enough) < sharp - 1e-9:
+                    rounded = False
+                    break
             cut *= 0.6
+        smooth[count] = corner
         if rounded:
             smooth[count : count + ARC_POINTS] = arc
-            count += ARC_POINTS
-        else:
-            smooth[count] = points[i]
-            count += 1
+        count += ARC_POINTS if rounded else 1
     smooth[count] = points[-1]
     return smooth[: count + 1]
 

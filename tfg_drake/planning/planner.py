@@ -30,7 +30,7 @@ from tfg_drake.mission.sequence import MAX_FAILURES
 from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.planning.local import local, local_roadmap, planning_radius, with_part
+from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import EFFORTS, RoadmapParameters, RoadmapState, empty_roadmap, extend, place_in_map
@@ -69,40 +69,28 @@ class PlannerState:
 
     nodes: RoadmapState
     part: RoadmapState
-    radius: float
     estimate: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
     path: Path
-    status: PathStatus
     replans: int
     obstacles: Annotated[FloatArray, "b", 4]
     obstacle_view: Annotated[IntArray, "b"]
-    scan_stamp: float
-    look_stamp: float
-    waiting_since: float
-    asked: float
     driven: Annotated[FloatArray, "d", 2]
     driven_before: float
-    open_length: float
+    status: PathStatus = PathStatus(path_id=0, free=True)
+    radius: float = math.inf
+    scan_stamp: float = -math.inf
+    look_stamp: float = -math.inf
+    waiting_since: float = math.inf
+    asked: float = -math.inf
+    open_length: float = math.inf
 
 
 def initial_state() -> PlannerState:
     """Before the first view."""
     nodes = empty_roadmap()
-    return empty(
-        PlannerState,
-        nodes=nodes,
-        part=nodes,
-        radius=np.inf,
-        estimate=keyframe_graph.empty_map(),
-        status=PathStatus(path_id=0, free=True),
-        scan_stamp=-np.inf,
-        look_stamp=-np.inf,
-        waiting_since=np.inf,
-        asked=-np.inf,
-        open_length=np.inf,
-    )
+    return empty(PlannerState, nodes=nodes, part=nodes, estimate=keyframe_graph.empty_map())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,11 +182,11 @@ def grow(
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
     radius = planning_radius(estimate, parameters.explorer)
     estimate, tfg = local(estimate, tfg, radius, parameters.sensor.range)
-    nodes, near = local_roadmap(state.nodes, estimate, radius)
+    nodes, is_all = state.nodes, near_nodes(state.nodes, estimate, radius).all()
     state = replace(state, driven_before=driven_before, radius=radius, estimate=estimate, tfg=tfg)
     open_length = float(tfg.frontier_length.sum())
     # Where nothing is open and nothing was a stage ago, a sample would find no new space.
-    sampled = bool(near.all()) and max(open_length, state.open_length) < ENOUGH_FRONTIER
+    sampled = bool(is_all) and max(open_length, state.open_length) < ENOUGH_FRONTIER
     for effort in range(len(EFFORTS)):
         nodes = extend(
             nodes,
@@ -211,8 +199,8 @@ def grow(
             sampled=sampled,
             in_vain=in_vain,
         )
-        obstacles = obstacles_in_map(state, estimate)
-        roadmap = make_roadmap(nodes, tfg, estimate, parameters, obstacles, driven_before)
+        part, obstacles = local_roadmap(nodes, near_nodes(nodes, estimate, radius)), obstacles_in_map(state, estimate)
+        roadmap = make_roadmap(part, tfg, estimate, parameters, obstacles, driven_before)
         in_reach, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
         # Where less is left than is worth a visit, no sample could see enough.
         if in_reach or open_length < ENOUGH_FRONTIER:
@@ -222,11 +210,11 @@ def grow(
     if len(state.obstacles) and (ending or _shut_in(roadmap, tfg, estimate)):
         # Before the mission ends, what lies behind them is tried once more.
         state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
-        roadmap = make_roadmap(nodes, tfg, estimate, parameters, state.obstacles, driven_before)
+        roadmap = make_roadmap(part, tfg, estimate, parameters, state.obstacles, driven_before)
     return replace(
         state,
-        nodes=nodes if near.all() else with_part(state.nodes, near, nodes, estimate),
-        part=nodes,
+        nodes=nodes,
+        part=part,
         roadmap=roadmap,
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),

@@ -32,7 +32,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     worth 1, and the mission never end where errors of landmarks are independent. Of a large map the landmarks that are
     known jointly speak for all. What is seen on the way is not counted.
     """
-    estimate, roadmap, parameters, turns = now.landmarks, now.roadmap, now.parameters, now.turns()
+    estimate, roadmap, parameters, turns = now.landmarks, now.roadmap, now.parameters, now.turns
     value = np.zeros(len(nodes))
     if not len(estimate.local):
         return value

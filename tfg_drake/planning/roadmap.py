@@ -27,13 +27,13 @@ from tfg_drake.config import (
 )
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.connected import component_labels, connect
-from tfg_drake.geometry.distance import clearance, nearest_on_segment, point_segment_distance, room_beside
+from tfg_drake.geometry.distance import clearance, nearest_on_segment, room_beside
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
-from tfg_drake.table import concat, empty, take
+from tfg_drake.table import concat, empty, put, take
 from tfg_drake.tfg.near import within
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
@@ -103,7 +103,7 @@ class Edges:
 
     nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance:
     (e,) m, measured up to COMFORT or, if that is more, up to the most that any edge needs. required: (e,) m, the
-    clearance that it needs. usable: (e,).
+    clearance that it needs.
     """
 
     nodes: Annotated[IntArray, "e", 2]
@@ -111,10 +111,22 @@ class Edges:
     free: Annotated[BoolArray, "e"]
     clearance: Annotated[FloatArray, "e"]
     required: Annotated[FloatArray, "e"]
-    usable: Annotated[BoolArray, "e"]
 
     def __len__(self) -> int:
         return len(self.nodes)
+
+    def between(self, nodes: BoolArray) -> IntArray:
+        """The rows (k,) of the edges between two of some of the nodes (n,)."""
+        return np.flatnonzero(nodes[self.nodes].all(axis=1))
+
+    @property
+    def usable(self) -> BoolArray:
+        """Which edges (e,) lie in free space and have the room that they need."""
+        return self.with_room(self.required)
+
+    def with_room(self, need: FloatArray) -> BoolArray:
+        """Which edges (e,) lie in free space and have so much room, m, (e,) or one number for all."""
+        return np.asarray(self.free & (self.clearance >= need))
 
 
 @message
@@ -124,8 +136,8 @@ class RoadmapState:
     stage. ids: (n,) of the nodes, ascending, next_id: that of the next new one. anchor: (n,) the view in whose arrival
     frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
     deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows of the
-    nodes, smaller node first; those of what is near in the order of the nodes. way_end: the id of the node where the
-    way that the robot has driven ends, -1 for none.
+    nodes, smaller node first, in the order of the nodes. way_end: the id of the node where the way that the robot has
+    driven ends, -1 for none.
     """
 
     stage: int
@@ -142,7 +154,7 @@ class RoadmapState:
 def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
     """New edges between nodes (e, 2), of which the robot has driven some (e,)."""
     no, zero = np.zeros(len(nodes), dtype=np.bool_), np.zeros(len(nodes))
-    return Edges(nodes, travelled, no, zero, zero, no)
+    return Edges(nodes, travelled, no, zero, zero)
 
 
 def empty_roadmap() -> RoadmapState:
@@ -202,69 +214,22 @@ def fitting(
 def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
     """Shortest connections (g, 4) of ends (n, 2) with segments (m, 4), those from narrowest to widest (m) long with
     nothing nearer to their middles than their two sides."""
-    found = np.empty((64, 4))
-    count = 0
     grid = segment_grid(segments)
-    rows, noted = np.empty(len(grid[4]), dtype=np.int64), np.full(len(segments), -1)
-    near, to, order = (
-        np.empty(len(segments), dtype=np.int64),
-        np.empty((len(segments), 3)),
-        np.empty(64, dtype=np.int64),
-    )
+    rows = np.empty(len(grid[4]), dtype=np.int64)
+    found, count = np.empty((64, 4)), 0
     for i in range(len(ends)):
         x, y = ends[i, 0], ends[i, 1]
-        stop = 0
-        for k in range(rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, rows)):
-            j = rows[k]
-            if noted[j] == i:
-                continue
-            noted[j] = i
+        near = rows_in_box(grid, x - widest, x + widest, y - widest, y + widest, rows)
+        for j in np.unique(rows[:near]):
             qx, qy = nearest_on_segment(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3])
-            square = (qx - x) ** 2 + (qy - y) ** 2
-            if square <= widest * widest:
-                # Its own surface first: it stands in most of its gaps.
-                place = stop
-                if square == 0.0:
-                    near[stop], to[stop] = near[0], to[0]
-                    place = 0
-                near[place], to[place, 0], to[place, 1], to[place, 2] = j, qx, qy, square
-                stop += 1
-        between, first = 0, count
-        for k in range(stop):
-            if to[k, 2] < narrowest * narrowest:
-                continue
-            qx, qy = to[k, 0], to[k, 1]
-            width = math.hypot(qx - x, qy - y)
-            # What stands in one gap stands in the next: look there first.
-            between = _nearer(0.5 * (x + qx), 0.5 * (y + qy), HALF_GAP * width, segments, near[:stop], between)
-            if between < stop:
-                continue
-            if count == len(found):
-                more, order_more = np.empty((2 * count, 4)), np.empty(2 * count, dtype=np.int64)
-                more[:count], order_more[:count] = found, order
-                found, order = more, order_more
-            # In the order of the segments.
-            place = count
-            while place > first and order[place - 1] > near[k]:
-                found[place], order[place] = found[place - 1], order[place - 1]
-                place -= 1
-            found[place, 0], found[place, 1], found[place, 2], found[place, 3] = x, y, qx, qy
-            order[place] = near[k]
-            count += 1
+            width, mx, my = math.hypot(qx - x, qy - y), 0.5 * (x + qx), 0.5 * (y + qy)
+            half = HALF_GAP * width
+            if narrowest <= width <= widest and room_beside(mx, my, mx, my, segments, grid, half) >= half:
+                if count == len(found):
+                    found = np.vstack((found, np.empty_like(found)))
+                found[count, 0], found[count, 1], found[count, 2], found[count, 3] = x, y, qx, qy
+                count += 1
     return found[:count].copy()
-
-
-@njit(cache=True)
-def _nearer(x: float, y: float, distance: float, segments: FloatArray, rows: IntArray, first: int) -> int:
-    """An entry of rows, looked for from the first on and round, whose segment is nearer to (x, y) than distance, m;
-    their number if there is none."""
-    at = first if first < len(rows) else 0
-    for _ in range(len(rows)):
-        j = rows[at]
-        if point_segment_distance(x, y, segments[j, 0], segments[j, 1], segments[j, 2], segments[j, 3]) < distance:
-            return at
-        at = at + 1 if at + 1 < len(rows) else 0
-    return len(rows)
 
 
 def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
@@ -392,15 +357,16 @@ def _standing_for(chain: FloatArray, near_enough: FloatArray, nodes: FloatArray)
     return stand
 
 
-def _nearest_edges(points: FloatArray, first_new: int) -> IntArray:
-    """Edges (e, 2), smaller node first, from each node first_new... to its nearest neighbours among all points."""
+def _nearest_edges(points: FloatArray, first_new: int, near: BoolArray) -> IntArray:
+    """Edges (e, 2), smaller node first, from each node first_new... to its nearest neighbours among those of all points
+    (n, 2) that are near (n,)."""
     edges = [np.zeros((0, 2), dtype=np.int64)]
     for i in range(first_new, len(points)):
         square = (points[:, 0] - points[i, 0]) ** 2 + (points[:, 1] - points[i, 1]) ** 2
-        square[i] = np.inf
-        near = np.flatnonzero(square < EDGE_LENGTH * EDGE_LENGTH)
-        near = near[np.argsort(square[near], kind="stable")[:NEIGHBOURS]]
-        edges.append(np.stack([np.minimum(i, near), np.maximum(i, near)], axis=1))
+        square[i], square[~near] = np.inf, np.inf
+        nearest = np.flatnonzero(square < EDGE_LENGTH * EDGE_LENGTH)
+        nearest = nearest[np.argsort(square[nearest], kind="stable")[:NEIGHBOURS]]
+        edges.append(np.stack([np.minimum(i, nearest), np.maximum(i, nearest)], axis=1))
     return np.concatenate(edges)
 
 
@@ -416,12 +382,13 @@ def extend(
     sampled: bool = False,
     in_vain: bool = False,
 ) -> RoadmapState:
-    """The roadmap moved with the map to estimate.stage, with new nodes, all its edges checked anew.
+    """The roadmap moved with the map to estimate.stage, with new nodes, and its edges checked anew.
 
     driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. radius: m round the newest
-    view, within which all of the map is given; by default everywhere. sampled: it is on all of the map already, and
-    only that way is new. in_vain: goals could not be reached, so of the ways driven near the robot those that a surface
-    crosses by now have shut. The same arguments give the same roadmap.
+    view, within which all of the map is given; by default everywhere. Farther away nodes move, and nothing else
+    changes. sampled: it is on all of the map already, and only that way is new. in_vain: goals could not be reached, so
+    of the ways driven near the robot those that a surface crosses by now have shut. The same arguments give the same
+    roadmap.
     """
     views = np.flatnonzero(within(estimate.X_MA, estimate.X_MA[-1], radius))
     points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, radius, sampled)
@@ -431,28 +398,32 @@ def extend(
     anchor = np.append(state.anchor, views[np.square(apart).sum(axis=2).argmin(axis=1)])
     p_AN = np.vstack([state.p_AN, _to_anchor(points[first_new:], anchor[first_new:], estimate.X_MA)])
 
-    sigma = predicted_deviation(
-        points,
+    near = within(points, estimate.X_MA[-1], radius)
+    near[first_new:] = True
+    sigma = np.append(state.sigma, np.full(fresh, np.inf))
+    sigma[near] = predicted_deviation(
+        points[near],
         estimate,
         tfg,
         parameters.sensor,
         parameters.odometry,
         parameters.robot.max_speed,
-        np.append(state.sigma, np.full(fresh, np.inf)),
+        sigma[near],
     )
-    proposed = np.vstack([chain, _nearest_edges(points, first_new)])
+    proposed = np.vstack([chain, _nearest_edges(points, first_new, near)])
     was_driven = np.arange(len(proposed)) < len(chain)
-    edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
-    edges = _checked(edges, points, sigma, tfg, parameters)
+    all_edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
+    rows = all_edges.between(near)
+    edges = _checked(take(all_edges, rows), points, sigma, tfg, parameters)
     if len(tfg.keep_out):
         # The map may have moved a way that was driven into an area to keep out of.
         outside = clearance(points[edges.nodes].reshape(-1, 4), tfg.keep_out, COMFORT) > 0.0
         edges = replace(edges, travelled=edges.travelled & outside)
     if in_vain:
-        near = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
-        edges = replace(edges, travelled=edges.travelled & ~(near & (edges.clearance == 0.0)))
-    home, here = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
-    edges = _with_needed(edges, parameters.robot.radius + TRAVELLED_MARGIN, home, here, len(points))
+        here = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
+        edges = replace(edges, travelled=edges.travelled & ~(here & (edges.clearance == 0.0)))
+    entry, view = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
+    edges = _with_needed(edges, parameters.robot.radius + TRAVELLED_MARGIN, entry, view, len(points))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))
     return replace(
         state,
@@ -463,7 +434,7 @@ def extend(
         p_AN=p_AN,
         points=points,
         sigma=sigma,
-        edges=edges,
+        edges=put(all_edges, rows, edges),
         way_end=int(ids[way_end]),
     )
 
@@ -530,7 +501,7 @@ def _checked(
     free = edges.free | edges.travelled
     ask = np.flatnonzero(~free & (has >= parameters.robot.radius))
     free[ask] = in_free_space(points[edges.nodes[ask]].reshape(-1, 4), tfg)
-    return replace(edges, clearance=has, required=need, free=free, usable=free & (has >= need))
+    return replace(edges, clearance=has, required=need, free=free)
 
 
 @njit(cache=True)
@@ -573,9 +544,8 @@ def _with_needed(edges: Edges, least: float, home: int, here: int, count: int) -
     if not (driven & ~edges.usable).any():
         return edges
     room = np.where(driven, edges.clearance, -np.inf)
-    usable = edges.usable | _needed(edges.nodes, edges.usable, room, least, home, here, count)
-    required = np.where(usable, np.minimum(edges.required, edges.clearance), edges.required)
-    return replace(edges, required=required, usable=usable)
+    needed = _needed(edges.nodes, edges.usable, room, least, home, here, count)
+    return replace(edges, required=np.where(needed, edges.clearance, edges.required))
 
 
 def _entry(views: IntArray) -> int:

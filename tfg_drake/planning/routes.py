@@ -216,8 +216,7 @@ def _fitting(
 ) -> BoolArray:
     """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m), where
     this probability of a collision is accepted, if that is more than the planner's."""
-    need = room_needed(robot, planner, np.array(deviation), accepted)
-    return np.asarray(state.edges.usable | (state.edges.free & (state.edges.clearance >= need)))
+    return state.edges.usable | state.edges.with_room(room_needed(robot, planner, np.array(deviation), accepted))
 
 
 def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> BoolArray:

@@ -121,6 +121,10 @@ def behind(first: TfgGraph, second: TfgGraph) -> TfgGraph:
         if isinstance(anchored, FrontierPoints | Surfaces)
     }
     both = concat(first, replace(second, tag_view=second.tag_view + first.stage, **later))
-    tags = np.lexsort((both.tag_range, both.tag_ids))
-    tags = tags[np.unique(both.tag_ids[tags], return_index=True)[1]]
-    return take(replace(both, stage=first.stage + second.stage), n=tags)
+    return seen_nearest(replace(both, stage=first.stage + second.stage))
+
+
+def seen_nearest(graph: TfgGraph) -> TfgGraph:
+    """The graph with each tag once, as it was seen from nearest by."""
+    tags = np.lexsort((graph.tag_range, graph.tag_ids))
+    return take(graph, n=tags[np.unique(graph.tag_ids[tags], return_index=True)[1]])

@@ -37,7 +37,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.drift import MOST_DRIFT, known_jointly
-from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, with_part
+from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, seen_nearest, with_part
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
@@ -234,33 +234,25 @@ class _Newest:
         self, old: FrontierPoints, p: FloatArray, normal: FloatArray, length: FloatArray
     ) -> FrontierPoints:
         """The old frontiers that the view has not covered, and those that it found: p and normal (f, 2) in A, length
-        (f,) m."""
-
-        def open_still(points: FrontierPoints) -> BoolArray:
-            explored = inside_any(points.p, *self.star.polygons) | explored_elsewhere(points, self.stars, self.estimate)
-            return self._theirs(points) | ~explored
-
-        return _merge(
-            old,
-            points_of(self._view, p, normal, length),
-            self.estimate.X_MA,
-            open_still,
-            lambda points: ~inside_any(points.p, *self.stars.polygons),
-            lambda old, new: far_from(new.p, old.p[~self._theirs(old)], SAME_FRONTIER),
-        )
+        (f,) m. Those of weakly tied views stay, and stand for no new ones."""
+        new = points_of(self._view, p, normal, length)
+        then, now = place_points(old, self.estimate.X_MA), place_points(new, self.estimate.X_MA)
+        explored = inside_any(then.p, *self.star.polygons) | explored_elsewhere(then, self.stars, self.estimate)
+        theirs = self.weak[old.view]
+        is_new = far_from(now.p, then.p[~theirs & ~explored], SAME_FRONTIER)
+        is_new &= ~inside_any(now.p, *self.stars.polygons)
+        return concat(take(old, theirs | ~explored), take(new, is_new))
 
     def uninspected(self, old: FrontierPoints, components: Components) -> FrontierPoints:
         """The old points that the view has not inspected, and those on the components of its panorama that no view
         has."""
         p, normal = find_uninspected(components, self.tags.range, self.tags.max_incidence - SLANT_KNOWN)
-        return _merge(
-            old,
-            points_of(self._view, p, normal, np.full(len(p), UNINSPECTED_SPACING)),
-            self.estimate.X_MA,
-            lambda points: self._theirs(points) | self._not_inspected(self.star, points),
-            lambda points: self._not_inspected(self.stars, points),
-            lambda old, new: far_from(_faces(new), _faces(old)[~self._theirs(old)], 0.9 * UNINSPECTED_SPACING),
-        )
+        new = points_of(self._view, p, normal, np.full(len(p), UNINSPECTED_SPACING))
+        then, now = place_points(old, self.estimate.X_MA), place_points(new, self.estimate.X_MA)
+        open_still, theirs = self._not_inspected(self.star, then), self.weak[old.view]
+        is_new = far_from(_faces(now), _faces(then)[~theirs & open_still], 0.9 * UNINSPECTED_SPACING)
+        is_new &= self._not_inspected(self.stars, now)
+        return concat(take(old, theirs | open_still), take(new, is_new))
 
     def unseen_faces(
         self, offsets: IntArray, placed: FloatArray, stars: Stars
@@ -296,10 +288,6 @@ class _Newest:
     @property
     def _view(self) -> int:
         return self.estimate.stage - 1
-
-    def _theirs(self, points: FrontierPoints) -> BoolArray:
-        """Which points weakly tied views have found."""
-        return self.weak[points.view]
 
     def _not_inspected(self, stars: Stars, points: FrontierPoints) -> BoolArray:
         front = in_front(points.p, points.normal, self.segments, UNINSPECTED_LIFT)
@@ -541,47 +529,21 @@ def _with_facing(graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, see
 
     A tag faces along the normal of its surface as seen from nearest by; without a surface, towards that view.
     """
-    view, observation = estimate.stage - 1, estimate.observation
-    p_AL = transform(inverse(estimate.X_MA[view]), estimate.p_ML)
-    ids = estimate.ids
-    known = np.searchsorted(ids, graph.tag_ids)
-    tag_view = np.full(len(ids), -1)
-    facing, distance = np.zeros((len(ids), 2)), np.full(len(ids), np.inf)
-    tag_view[known], facing[known], distance[known] = graph.tag_view, graph.tag_facing, graph.tag_range
-
-    new_distance = np.hypot(p_AL[:, 0], p_AL[:, 1])
-    on_surface = np.zeros(len(ids), dtype=bool)
-    on_surface[np.searchsorted(ids, seen_ids)] = True
-    seen = np.isin(ids, observation.ids)
-    bare = seen & ~on_surface & (tag_view < 0)
-    better = on_surface & (new_distance < distance)
-    normal = np.zeros((len(ids), 2))
-    normal[np.searchsorted(ids, seen_ids)] = seen_normal
-    facing[better] = normal[better]
-    facing[bare] = -p_AL[bare] / np.maximum(new_distance[bare], 1e-9)[:, None]
-    tag_view[better | bare] = view
-    distance[better] = new_distance[better]
-    has = tag_view >= 0
-    return replace(graph, tag_ids=ids[has], tag_view=tag_view[has], tag_facing=facing[has], tag_range=distance[has])
-
-
-def _merge(
-    old: FrontierPoints,
-    new: FrontierPoints,
-    X_MA: FloatArray,
-    keep_old: Callable[[FrontierPoints], BoolArray],
-    keep_new: Callable[[FrontierPoints], BoolArray],
-    lacks: Callable[[FrontierPoints, FrontierPoints], BoolArray],
-) -> FrontierPoints:
-    """The old points to keep, and those of the new ones to keep that the old ones lack.
-
-    keep_old, keep_new and lacks (of the old and the new) judge the points placed in the map frame.
-    """
-    placed = place_points(old, X_MA)
-    keep = keep_old(placed)
-    old, placed = take(old, keep), take(placed, keep)
-    new_placed = place_points(new, X_MA)
-    return concat(old, take(new, lacks(placed, new_placed) & keep_new(new_placed)))
+    bare = np.setdiff1d(estimate.observation.ids, np.append(graph.tag_ids, seen_ids))
+    bare = bare[np.isin(bare, estimate.ids)]
+    X_AM, new = inverse(estimate.X_MA[-1]), np.append(seen_ids, bare)
+    p_AL = transform(X_AM, estimate.p_ML[np.searchsorted(estimate.ids, new)])
+    on_surface, distance = len(seen_ids), np.hypot(p_AL[:, 0], p_AL[:, 1])
+    towards = -p_AL[on_surface:] / np.maximum(distance[on_surface:], 1e-9)[:, None]
+    distance[on_surface:] = np.inf
+    both = replace(
+        graph,
+        tag_ids=np.append(graph.tag_ids, new),
+        tag_view=np.append(graph.tag_view, np.full(len(new), estimate.stage - 1)),
+        tag_facing=np.vstack([graph.tag_facing, seen_normal, towards]),
+        tag_range=np.append(graph.tag_range, distance),
+    )
+    return seen_nearest(both)
 
 
 def _faces(points: FrontierPoints) -> FloatArray:

@@ -98,8 +98,6 @@ def weakly_tied(
 
     tag_ids, tag_view: (m,) landmarks and a view that saw each.
     """
-    if not landmarks.any():
-        return WeaklyTied(landmarks, *(np.zeros(len(of), dtype=np.bool_) for of in (estimate.X_MA, surfaces.view)))
     known = estimate.is_local
     view, ids = _saw(surfaces, tag_ids, tag_view)
     row = np.searchsorted(estimate.ids, ids)

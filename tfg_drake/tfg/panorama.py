@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message, replace
@@ -28,8 +29,6 @@ FLOATS, ASLANT_SHARE = 0.1, 0.4
 # as far apart as usual have nothing between, and fell on one surface where their ranges differ by less than so many
 # times the way across.
 COARSE, WIDEST, GAP, ASLANT = 1.2, 0.1, 1.5, 5.0
-# So many numbers are sorted soonest by putting one after the other in its place.
-FEW = 16
 
 
 @message
@@ -53,23 +52,20 @@ class Panorama:
 
     def looked_at(self, bearing: FloatArray) -> BoolArray:
         """Whether the turn looked in the directions of bearings (n,), rad in A."""
+        return np.asarray(~np.isnan(self.ranges[self._bins_of(bearing)]))
+
+    def least_range(self, points: FloatArray, beside: int) -> FloatArray:
+        """The least range (n,), m, that the turn saw in the bins of points (n, 2), m in A, and in so many on either
+        side of each: range_max where a bin is free, 0 where it never looked."""
+        reach = np.nan_to_num(self.ranges, nan=0.0, posinf=self.range_max)
+        least = minimum_filter1d(reach, 2 * beside + 1, mode="wrap")
+        return np.asarray(least[self._bins_of(np.arctan2(points[:, 1], points[:, 0]))])
+
+    def _bins_of(self, bearing: FloatArray) -> IntArray:
+        """The bins (n,) that bearings (n,), rad in A, fall in."""
         bins = len(self.ranges)
         index = (np.mod(bearing, 2.0 * np.pi) * (bins / (2.0 * np.pi))).astype(np.int64)
-        return np.asarray(~np.isnan(self.ranges[np.minimum(index, bins - 1)]))
-
-
-@njit(cache=True)
-def _sorted(values: FloatArray) -> FloatArray:
-    """The values (n,) in ascending order, sorted in place if they are few."""
-    if len(values) > FEW:
-        return np.sort(values)
-    for i in range(1, len(values)):
-        value, at = values[i], i
-        while at > 0 and values[at - 1] > value:
-            values[at] = values[at - 1]
-            at -= 1
-        values[at] = value
-    return values
+        return np.minimum(index, bins - 1)
 
 
 def _floating(ranges: FloatArray, rays: IntArray) -> BoolArray:
@@ -107,7 +103,7 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
     for b in range(bins):
         count = start[b + 1] - start[b]
         if count:
-            by_bin[start[b] : start[b + 1]] = _sorted(by_bin[start[b] : start[b + 1]])
+            by_bin[start[b] : start[b + 1]].sort()
             met_by[b] = np.searchsorted(by_bin[start[b] : start[b + 1]], np.inf)
             mostly[b] = met_by[b] > (count - 1) // 2
     for b in range(bins):

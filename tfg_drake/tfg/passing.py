@@ -113,12 +113,7 @@ def _bodies(bins: IntArray, points: FloatArray) -> list[IntArray]:
 
 def seen_past(p_AP: FloatArray, panorama: Panorama) -> BoolArray:
     """Which points (n, 2), m in A, the panorama saw DEPTH past, in their bin and its neighbours, (n,)."""
-    bins = len(panorama.ranges)
-    reach = np.nan_to_num(panorama.ranges, nan=0.0, posinf=panorama.range_max)
-    bearing = np.arctan2(p_AP[:, 1], p_AP[:, 0]) % (2.0 * np.pi)
-    b = np.minimum((bearing * (bins / (2.0 * np.pi))).astype(np.int64), bins - 1)
-    least = np.minimum(np.minimum(reach[b - 1], reach[b]), reach[(b + 1) % bins])
-    return np.asarray(least > np.hypot(*p_AP.T) + DEPTH)
+    return np.asarray(panorama.least_range(p_AP, 1) > np.hypot(*p_AP.T) + DEPTH)
 
 
 def without_bodies(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from tfg_drake.geometry.distance import point_segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.panorama import Panorama
 
@@ -101,13 +102,8 @@ def find_corners(points: FloatArray, tolerance: float) -> BoolArray:
         farthest, worst = -1, tolerance
         for k in range(first + 1, last):
             # Distance to the segment, not the line: a polyline may come back past its own start.
-            dx, dy = points[last, 0] - points[first, 0], points[last, 1] - points[first, 1]
-            square = dx * dx + dy * dy
-            t = 0.0
-            if square > 0.0:
-                t = ((points[k, 0] - points[first, 0]) * dx + (points[k, 1] - points[first, 1]) * dy) / square
-                t = min(1.0, max(0.0, t))
-            off = np.hypot(points[first, 0] + t * dx - points[k, 0], points[first, 1] + t * dy - points[k, 1])
+            a, b = points[first], points[last]
+            off = point_segment_distance(points[k, 0], points[k, 1], a[0], a[1], b[0], b[1])
             if off > worst:
                 farthest, worst = k, off
         if farthest >= 0:

@@ -11,19 +11,16 @@ A surface was seen from the left of its polyline.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from tfg_drake.geometry.se2 import inverse, rotation, transform
 from tfg_drake.messages import WALLS_BELOW, BoolArray, FloatArray, IntArray, MapEstimate, is_tag, message, replace
 from tfg_drake.slam.keyframe import along_walls
-from tfg_drake.table import concat, take, taken
 from tfg_drake.tfg.drift import DRIFT_SIGMAS, drift_from_robot
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import (
@@ -94,7 +91,8 @@ class Surfaces:
 
 
 class _Surface(NamedTuple):
-    """One surface that is new or has changed; the polyline (v, 2) is in the newest view's frame, m."""
+    """One surface while the graph is being updated; the polyline (v, 2) is in the newest view's frame A, m. The other
+    fields: see Surfaces."""
 
     first: int
     second: int
@@ -107,40 +105,19 @@ class _Surface(NamedTuple):
         return self.first < WALLS_BELOW
 
 
-@dataclasses.dataclass(frozen=True)
-class _Draft:
-    """The surfaces while the graph is being updated, by row: the old ones, with vertices in the newest view's frame A,
-    m, and behind them those made since. Most of the old ones stay as they are."""
+def _pieces(surfaces: Surfaces, landmarks: MapEstimate, X_AM: FloatArray) -> list[_Surface]:
+    """The surfaces one by one, in A."""
+    vertices, offsets = transform(X_AM, place(surfaces, landmarks)), surfaces.offsets.tolist()
+    polylines = [vertices[start:stop] for start, stop in itertools.pairwise(offsets)]
+    each = zip(surfaces.ids.tolist(), surfaces.view.tolist(), surfaces.range.tolist(), polylines, strict=True)
+    return [_Surface(first, second, view, reach, polyline) for (first, second), view, reach, polyline in each]
 
-    old: Surfaces
-    made: list[_Surface]
 
-    def add(self, surface: _Surface) -> int:
-        """The row of a new surface."""
-        self.made.append(surface)
-        return len(self.old.view) + len(self.made) - 1
-
-    def __getitem__(self, row: int) -> _Surface:
-        old, count = self.old, len(self.old.view)
-        if row >= count:
-            return self.made[row - count]
-        first, second = old.ids[row].tolist()
-        polyline = old.vertices[old.offsets[row] : old.offsets[row + 1]]
-        return _Surface(first, second, int(old.view[row]), float(old.range[row]), polyline)
-
-    def packed(self, rows: Sequence[int]) -> tuple[IntArray, FloatArray]:
-        """offsets (n + 1,) and vertices (v, 2) of the polylines of some rows (n,), in this order."""
-        old = self.old
-        offsets, vertices = pack([s.polyline for s in self.made])
-        offsets = np.concatenate([old.offsets, old.offsets[-1] + offsets[1:]])
-        return taken(np.array(rows, dtype=np.int64), offsets, np.concatenate([old.vertices, vertices]))
-
-    def surfaces(self, rows: Sequence[int]) -> Surfaces:
-        """Some of the surfaces, in this order, with vertices in A."""
-        made, of = self.made, np.array(rows, dtype=np.int64)
-        ids = np.array([(s.first, s.second) for s in made], dtype=np.int64).reshape(-1, 2)
-        view, reach = np.array([s.view for s in made], dtype=np.int64), np.array([s.range for s in made])
-        return take(concat(self.old, Surfaces(ids, view, reach, *pack([s.polyline for s in made]))), of)
+def _surfaces(pieces: Sequence[_Surface]) -> Surfaces:
+    """The pieces as one message, with vertices in A."""
+    ids = np.array([(s.first, s.second) for s in pieces], dtype=np.int64).reshape(-1, 2)
+    view, reach = np.array([s.view for s in pieces], dtype=np.int64), np.array([s.range for s in pieces])
+    return Surfaces(ids, view, reach, *pack([s.polyline for s in pieces]))
 
 
 class _SeenTags(NamedTuple):
@@ -212,16 +189,15 @@ def add_observation(
     walls = _walls_in(landmarks, X_AM)
     seen, others = _from_components(components, tags, walls, view)
 
-    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, landmarks))), [])
-    old = _trim(draft, range(len(surfaces.view)), np.zeros((0, 4)), 0.0, panorama, landmarks)
-    pieces, rest = ([row for row in old if draft[row].on_wall == on_wall] for on_wall in (True, False))
-    on_walls = [draft.add(piece) for piece in _joined([*(draft[row] for row in pieces), *seen], walls)]
-    wall_segments = _segments(draft, on_walls)
-    kept = _trim(draft, rest, wall_segments, SURFACE_COVERS)
-    new = _trim(draft, [draft.add(piece) for piece in others], wall_segments, SURFACE_COVERS)
-    kept = _split(draft, _farther_left(draft, kept, new), tags, ~np.isin(tags.ids, known_ids))
-    new = _trim(draft, new, _segments(draft, kept), SURFACE_COVERS)
-    merged = draft.surfaces(on_walls + kept + new)
+    pieces = _pieces(surfaces, landmarks, X_AM)
+    old = _trim(pieces, np.zeros((0, 4)), 0.0, panorama, landmarks)
+    on_walls = _joined([*(piece for piece in old if piece.on_wall), *seen], walls)
+    wall_segments = _segments(on_walls)
+    kept = _trim([piece for piece in old if not piece.on_wall], wall_segments, SURFACE_COVERS)
+    new = _trim(others, wall_segments, SURFACE_COVERS)
+    kept = _split(_farther_left(kept, new), tags, ~np.isin(tags.ids, known_ids))
+    new = _trim(new, _segments(kept), SURFACE_COVERS)
+    merged = _surfaces(on_walls + kept + new)
     observed = np.isin(tags.ids, estimate.observation.ids)
     return _packed(merged, landmarks), tags.ids[observed], tags.normal[observed]
 
@@ -230,17 +206,13 @@ def without_doubles(surfaces: Surfaces, first: int, landmarks: MapEstimate) -> S
     """The surfaces (s,) of two maps that have become one, the first ones' before the others': pieces of one wall that
     touch are one, and what the first ones show is cut off the others."""
     X_AM = inverse(landmarks.X_MA[-1])
-    draft = _Draft(replace(surfaces, vertices=transform(X_AM, place(surfaces, landmarks))), [])
-    rows = np.arange(len(surfaces.view))
-    pieces = [draft[row] for row in np.flatnonzero(surfaces.on_wall).tolist()]
-    known = set(surfaces.ids[:first, 0].tolist())
-    on_walls = [draft.add(piece) for piece in _joined(pieces, _walls_in(landmarks, X_AM))]
-    kept = [row for row in on_walls if draft[row].first in known]
-    kept += _trim(draft, [row for row in on_walls if row not in kept], _segments(draft, kept), SURFACE_COVERS)
-    for others in (rows[:first], rows[first:]):
-        loose = others[~surfaces.on_wall[others]].tolist()
-        kept += _trim(draft, loose, _segments(draft, kept), SURFACE_COVERS)
-    return _packed(draft.surfaces(kept), landmarks)
+    pieces, known = _pieces(surfaces, landmarks, X_AM), set(surfaces.ids[:first, 0].tolist())
+    on_walls = _joined([piece for piece in pieces if piece.on_wall], _walls_in(landmarks, X_AM))
+    kept = [piece for piece in on_walls if piece.first in known]
+    kept += _trim([piece for piece in on_walls if piece.first not in known], _segments(kept), SURFACE_COVERS)
+    for others in (pieces[:first], pieces[first:]):
+        kept += _trim([piece for piece in others if not piece.on_wall], _segments(kept), SURFACE_COVERS)
+    return _packed(_surfaces(kept), landmarks)
 
 
 def _find_tags(
@@ -332,19 +304,16 @@ def _cut(piece: _Surface, ids: IntArray, along: FloatArray) -> list[_Surface]:
     return parts
 
 
-def _split(draft: _Draft, rows: list[int], tags: _SeenTags, new_tag: BoolArray) -> list[int]:
-    """The rows of these pieces, each that newly mapped tags lie on cut at these. new_tag: (t,) of the tags seen."""
+def _split(pieces: list[_Surface], tags: _SeenTags, new_tag: BoolArray) -> list[_Surface]:
+    """The pieces, each that newly mapped tags lie on cut at these. new_tag: (t,) of the tags seen."""
     new = np.flatnonzero(new_tag)
-    if not len(new) or not rows:
-        return rows
-    owner, along, distance, normal = nearest(tags.p_AL[new], *draft.packed(rows))
+    owner, along, distance, normal = nearest(tags.p_AL[new], *pack([piece.polyline for piece in pieces]))
     lies_on = (distance <= KNOWN_TAG_DISTANCE) & (np.sum(normal * tags.normal[new], axis=1) > 0.5)
-    split: list[int] = []
-    for i, row in enumerate(rows):
+    split: list[_Surface] = []
+    for i, piece in enumerate(pieces):
         on = np.flatnonzero(lies_on & (owner == i))
         on = on[np.argsort(along[on], kind="stable")]
-        parts = _cut(draft[row], tags.ids[new[on]], along[on]) if len(on) else []
-        split += [draft.add(part) for part in parts] or [row]
+        split += (_cut(piece, tags.ids[new[on]], along[on]) if len(on) else []) or [piece]
     return split
 
 
@@ -371,36 +340,32 @@ def _farthest(polyline: FloatArray) -> float:
 
 
 def _trim(
-    draft: _Draft,
-    rows: Sequence[int],
+    pieces: Sequence[_Surface],
     segments: FloatArray,
     distance: float,
     refuted_by: Panorama | None = None,
     landmarks: MapEstimate | None = None,
-) -> list[int]:
-    """The rows of these pieces without what segments (m, 4) cover, and without what a panorama, with the map of then,
-    saw to be free."""
-    if not rows:
-        return []
-    points, normals, owner, start, stop = sample(*draft.packed(rows), SPACING)
+) -> list[_Surface]:
+    """The pieces without what segments (m, 4) cover, and without what a panorama, with the map of then, saw to be
+    free."""
+    of = _surfaces(pieces)
+    points, normals, owner, start, stop = sample(of.offsets, of.vertices, SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
     if refuted_by is not None and landmarks is not None:
-        of = draft.surfaces(rows)
         refuted = _refuted(points, normals, of.ids[owner], refuted_by, landmarks)
-        gone = np.bincount(owner[refuted], minlength=len(rows)) >= REFUTED_SHARE * np.bincount(owner)
+        gone = np.bincount(owner[refuted], minlength=len(pieces)) >= REFUTED_SHARE * np.bincount(owner)
         drop |= refuted | (gone & (of.kind == LOOSE))[owner]
-    less = np.bincount(owner[drop], minlength=len(rows)).tolist()
-    length = np.zeros(len(rows))
+    is_cut = np.bincount(owner[drop], minlength=len(pieces)) > 0
+    length = np.zeros(len(pieces))
     length[owner] = stop
     left, begin, end = uncovered_runs(owner, drop, start, stop, LEAST_LENGTH)
     begin, end = np.maximum(begin - OVERLAP, 0.0), np.minimum(end + OVERLAP, length[left])
-    runs = np.searchsorted(left, np.arange(len(rows) + 1)).tolist()
+    runs = np.searchsorted(left, np.arange(len(pieces) + 1)).tolist()
     trimmed = []
-    for i, row in enumerate(rows):
-        if not less[i]:
-            trimmed.append(row)
+    for i, piece in enumerate(pieces):
+        if not is_cut[i]:
+            trimmed.append(piece)
             continue
-        piece = draft[row]
         for r in range(runs[i], runs[i + 1]):
             part = piece._replace(polyline=sub_polyline(piece.polyline, begin[r], end[r]))
             if not part.on_wall:
@@ -408,22 +373,19 @@ def _trim(
                     first=piece.first if begin[r] == 0.0 else -1,
                     second=piece.second if end[r] == length[i] else -1,
                 )
-            trimmed.append(draft.add(part))
+            trimmed.append(part)
     return trimmed
 
 
-def _farther_left(draft: _Draft, rows: list[int], new: list[int]) -> list[int]:
-    """The rows of these pieces without what new ones show that were seen from nearer: a wall seen from far may lie some
-    centimetres off, and close a passage."""
-    if not rows or not new:
-        return rows
-    points, normals, owner, _, _ = sample(*draft.packed(rows), SPACING)
-    again = covered(points, normals, _segments(draft, new), np.full(len(points), SURFACE_COVERS))
-    seen_again = set(owner[again].tolist())
+def _farther_left(pieces: list[_Surface], new: list[_Surface]) -> list[_Surface]:
+    """The pieces without what new ones show that were seen from nearer: a wall seen from far may lie some centimetres
+    off, and close a passage."""
+    points, normals, owner, _, _ = sample(*pack([piece.polyline for piece in pieces]), SPACING)
+    again = set(owner[covered(points, normals, _segments(new), np.full(len(points), SURFACE_COVERS))].tolist())
     left = []
-    for i, row in enumerate(rows):
-        nearer = [n for n in new if draft[n].range < draft[row].range] if i in seen_again else []
-        left += _trim(draft, [row], _segments(draft, nearer), SURFACE_COVERS) if nearer else [row]
+    for i, piece in enumerate(pieces):
+        nearer = [one for one in new if one.range < piece.range] if i in again else []
+        left += _trim([piece], _segments(nearer), SURFACE_COVERS) if nearer else [piece]
     return left
 
 
@@ -435,7 +397,7 @@ def _refuted(
     ids: (n, 2) the landmarks that they join, -1 for none: so far as these may have drifted, seen from the robot, they
     may be seen past.
     """
-    depth = _seen_past(points, normals, panorama.ranges, panorama.range_max)
+    depth = _seen_past(points, normals, panorama)
     refuted = depth > 0.0
     asked = np.flatnonzero(refuted)
     if not len(asked):
@@ -450,24 +412,21 @@ def _refuted(
     return np.asarray(refuted)
 
 
-def _seen_past(points: FloatArray, normals: FloatArray, ranges: FloatArray, range_max: float) -> FloatArray:
+def _seen_past(points: FloatArray, normals: FloatArray, panorama: Panorama) -> FloatArray:
     """How much farther (n,), m along the normal, than REFUTED_DEPTH behind points (n, 2) with unit normals (n, 2) in A
-    a panorama of ranges (b,), m, saw at least, in the point's bin and its neighbours; 0 where it did not.
+    a panorama saw at least, in the point's bin and its neighbours; 0 where it did not.
 
     Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
     """
-    bins, (x, y) = len(ranges), points.T
-    reach = np.nan_to_num(ranges, nan=0.0, posinf=range_max)
-    distance = np.hypot(x, y)
-    cosine = np.abs(x * normals[:, 0] + y * normals[:, 1]) / np.maximum(distance, 1e-9)
-    b = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) * bins / (2.0 * np.pi)).astype(np.int64), bins - 1)
-    least = minimum_filter1d(reach, 2 * REFUTED_BINS + 1, mode="wrap")[b]
-    judged = (distance < range_max) & (cosine >= math.cos(REFUTED_INCIDENCE))
-    return np.where(judged, np.maximum(0.0, cosine * (least - REFUTED_DEPTH - distance)), 0.0)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    cosine = np.abs(np.sum(points * normals, axis=1)) / np.maximum(distance, 1e-9)
+    judged = (distance < panorama.range_max) & (cosine >= math.cos(REFUTED_INCIDENCE))
+    beyond = panorama.least_range(points, REFUTED_BINS) - REFUTED_DEPTH - distance
+    return np.where(judged, np.maximum(0.0, cosine * beyond), 0.0)
 
 
-def _segments(draft: _Draft, rows: list[int]) -> FloatArray:
-    return segments_of(*draft.packed(rows))[0]
+def _segments(pieces: list[_Surface]) -> FloatArray:
+    return segments_of(*pack([piece.polyline for piece in pieces]))[0]
 
 
 def _packed(surfaces: Surfaces, landmarks: MapEstimate) -> Surfaces:
