@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import offices
 import results
+from time_spent import time_spent
 
-from tfg_drake.comparison.time_spent import time_spent
 from tfg_drake.diagrams.missions.best_tours import kept_tour
 from tfg_drake.diagrams.missions.errors import path_length
 from tfg_drake.diagrams.scenario import LoadScenario

@@ -32,6 +32,7 @@ _LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
 # Of LLVM: at 3 they take a fifth longer to compile, and missions as long.
 LEVEL = 1
+_version = functools.cache(version)
 _IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 
 
@@ -172,7 +173,7 @@ def stamp(paths: list[Path]) -> str:
     """Digest of some files, what they import, and numpy's version."""
     files = sorted(set().union(*map(sources, paths)))
     contents = (f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)
-    return _digest("\n".join([_numpy(), str(LEVEL), *contents]))
+    return _digest("\n".join([_version("numpy"), str(LEVEL), *contents]))
 
 
 @functools.cache
@@ -186,11 +187,6 @@ def _read(path: Path) -> tuple[str, frozenset[Path]]:
     ]
     files = (PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py") for module in modules)
     return _digest(text), frozenset(filter(Path.is_file, files))
-
-
-@functools.cache
-def _numpy() -> str:
-    return version("numpy")
 
 
 def _digest(text: str) -> str:
@@ -216,5 +212,5 @@ def _whole() -> str:
     with contextlib.suppress(OSError):
         lines += Path("/proc/cpuinfo").read_text().splitlines()
     processor = {line for line in lines if line.startswith(("model name", "flags", "Features"))} or lines[:1]
-    words = [sys.version, version("numba"), version("llvmlite"), stamp(kernel_files()), *sorted(processor)]
+    words = [sys.version, _version("numba"), _version("llvmlite"), stamp(kernel_files()), *sorted(processor)]
     return _digest("\n".join(words))

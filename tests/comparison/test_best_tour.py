@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.comparison.two_rooms import ROBOT, START, WALLS, cells_and_see, world
-from tfg_drake.comparison.best_tour import Search, ToSee, best_tour, driven, seen_from, turn_time
+from tfg_drake.comparison.best_tour import Search, ToSee, best_tour, driven, turn_time
 from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.comparison.sight import seen_from
 from tfg_drake.config import ScanConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import wrap_angle
@@ -48,16 +49,18 @@ def test_a_drive_keeps_the_robots_limits_and_comes_by_its_points():
     assert wrap_angle(X_WB[-1, 2] - 2.0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_is_seen_is_what_a_mission_counts_as_seen():
+def test_what_is_seen_is_near_ahead_and_behind_no_wall():
     rng = np.random.default_rng(1)
     points = rng.uniform([0.1, 0.1], [6.9, 3.9], (300, 2))
     poses = np.column_stack([rng.uniform([0.3, 0.3], [2.7, 3.7], (6, 2)), rng.uniform(-4.0, 4.0, 6)])
     limits = np.tile([3.0, 0.7, -1.0], (300, 1))
     first = seen_from(poses, points, np.zeros((300, 2)), limits, WALLS)
-    for k in range(6):
-        _, share = scan_coverage(poses[k : k + 1], points, WALLS, 3.0, 1.4)
+    for k, pose in enumerate(poses):
+        d = points - pose[:2]
+        bearing = wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - pose[2])
+        expected = (np.hypot(*d.T) <= 3.0) & (np.abs(bearing) <= 0.7) & line_of_sight(WALLS, pose[:2].copy(), points)
         alone = seen_from(poses[k : k + 1], points, np.zeros((300, 2)), limits, WALLS) == 0
-        assert share[-1] == pytest.approx(alone.mean())
+        np.testing.assert_array_equal(alone, expected)
         np.testing.assert_array_equal(alone[first == k], True)
         assert not alone[first > k].any()
 

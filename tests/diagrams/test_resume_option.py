@@ -89,7 +89,10 @@ def test_what_is_no_run_is_told(call, tmp_path):
     assert (code, complaint.count("\n")) == (2, 1)
     assert "holds no mission to go on with" in complaint
     code, _, complaint = call("explore", "house", "--map", tmp_path / "x.npz", "--headless")
-    assert (code, complaint) == (2, f"tfg-drake: no such map: {tmp_path / 'x.npz'}\n")
+    assert (code, complaint) == (
+        2,
+        f"tfg-drake: {tmp_path / 'x.npz'}: no such file; name the folder of a run that was recorded\n",
+    )
 
 
 def test_the_checkpoint_stands_for_its_folder(call, cut):

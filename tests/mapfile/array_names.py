@@ -1,9 +1,9 @@
 """Every array that a message is stored in, as docs/map_format.md lists them."""
 
-import numpy as np
+import dataclasses
 
-from tfg_drake.mapfile.message_arrays import SCALARS, element_of, hints_of, optional_of
-from tfg_drake.table import dtype_of, shapes_of
+from tfg_drake.mapfile.message_arrays import element_of, entry_type, hints_of
+from tfg_drake.table import shapes_of
 
 
 def array_names(kind, path=""):
@@ -11,14 +11,11 @@ def array_names(kind, path=""):
     names = {}
     for field, hint in hints_of(kind).items():
         name = f"{path}.{field}" if path else field
-        while (inner := optional_of(hint) or element_of(hint)) is not None:
-            names[f"{name}@count" if element_of(hint) else f"{name}@present"] = "int64" if element_of(hint) else "bool"
-            hint = inner
-        dtype = dtype_of(hint)
-        if dtype is not None:
-            names[name] = f"{dtype} ({', '.join(map(str, shapes_of(kind)[field]))})"
-        elif hint in SCALARS or hint is str:
-            names[name] = np.dtype(SCALARS.get(hint, np.str_)).name
-        else:
+        if (element := element_of(hint)) is not None:
+            names |= {f"{name}@count": "int64"} | array_names(element, name)
+        elif dataclasses.is_dataclass(hint):
             names |= array_names(hint, name)
+        else:
+            shape = shapes_of(kind).get(field)
+            names[name] = f"{entry_type(hint)}" + (f" ({', '.join(map(str, shape))})" if shape else "")
     return names

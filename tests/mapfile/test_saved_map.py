@@ -34,7 +34,7 @@ from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.shared import SHARED, exactly_known
 from tfg_drake.table import empty
 
-DAMAGED = "FILE is damaged or not a map of tfg-drake"
+DAMAGED = "FILE: is damaged; copy it again from where it was recorded"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
 
 
@@ -210,7 +210,7 @@ def test_a_shape_without_numbers_asks_for_no_memory(path):
 
 
 def test_missing_and_foreign_files(tmp_path):
-    assert error_of(tmp_path / "none.npz") == "no such map: FILE"
+    assert error_of(tmp_path / "none.npz") == "FILE: no such file; name the folder of a run that was recorded"
     foreign = tmp_path / "other.npz"
     np.savez(foreign, a=np.zeros(3))
     assert error_of(foreign) == "FILE is not a map of tfg-drake"
@@ -221,7 +221,7 @@ def test_missing_and_foreign_files(tmp_path):
     text = tmp_path / "text.npz"
     text.write_text("a map\n")
     assert error_of(text) == DAMAGED
-    assert error_of(tmp_path) == "no such map: FILE/map.npz"
+    assert error_of(tmp_path) == "FILE/map.npz: no such file; name the folder of a run that was recorded"
 
 
 def test_a_runs_folder_stands_for_its_map(path, small_map):

@@ -71,7 +71,8 @@ def test_the_true_path_is_seen_where_the_estimated_one_is_the_same(tmp_path):
 def test_small_ellipses_are_magnified_and_it_says_so(small_map, sigma, said, radius):
     figure = Figure()
     axes, blocks = figure.add_subplot(), np.tile(sigma**2 * np.eye(2), (4, 1, 1))
-    draw_landmarks(axes, np.zeros(3), small_map.p_ML, blocks, np.zeros(4, dtype=bool), 5.0)
+    known = replace(small_map, graph=replace(small_map.graph, landmark_covariance=blocks))
+    draw_landmarks(axes, np.zeros(3), known, 5.0)
     (dots,), (rings,) = axes.lines, axes.collections
     assert dots.get_label() == f"tag mapped, {said}"
     assert rings.get_zorder() > dots.get_zorder()

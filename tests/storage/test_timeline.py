@@ -1,6 +1,7 @@
 """A mission's picture over time, written and read again."""
 
 import errno
+import io
 import time
 import tracemalloc
 import zlib
@@ -104,12 +105,9 @@ def test_a_large_layer_is_written_seldom(tmp_path):
 def test_a_full_disk_ends_the_timeline_and_not_the_mission(tmp_path, caplog):
     writer = TimelineWriter(tmp_path / FILE_NAME)
 
-    class Full:
+    class Full(io.BytesIO):
         def write(self, _data):
             raise OSError(errno.ENOSPC, "No space left on device")
-
-        def close(self):
-            pass
 
     writer._file.close()
     writer._file = Full()

@@ -114,7 +114,7 @@ class Cockpit:
         self.clock = Clock(rate) if rate is not None else None
         self.word = ""
         self.sends = self.drives = self.tells = False
-        self._title, self._live, self._controls, self._forks = title, live, controls, forks
+        self._controls, self._forks = controls, forks
         source = {"live": live, "controls": controls, "forks": forks is not None, "rate": rate}
         self._page = served_page(title, source).encode()
         self._recorded = recorded
@@ -261,12 +261,10 @@ class Cockpit:
     def _is_name(self, host: str) -> bool:
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         name = name.strip("[]").lower()
-        if name in self._names:
-            return True
         try:
             ipaddress.ip_address(name)
         except ValueError:
-            return False
+            return name in self._names
         return True
 
 

@@ -10,18 +10,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tfg_drake.comparison.curves import STEP, TURN, view_rows
 from tfg_drake.comparison.known_ways import known_ways
+from tfg_drake.comparison.sight import seen_from
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.geometry.visibility import in_sight
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.messages import BoolArray, FloatArray, message
+from tfg_drake.table import take
 from tfg_drake.world.reachability import MARGIN
 from tfg_drake.world.world import World
 
@@ -52,7 +52,7 @@ Stop = tuple[int, int]
 Bits = NDArray[np.uint8]
 
 
-@dataclasses.dataclass(frozen=True)
+@message
 class ToSee:
     """What has to be seen.
 
@@ -61,20 +61,11 @@ class ToSee:
     share.
     """
 
-    points: FloatArray
-    normals: FloatArray
-    limits: FloatArray
-    is_tag: BoolArray
+    points: Annotated[FloatArray, "t", 2]
+    normals: Annotated[FloatArray, "t", 2]
+    limits: Annotated[FloatArray, "t", 3]
+    is_tag: Annotated[BoolArray, "t"]
     share: float
-
-    def some(self, kept: BoolArray) -> ToSee:
-        """The same of those that are kept (t,)."""
-        return ToSee(self.points[kept], self.normals[kept], self.limits[kept], self.is_tag[kept], self.share)
-
-    def enough(self, seen: BoolArray) -> BoolArray:
-        """Whether what was seen, (..., t), is enough."""
-        share = np.mean(seen[..., ~self.is_tag], axis=-1) if not self.is_tag.all() else np.ones(seen.shape[:-1])
-        return np.asarray((share >= self.share) & seen[..., self.is_tag].all(axis=-1))
 
 
 def to_see(
@@ -109,36 +100,6 @@ class BestTour:
     def distance(self) -> float:
         """How long it is, m."""
         return float(np.hypot(*np.diff(self.X_WB[:, :2], axis=0).T).sum())
-
-
-@read_only_arguments
-@njit(cache=True)
-def seen_from(
-    X_WB: FloatArray, points: FloatArray, normals: FloatArray, limits: FloatArray, walls: FloatArray
-) -> IntArray:
-    """Row (t,) of the first of poses (k, 3) that each of points (t, 2) is seen from past walls (m, 4), k where none is;
-    see ToSee. A half field of view of pi or more sees all round."""
-    first = np.full(len(points), len(X_WB))
-    near, rows = np.empty_like(points), np.empty(len(points), dtype=np.int64)
-    for k in range(len(X_WB)):
-        x, y, c, s = X_WB[k, 0], X_WB[k, 1], math.cos(X_WB[k, 2]), math.sin(X_WB[k, 2])
-        count = 0
-        for j in range(len(points)):
-            if first[j] < k:
-                continue
-            dx, dy = points[j, 0] - x, points[j, 1] - y
-            d = math.hypot(dx, dy)
-            if d > limits[j, 0] or dx * c + dy * s < d * math.cos(min(limits[j, 1], math.pi)) - 1e-12:
-                continue
-            if limits[j, 2] > -1.0 and -(dx * normals[j, 0] + dy * normals[j, 1]) < limits[j, 2] * d:
-                continue
-            near[count, 0], near[count, 1], rows[count] = points[j, 0], points[j, 1], j
-            count += 1
-        visible = in_sight(walls, X_WB[k, :2].copy(), near[:count], 1e-3)
-        for i in range(count):
-            if visible[i]:
-                first[rows[i]] = k
-    return first
 
 
 def turn_time(angle: float, robot: RobotConfig) -> float:
@@ -242,7 +203,7 @@ class Search:
         around = self._seen_all_round(places, see)
         self.is_visible = np.asarray(around.any(axis=0))
         # What nobody sees from any place is not asked for, lest there is no tour.
-        self._see, self.places = see.some(self.is_visible), places
+        self._see, self.places = take(see, self.is_visible), places
         self._around = np.packbits(around[:, self.is_visible], axis=1)
         self._tags = np.packbits(self._see.is_tag)
         cells = int(np.count_nonzero(~see.is_tag))
@@ -507,7 +468,7 @@ def best_tour(
     stops = [(1 + k, look) for k, (_, look) in enumerate(found)]
     search = search_among(chosen, fine[near], coarse)
     # A tag that no stop sees is not asked for.
-    shown = see.some(np.append(~see.is_tag[~see.is_tag], search.is_visible[thinned.is_tag]))
+    shown = take(see, np.append(~see.is_tag[~see.is_tag], search.is_visible[thinned.is_tag]))
     best, rng = none, np.random.default_rng(1)
     for k in range(ATTEMPTS):
         better = search.best(stops, rounds if k == 0 else rounds // 10, rng)
@@ -546,7 +507,7 @@ def _thinned(see: ToSee) -> ToSee:
         kept = (np.round((p - p[0]) / step).astype(np.int64) % n == 0).all(axis=1)
     everything = see.is_tag.copy()
     everything[~see.is_tag] = kept
-    return see.some(everything)
+    return take(see, everything)
 
 
 def _lattice(cells: FloatArray, step: float) -> FloatArray:

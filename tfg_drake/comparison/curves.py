@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.comparison.metrics import pose_errors
-from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.geometry.visibility import line_of_sight
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.comparison.sight import seen_from
+from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.storage.trajectory import poses_at
 
 # The scanner's view counts from poses this far apart, m or rad, whichever comes first.
@@ -71,18 +70,10 @@ def scan_coverage(
     if not len(X_WB) or not len(p_WC):
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     rows = view_rows(X_WB)
-    walls = np.ascontiguousarray(walls)
-    # Of a large building only the strip within range, and a bit, is looked at, across its longer side.
-    axis = int(np.argmax(np.ptp(p_WC, axis=0)))
-    cells = p_WC[np.argsort(p_WC[:, axis])]
-    strips = np.searchsorted(cells[:, axis], X_WB[rows, axis, None] + (scan_range + 1e-6) * np.array([-1.0, 1.0]))
-    unseen = np.ones(len(cells), dtype=np.bool_)
-    share = np.empty(len(rows))
-    for k, (pose, (first, end)) in enumerate(zip(X_WB[rows], strips.tolist(), strict=True)):
-        near = first + np.flatnonzero(unseen[first:end])
-        unseen[near] = ~_seen(pose, cells.take(near, axis=0), walls, scan_range, field_of_view)
-        share[k] = 1.0 - np.count_nonzero(unseen) / len(cells)
-    return rows, share
+    limits = np.tile([scan_range, 0.5 * field_of_view, -1.0], (len(p_WC), 1))
+    first = seen_from(X_WB[rows], p_WC, np.zeros_like(p_WC), limits, walls)
+    unseen = len(p_WC) - np.cumsum(np.bincount(first, minlength=len(rows) + 1)[: len(rows)])
+    return rows, 1.0 - unseen / len(p_WC)
 
 
 def view_rows(X_WB: FloatArray) -> IntArray:
@@ -118,14 +109,3 @@ def band(curves: Sequence[Curve], step: float, *, hold: bool = False) -> Band | 
     table = np.array([np.interp(x, curve.x, curve.y, right=curve.y[-1] if hold else np.nan) for curve in curves])
     common = float(min(curve.x[-1] for curve in curves))
     return Band(x, np.nanmean(table, axis=0), np.nanmin(table, axis=0), np.nanmax(table, axis=0), common)
-
-
-def _seen(X_WB: FloatArray, p_WC: FloatArray, walls: FloatArray, scan_range: float, field_of_view: float) -> BoolArray:
-    """Mask (c,) of the points (c, 2) seen from one pose."""
-    offset = p_WC - X_WB[:2]
-    seen = np.hypot(offset[:, 0], offset[:, 1]) <= scan_range
-    bearing = wrap_angle(np.arctan2(offset[seen, 1], offset[seen, 0]) - X_WB[2])
-    seen[seen] = np.abs(bearing) <= 0.5 * field_of_view
-    rows = np.flatnonzero(seen)
-    seen[rows] = line_of_sight(walls, X_WB[:2].copy(), p_WC.take(rows, axis=0))
-    return seen

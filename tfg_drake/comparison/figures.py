@@ -144,8 +144,7 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
         axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
         draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
-        saved = one.saved
-        draw_landmarks(axes, saved.X_WM, saved.p_ML, saved.landmark_covariance, saved.is_doubtful, symbol)
+        draw_landmarks(axes, one.saved.X_WM, one.saved, symbol)
 
 
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:
@@ -185,10 +184,8 @@ def _figure(height: float) -> Figure:
 
 def _tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=_SMALL, colors="0.25")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color("0.6")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color("0.6")
 
 
 def _short(value: float) -> str:

@@ -66,8 +66,7 @@ def pose_anees(X_MB: FloatArray, X_MB_true: FloatArray, covariance: FloatArray) 
 
 def statistics(error: FloatArray) -> dict[str, float]:
     """mean, std, max and final of a series of errors (n,), in its own unit; nan without errors."""
-    if not len(error):
-        return dict.fromkeys(("mean", "std", "max", "final"), float("nan"))
+    error = error if len(error) else np.full(1, np.nan)
     return {
         "mean": float(error.mean()),
         "std": float(error.std()),

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from tfg_drake.comparison.measures import CPU_IDLE, HEADING, POSITION, TIME, VARIABLES
+from tfg_drake.comparison.report import Table, markdown_table
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.config import GridConfig, ScanConfig, TagSensorConfig
@@ -41,7 +42,7 @@ def parameter_table(
         ),
         ("rate of landmark measurements", "10 Hz", f"{tags.rate:g} Hz"),
     )
-    return _markdown("Table I: simulation parameters", ("", "paper", "here"), rows)
+    return markdown_table(Table("Table I: simulation parameters", "", ("", "paper", "here"), rows)) + "\n"
 
 
 def performance_table(runs: Sequence[Run], scenario: str) -> str:
@@ -54,7 +55,7 @@ def performance_table(runs: Sequence[Run], scenario: str) -> str:
     number = len({run.seed for run in runs})
     title = f"Table II: performance, the paper over 4 runs in a world of its own, here over {number} of `{scenario}`"
     header = ("", "TFG active SLAM, paper", "`tfg`, here", "grid map frontier, paper", "`grid-nearest`, here")
-    return _markdown(title, header, rows)
+    return markdown_table(Table(title, "", header, rows)) + "\n"
 
 
 def _cell(runs: Sequence[Run], method: str, read: Callable[[dict[str, Any]], float | None], digits: int) -> str:
@@ -64,8 +65,3 @@ def _cell(runs: Sequence[Run], method: str, read: Callable[[dict[str, Any]], flo
     one = spread(values)
     mean = percent(0.01 * one.mean.value, digits) if read is CPU_IDLE.read else one.mean.value
     return f"{mean:.{digits}f}" + (f" ± {one.std:.{digits}f}" if one.n > 1 else "")
-
-
-def _markdown(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return f"## {title}\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

@@ -59,11 +59,16 @@ def markdown(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     for picture in pictures:
         parts.append(f"![{picture.caption}]({picture.name}.png)\n\n{picture.caption}")
     for table in tables(comparison):
-        rows = [table.header, ["---"] * len(table.header), *table.rows]
-        lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-        parts.append("\n\n".join([f"## {table.title}", *([table.note] if table.note else []), "\n".join(lines)]))
+        parts.append(markdown_table(table))
     parts += ["## To repeat it", f"    {comparison.command}", comparison.versions]
     return "\n\n".join(parts) + "\n"
+
+
+def markdown_table(table: Table) -> str:
+    """A table as Markdown, under its title."""
+    rows = [table.header, ["---"] * len(table.header), *table.rows]
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n\n".join([f"## {table.title}", *([table.note] if table.note else []), "\n".join(lines)])
 
 
 def page(comparison: Comparison, pictures: Sequence[Picture]) -> str:

@@ -44,12 +44,12 @@ class Spread:
 def spread(sample: FloatArray) -> Spread:
     """The spread of a sample (n,), all nan for none."""
     std = float(sample.std(ddof=1)) if len(sample) > 1 else math.nan
-    return Spread(len(sample), _interval(_mean, sample), std)
+    return Spread(len(sample), _interval(np.mean, sample), std)
 
 
 def difference(first: FloatArray, other: FloatArray) -> Interval:
     """The mean of other - first over pairs (n,)."""
-    return _interval(_mean, other - first)
+    return _interval(np.mean, other - first)
 
 
 def ratio(first: FloatArray, other: FloatArray) -> Interval:
@@ -61,10 +61,6 @@ def ratio(first: FloatArray, other: FloatArray) -> Interval:
     if not np.all(first > 0.0):
         return Interval(math.nan, math.nan, math.nan)
     return _interval(_ratio_of_means, first, other)
-
-
-def _mean(sample: FloatArray, axis: int = -1) -> Any:
-    return np.mean(sample, axis=axis)
 
 
 def _ratio_of_means(first: FloatArray, other: FloatArray, axis: int = -1) -> Any:

@@ -39,8 +39,8 @@ def reading(path: Path, problem: type[FileError] = FileError) -> Iterator[None]:
     `problem`."""
     try:
         yield
-    except FileError:
-        raise
+    except FileError as error:
+        raise error if isinstance(error, problem) else problem(str(error)) from None
     except FileNotFoundError:
         raise problem(f"{path}: no such file; name the folder of a run that was recorded") from None
     except OSError as error:

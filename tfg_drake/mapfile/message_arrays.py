@@ -1,20 +1,19 @@
-"""Trees of messages as plain named arrays, and back, to the bit.
+"""A message as plain named arrays, and back, to the bit.
 
-A message's fields become arrays named by their path, `graph.X_MA`. What a field may hold is what its annotation says:
-an array of one of the aliases in `tfg_drake.messages`, float, int, bool, str, another message, a tuple of messages, or
-one of these or None. Marks behind the name tell what a plain array cannot:
+Its fields become arrays named by their path, `graph.X_MA`. What a field may hold is what its annotation says: an array
+of one of the aliases in `tfg_drake.messages`, float, int, bool, another message, or a tuple of messages whose fields
+are arrays and numbers. Marks behind the name tell what a plain array cannot:
 
 | array | meaning |
 |---|---|
 | `name@count` | elements of a tuple; their fields are columns, one array a field for all elements |
 | `name@shape` | (k, dimensions): shapes of the k arrays that stand one after the other, flattened, in a column |
-| `name@present` | false where an optional field is None |
 | `name@lower` | a symmetric matrix or stack of them by its lower triangle, row by row |
 
 A field with the metadata `kept: False` has no array and is read as its default. Only fields named `covariance` or
-`..._covariance` are stored by the lower triangle, and only where every one of them is symmetric to the bit. Classes are
-never named in the file: which class stands where follows from the annotations, and so do the shapes of all arrays.
-Nothing that is read is ever run.
+`..._covariance` are stored by the lower triangle, and only where they are symmetric to the bit. Classes are never named
+in the file: which class stands where follows from the annotations, and so do the shapes of all arrays. Nothing that is
+read is ever run.
 """
 
 from __future__ import annotations
@@ -23,16 +22,14 @@ import dataclasses
 import functools
 import itertools
 import math
-import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.messages import BoolArray
-from tfg_drake.table import dtype_of, misfit
+from tfg_drake.table import dtype_of, misfit, shapes_of
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -41,22 +38,32 @@ T = TypeVar("T")
 _WIDEST = 16
 
 SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}
-_NAMES = {"f": "numbers", "i": "integers", "b": "truth values", "U": "text"}
+_NAMES = {"f": "numbers", "i": "integers", "b": "truth values"}
 
 
 class ArraysError(ValueError):
-    """The arrays do not hold the tree they should; the message names the array."""
+    """The arrays do not hold the message they should; the text names the array."""
 
 
-def to_arrays(message: object) -> dict[str, Array]:
-    """The arrays of a message and of everything in it.
+def to_arrays(message: Any, path: str = "") -> dict[str, Array]:
+    """The arrays of a message and of everything in it. path: before their names.
 
     Raises:
-        TypeError: something in the tree is not what its annotation says.
+        TypeError: a field is not what its annotation says.
     """
-    writer = _Writer()
-    writer.fields(type(message), [message], "", single=True)
-    return writer.arrays
+    arrays: dict[str, Array] = {}
+    kind: type = type(message)
+    for name, hint in hints_of(kind).items():
+        value, at = getattr(message, name), f"{path}{name}"
+        if (element := element_of(hint)) is not None:
+            arrays |= _columns(element, value, at)
+        elif dataclasses.is_dataclass(hint):
+            arrays |= to_arrays(_of(hint, value, at), f"{at}.")
+        elif _is_symmetric(name, array := _array(hint, value, at)):
+            arrays[f"{at}@lower"] = array[(..., *np.tril_indices(array.shape[-1]))]
+        else:
+            arrays[at] = array
+    return arrays
 
 
 def from_arrays(kind: type[T], arrays: Mapping[str, Array]) -> T:
@@ -65,12 +72,11 @@ def from_arrays(kind: type[T], arrays: Mapping[str, Array]) -> T:
     Raises:
         ArraysError: an array is missing, unknown, of the wrong type or shape, or holds NaN.
     """
-    reader = _Reader(arrays)
-    (message,) = reader.fields(kind, 1, "", single=True)
-    unknown = sorted(set(arrays) - reader.used)
-    if unknown:
-        raise ArraysError(f"{unknown[0]} is unknown")
-    return typing.cast(T, message)
+    left = dict(arrays)
+    message: T = _message(kind, left, "")
+    if left:
+        raise ArraysError(f"{min(left)} is unknown")
+    return message
 
 
 @functools.cache
@@ -80,199 +86,139 @@ def hints_of(kind: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.metadata.get("kept", True)}
 
 
-def optional_of(hint: Any) -> Any | None:
-    """X of X | None, None for any other annotation."""
-    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
-        return None
-    inner = [part for part in typing.get_args(hint) if part is not type(None)]
-    if len(inner) != 1 or len(typing.get_args(hint)) != 2:
-        raise TypeError(f"{hint} cannot be stored")
-    return inner[0]
-
-
 def element_of(hint: Any) -> Any | None:
     """X of tuple[X, ...], None for any other annotation."""
-    arguments = typing.get_args(hint)
-    if typing.get_origin(hint) is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
-        return arguments[0]
-    return None
+    return typing.get_args(hint)[0] if typing.get_origin(hint) is tuple else None
 
 
-def _may_be_symmetric(name: str) -> bool:
-    field = name.rsplit(".", 1)[-1]
-    return field == "covariance" or field.endswith("_covariance")
+def entry_type(hint: Any) -> np.dtype[Any]:
+    """The type of an array's entries or of a number. Raises TypeError of an annotation of anything else."""
+    dtype = np.dtype(SCALARS[hint]) if hint in SCALARS else dtype_of(hint)
+    if dtype is None:
+        raise TypeError(f"{hint} cannot be stored")
+    return dtype
 
 
-def _is_symmetric(array: Array) -> bool:
-    """Whether a stack of matrices is symmetric to the bit."""
-    if array.ndim < 2 or array.shape[-1] != array.shape[-2]:
+def _of(kind: Any, value: Any, path: str) -> Any:
+    if type(value) is not kind:
+        raise TypeError(f"{path} must be a {kind.__name__}, not {type(value).__name__}")
+    return value
+
+
+def _array(hint: Any, value: Any, path: str) -> Array:
+    """The value of a field as an array."""
+    array, dtype = np.asarray(value), entry_type(hint)
+    if array.dtype != dtype and (dtype != np.float64 or type(value) is not int):
+        raise TypeError(f"{path} must be {dtype}, not {array.dtype}")
+    return array.astype(dtype, copy=False)
+
+
+def _columns(element: type, messages: Any, path: str) -> dict[str, Array]:
+    """The arrays of a tuple of messages of a class."""
+    arrays = {f"{path}@count": np.asarray(len(_of(tuple, messages, path)))}
+    for name, hint in hints_of(element).items():
+        at = f"{path}.{name}"
+        column = [_array(hint, getattr(_of(element, one, path), name), at) for one in messages]
+        if (shape := shapes_of(element).get(name)) is not None:
+            shapes = [array.shape for array in column]
+            arrays[f"{at}@shape"] = np.array(shapes, dtype=np.int64).reshape(len(column), len(shape))
+        arrays[at] = np.concatenate([np.zeros(0, entry_type(hint)), *(array.ravel() for array in column)])
+    return arrays
+
+
+def _message(kind: Any, left: dict[str, Array], path: str) -> Any:
+    """The message of a class whose arrays' names begin with a path; they are taken out of those that are left."""
+    values: dict[str, Any] = {}
+    for name, hint in hints_of(kind).items():
+        at = f"{path}{name}"
+        if (element := element_of(hint)) is not None:
+            values[name] = _tuple(element, left, at)
+        elif dataclasses.is_dataclass(hint):
+            values[name] = _message(hint, left, f"{at}.")
+        elif hint in SCALARS:
+            values[name] = _numbers(left, at, hint, ()).item()
+        elif at not in left and f"{at}@lower" in left:
+            values[name] = _whole(left, f"{at}@lower", hint)
+        else:
+            values[name] = _taken(left, at, hint)
+    return _fitting(kind, values, path)
+
+
+def _tuple(element: Any, left: dict[str, Array], path: str) -> tuple[Any, ...]:
+    """The messages of a class whose fields are columns."""
+    count = _numbers(left, f"{path}@count", int, ()).item()
+    if count < 0:
+        raise ArraysError(f"{path}@count is negative")
+    columns: dict[str, list[Any]] = {}
+    for name, hint in hints_of(element).items():
+        at = f"{path}.{name}"
+        if hint in SCALARS:
+            columns[name] = _numbers(left, at, hint, (count,)).tolist()
+        else:
+            columns[name] = _arrays(left, at, hint, count)
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    return tuple(_fitting(element, row, f"{path}.") for row in rows)
+
+
+def _fitting(kind: Any, values: dict[str, Any], path: str) -> Any:
+    message = kind(**values)
+    if wrong := misfit(message):
+        raise ArraysError(f"{path}{wrong}")
+    return message
+
+
+def _taken(left: dict[str, Array], name: str, hint: Any) -> Array:
+    """An array of what an annotation says."""
+    dtype = entry_type(hint)
+    if name not in left:
+        raise ArraysError(f"{name} is missing")
+    array = left.pop(name)
+    if array.dtype.kind != dtype.kind:
+        raise ArraysError(f"{name} holds no {_NAMES[dtype.kind]}")
+    if array.dtype.itemsize != dtype.itemsize:
+        raise ArraysError(f"{name} must be {dtype}, not {array.dtype}")
+    if dtype.kind == "f" and np.isnan(array).any():
+        raise ArraysError(f"{name} holds NaN")
+    return array.astype(dtype, copy=False)
+
+
+def _numbers(left: dict[str, Array], name: str, hint: Any, shape: tuple[int, ...]) -> Array:
+    array = _taken(left, name, hint)
+    if array.shape != shape:
+        raise ArraysError(f"{name} has the wrong shape")
+    return array
+
+
+def _arrays(left: dict[str, Array], name: str, hint: Any, count: int) -> list[Array]:
+    """The arrays that stand one after the other in a column."""
+    stored, shapes = _taken(left, name, hint), _taken(left, f"{name}@shape", int)
+    if shapes.ndim != 2 or len(shapes) != count or np.any(shapes < 0):
+        raise ArraysError(f"{name}@shape has the wrong shape")
+    sizes = [math.prod(shape) for shape in shapes.tolist()]
+    # Where one dimension is 0 the others may say what they like: an array of no numbers has no long side either.
+    if np.any(shapes > len(stored) + _WIDEST) or stored.ndim != 1 or sum(sizes) != len(stored):
+        raise ArraysError(f"{name}@shape does not fit {name}")
+    rows = zip(shapes.tolist(), sizes, itertools.accumulate(sizes), strict=True)
+    return [stored[end - size : end].reshape(shape) for shape, size, end in rows]
+
+
+def _is_symmetric(name: str, array: Array) -> bool:
+    """Whether a field's name and array are those of a stack of covariances, symmetric to the bit."""
+    if not f"_{name}".endswith("_covariance"):
         return False
     bits = np.ascontiguousarray(array).view(np.int64)
-    return bool(np.array_equal(bits, np.swapaxes(bits, -1, -2)))
+    return array.shape[-1] == array.shape[-2] and np.array_equal(bits, np.swapaxes(bits, -1, -2))
 
 
-def _lower(array: Array) -> Array:
-    rows, columns = np.tril_indices(array.shape[-1])
-    return np.asarray(array[..., rows, columns])
-
-
-def _whole(lower: Array) -> Array:
-    size = _triangle_size(lower.shape[-1])
+def _whole(left: dict[str, Array], name: str, hint: Any) -> Array:
+    """Symmetric matrices by their lower triangles."""
+    lower = _taken(left, name, hint)
+    length = lower.shape[-1] if lower.ndim else 0
+    size = (math.isqrt(8 * length + 1) - 1) // 2
+    if not lower.ndim or length != size * (size + 1) // 2:
+        raise ArraysError(f"{name} has the wrong shape")
     rows, columns = np.tril_indices(size)
     array = np.empty((*lower.shape[:-1], size, size), lower.dtype)
     array[..., rows, columns] = lower
     array[..., columns, rows] = lower
     return array
-
-
-def _stored_shape(shape: Sequence[int], lower: bool) -> Sequence[int]:
-    return (*shape[:-2], _triangle_length(shape[-1])) if lower else shape
-
-
-class _Writer:
-    """Collects the arrays of a tree."""
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, Array] = {}
-
-    def fields(self, kind: type, messages: Sequence[Any], path: str, single: bool) -> None:
-        for message in messages:
-            if type(message) is not kind:
-                raise TypeError(f"{path or 'the tree'} must be a {kind.__name__}, not {type(message).__name__}")
-        for name, hint in hints_of(kind).items():
-            self._values(hint, [getattr(one, name) for one in messages], f"{path}.{name}" if path else name, single)
-
-    def _values(self, hint: Any, values: Sequence[Any], path: str, single: bool) -> None:
-        inner, element = optional_of(hint), element_of(hint)
-        if inner is not None:
-            present = np.array([value is not None for value in values], dtype=np.bool_)
-            self._put(f"{path}@present", present, single)
-            if present.any() or not single:
-                self._values(inner, [value for value in values if value is not None], path, single)
-        elif element is not None:
-            for value in values:
-                if not isinstance(value, tuple):
-                    raise TypeError(f"{path} must be a tuple, not {type(value).__name__}")
-            self._put(f"{path}@count", np.array([len(value) for value in values], dtype=np.int64), single)
-            self.fields(element, [one for value in values for one in value], path, single=False)
-        elif (dtype := dtype_of(hint)) is not None:
-            self._arrays(dtype, values, path, single)
-        elif hint in SCALARS or hint is str:
-            allowed: Any = {float: (float, int), int: int, bool: bool, str: str}[hint]
-            for value in values:
-                if not isinstance(value.item() if isinstance(value, np.generic) else value, allowed):
-                    raise TypeError(f"{path} must be a {hint.__name__}, not {type(value).__name__}")
-            self._put(path, np.array(values, dtype=SCALARS.get(hint, np.str_)), single)
-        else:
-            self.fields(hint, values, path, single)
-
-    def _put(self, name: str, column: Array, single: bool) -> None:
-        self.arrays[name] = column[0] if single else column
-        self.arrays[name] = np.asarray(self.arrays[name])
-
-    def _arrays(self, dtype: np.dtype[Any], values: Sequence[Any], path: str, single: bool) -> None:
-        for value in values:
-            if not isinstance(value, np.ndarray) or value.dtype != dtype:
-                found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
-                raise TypeError(f"{path} must be an array of {dtype}, not {found}")
-        lower = _may_be_symmetric(path) and len(values) > 0 and all(_is_symmetric(value) for value in values)
-        name = f"{path}@lower" if lower else path
-        stored = [_lower(value) if lower else value for value in values]
-        if single:
-            self.arrays[name] = stored[0]
-            return
-        if len({value.ndim for value in values}) > 1:
-            raise TypeError(f"{path} must have as many dimensions everywhere")
-        dimensions = values[0].ndim if values else 1
-        shapes = np.array([value.shape for value in values], dtype=np.int64).reshape(len(values), dimensions)
-        self.arrays[f"{path}@shape"] = shapes
-        self.arrays[name] = np.concatenate([np.zeros(0, dtype), *(value.ravel() for value in stored)])
-
-
-class _Reader:
-    """Takes a tree out of its arrays; used: the names of those that were."""
-
-    def __init__(self, arrays: Mapping[str, Array]) -> None:
-        self.used: set[str] = set()
-        self._arrays_by_name = arrays
-
-    def fields(self, kind: type, count: int, path: str, single: bool) -> list[Any]:
-        columns: dict[str, list[Any]] = {}
-        for name, hint in hints_of(kind).items():
-            columns[name] = self._values(hint, count, f"{path}.{name}" if path else name, single)
-        messages = [kind(**{name: column[row] for name, column in columns.items()}) for row in range(count)]
-        for wrong in filter(None, map(misfit, messages)):
-            raise ArraysError(f"{path}.{wrong}" if path else wrong)
-        return messages
-
-    def _values(self, hint: Any, count: int, path: str, single: bool) -> list[Any]:
-        inner, element = optional_of(hint), element_of(hint)
-        if inner is not None:
-            present: BoolArray = self._column(f"{path}@present", np.dtype(np.bool_), count, single)
-            if single and not present[0]:
-                return [None]
-            values = iter(self._values(inner, int(np.count_nonzero(present)), path, single))
-            return [next(values) if here else None for here in present]
-        if element is not None:
-            counts = self._column(f"{path}@count", np.dtype(np.int64), count, single)
-            if np.any(counts < 0):
-                raise ArraysError(f"{path}@count is negative")
-            elements = self.fields(element, int(counts.sum()), path, single=False)
-            ends = np.cumsum(counts)
-            return [tuple(elements[end - size : end]) for size, end in zip(counts, ends, strict=True)]
-        if (dtype := dtype_of(hint)) is not None:
-            return self._arrays(dtype, count, path, single)
-        if hint in SCALARS or hint is str:
-            column = self._column(path, np.dtype(SCALARS.get(hint, np.str_)), count, single)
-            return list(column.tolist())
-        return self.fields(hint, count, path, single)
-
-    def _take(self, name: str, dtype: np.dtype[Any]) -> Array:
-        self.used.add(name)
-        if name not in self._arrays_by_name:
-            raise ArraysError(f"{name} is missing")
-        array = self._arrays_by_name[name]
-        if array.dtype.kind != dtype.kind:
-            raise ArraysError(f"{name} holds no {_NAMES[dtype.kind]}")
-        if dtype.kind != "U" and array.dtype.itemsize != dtype.itemsize:
-            raise ArraysError(f"{name} must be {dtype}, not {array.dtype}")
-        if dtype.kind == "f" and np.isnan(array).any():
-            raise ArraysError(f"{name} holds NaN")
-        return array if dtype.kind == "U" else array.astype(dtype, copy=False)
-
-    def _column(self, name: str, dtype: np.dtype[Any], count: int, single: bool) -> Array:
-        array = self._take(name, dtype)
-        if array.shape != (() if single else (count,)):
-            raise ArraysError(f"{name} has the wrong shape")
-        return array.reshape(count)
-
-    def _arrays(self, dtype: np.dtype[Any], count: int, path: str, single: bool) -> list[Array]:
-        lower = path not in self._arrays_by_name and _may_be_symmetric(path) and f"{path}@lower" in self._arrays_by_name
-        name = f"{path}@lower" if lower else path
-        stored = self._take(name, dtype)
-        if single:
-            if lower and (not stored.ndim or stored.shape[-1] != _triangle_length(_triangle_size(stored.shape[-1]))):
-                raise ArraysError(f"{name} has the wrong shape")
-            return [_whole(stored) if lower else stored]
-        shapes = self._take(f"{path}@shape", np.dtype(np.int64))
-        if shapes.ndim != 2 or len(shapes) != count or np.any(shapes < 0):
-            raise ArraysError(f"{path}@shape has the wrong shape")
-        if lower and (shapes.shape[1] < 2 or np.any(shapes[:, -1] != shapes[:, -2])):
-            raise ArraysError(f"{path}@shape does not fit {name}")
-        # Where one dimension is 0 the others may say what they like: an array of no numbers has no long side either.
-        long = np.any(shapes > len(stored) + _WIDEST)
-        parts = [_stored_shape(shape, lower) for shape in shapes.tolist()]
-        if long or stored.ndim != 1 or sum(map(math.prod, parts)) != len(stored):
-            raise ArraysError(f"{path}@shape does not fit {name}")
-        ends = itertools.accumulate(map(math.prod, parts))
-        values = [stored[end - math.prod(part) : end].reshape(part) for part, end in zip(parts, ends, strict=True)]
-        return [_whole(value) for value in values] if lower else values
-
-
-def _triangle_length(size: int) -> int:
-    return size * (size + 1) // 2
-
-
-def _triangle_size(length: int) -> int:
-    """The size of the largest matrix whose lower triangle has no more than a length."""
-    return (math.isqrt(8 * length + 1) - 1) // 2

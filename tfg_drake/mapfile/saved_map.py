@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.io.files import FileError, of_run, read_arrays, write_atomic
+from tfg_drake.io.files import FileError, of_run, read_arrays, reading, write_atomic
 from tfg_drake.mapfile import schema_13
 from tfg_drake.mapfile.message_arrays import Array, ArraysError, from_arrays, to_arrays
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, is_tag, message, replace
@@ -201,7 +201,8 @@ def load_map(path: Path) -> SavedMap:
         MapFileError: no such file, not a map, cut short, of another schema, or at odds with itself; one line.
     """
     path = of_run(path, "map.npz")
-    arrays = _read(path)
+    with reading(path, MapFileError):
+        arrays = read_arrays(path)
     schema = arrays.pop("schema", None)
     if schema is None or schema.shape != () or schema.dtype.kind != "i":
         raise MapFileError(f"{path} is not a map of tfg-drake")
@@ -214,97 +215,73 @@ def load_map(path: Path) -> SavedMap:
     if len(FLOORS) > np.size(arrays.get(BY_FLOOR, ())) > 0:  # From before walls could be off by more than four times.
         arrays[BY_FLOOR] = np.pad(arrays[BY_FLOOR], (0, len(FLOORS) - len(arrays[BY_FLOOR])), mode="edge")
     try:
-        return whole_map(arrays) if schema == SCHEMA else _older_map(arrays)
+        return whole_map(arrays, int(schema))
     except ArraysError as error:
         raise MapFileError(f"{path} is not a whole map: {error}") from None
 
 
-def whole_map(arrays: Mapping[str, Array]) -> SavedMap:
-    """The map that arrays hold, all its indices within bounds. Raises ArraysError."""
-    saved = from_arrays(SavedMap, arrays)
-    contradiction = _contradiction(saved)
-    if contradiction:
-        raise ArraysError(contradiction)
-    return saved
-
-
-def _older_map(arrays: dict[str, Array]) -> SavedMap:
-    """The map that arrays of schema OLDER hold. Raises ArraysError."""
-    try:
-        arrays, first, reach = schema_13.padded(arrays)
-        saved = schema_13.with_walls(from_arrays(SavedMap, arrays), first, reach)
-    except (KeyError, IndexError, ValueError) as error:
-        raise ArraysError(str(error)) from None
+def whole_map(arrays: Mapping[str, Array], schema: int = SCHEMA) -> SavedMap:
+    """The map that arrays of a schema hold, all its indices within bounds. Raises ArraysError."""
+    saved = from_arrays(SavedMap, arrays) if schema == SCHEMA else schema_13.read_map(SavedMap, arrays)
     if contradiction := _contradiction(saved):
         raise ArraysError(contradiction)
     return saved
 
 
-def _read(path: Path) -> dict[str, Array]:
-    try:
-        return read_arrays(path)
-    except FileError as error:
-        raise MapFileError(str(error)) from None
-    except FileNotFoundError:
-        raise MapFileError(f"no such map: {path}") from None
-    except PermissionError:
-        raise MapFileError(f"{path} cannot be read: permission denied") from None
-    except Exception as error:  # numpy and zipfile say anything of bytes that are no archive, or no whole one.
-        raise MapFileError(f"{path} is damaged or not a map of tfg-drake") from error
-
-
 def _contradiction(saved: SavedMap) -> str:
     """The first inconsistency of a map, in words; "" without any, and then all indices are within bounds."""
     graph, tfg_graph, tfg, stage = saved.graph, saved.tfg_graph, saved.tfg, saved.stage
-    known = graph.ids
-    if not 1 <= stage == len(graph.view_keyframe):
-        return "graph.view_keyframe does not fit stage"
-    if np.any((graph.view_keyframe < 0) | (graph.view_keyframe >= len(graph.keyframes))):
-        return "graph.view_keyframe does not fit graph.keyframes"
-    if np.any(np.diff(known) <= 0):
-        return "graph.ids is not ascending"
-    if not all(_within(one.ids, known) and np.all(np.diff(one.ids) > 0) for one in graph.keyframes):
-        return "graph.keyframes.ids does not fit graph.ids"
-    if any(len(one.information) - 3 - SHARED not in (2 * len(one.ids), 4 * len(one.ids)) for one in graph.keyframes):
-        return "graph.keyframes.information does not fit graph.keyframes.ids"
-    if any(not METRES <= one.unit < SHARED for one in graph.keyframes):
-        return "graph.keyframes.unit is no parameter"
-    if tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage:
-        return "tfg_graph.stage does not fit stage"
-    if tfg.stage == stage and len(tfg.facing) != len(saved.ids):
-        return "tfg.facing does not fit graph.ids"
-    if not _within(saved.evidence.ids, known):
-        return "evidence does not fit graph.ids"
-    places = {"graph.p_ML": graph.p_ML, "graph.anchor": graph.anchor, "graph.reach": graph.reach}
-    places |= {"graph.X_MN": graph.X_MN[:, :2]}
-    places |= {f"tfg.{name}": getattr(tfg, name) for name in PLACES}
-    for name, p_M in places.items():
-        if not (np.abs(p_M) <= LONGEST).all():
-            return f"{name} is more than {LONGEST:g} m from the origin"
+    keyframes, covariance = graph.keyframes, graph.landmark_covariance
+    places = {f"graph.{name}": getattr(graph, name) for name in ("p_ML", "anchor", "reach")}
+    places |= {"graph.X_MN": graph.X_MN[:, :2], **{f"tfg.{name}": getattr(tfg, name) for name in PLACES}}
     views = {"tag_view": tfg_graph.tag_view, "surfaces.view": tfg_graph.surfaces.view}
     for field in dataclasses.fields(TfgGraph):
         if isinstance(points := getattr(tfg_graph, field.name), FrontierPoints):
             views[f"{field.name}.view"] = points.view
-    for name, view in views.items():
-        if np.any((view < 0) | (view >= tfg_graph.stage)):
-            return f"tfg_graph.{name} does not fit tfg_graph.stage"
-    if np.any((tfg.segment_kind < 0) | (tfg.segment_kind >= KINDS_OF_SEGMENTS)):
-        return "tfg.segment_kind is no kind"
-    if not all(np.isin(np.hypot(*one.T).round(6), (0.0, 1.0)).all() for one in (tfg.facing, tfg_graph.tag_facing)):
-        return "tfg.facing or tfg_graph.tag_facing is no direction"
-    covariance = graph.landmark_covariance
-    if not (np.isfinite(saved.X_WM).all() and np.isfinite(covariance).all()):
-        return "X_WM or graph.landmark_covariance is not finite"
-    if np.any(np.linalg.eigvalsh(covariance) < -(LEAST_SIGMA**2)):
-        return "graph.landmark_covariance is no covariance"
     ids = {"tfg_graph.tag_ids": tfg_graph.tag_ids, "tfg_graph.surfaces.ids": tfg_graph.surfaces.ids}
-    for name, some in (ids | {"tfg.segment_ids": tfg.segment_ids}).items():
-        if not _within(some[some != -1], known):
-            return f"{name} does not fit graph.ids"
-    for name, stars in (("tfg_graph", tfg_graph), ("tfg", tfg)):
-        if len(stars.star_offsets) != tfg.stage + 1:
-            return f"{name}.star_offsets does not fit tfg.stage"
-    return ""
+    ids["tfg.segment_ids"] = tfg.segment_ids
+    is_finite = np.isfinite(covariance).all()
+    lengths = np.hypot(*np.vstack([tfg.facing, tfg_graph.tag_facing]).T).round(6)
+    wrong = {
+        "graph.view_keyframe does not fit stage": not 1 <= stage == len(graph.view_keyframe),
+        "graph.view_keyframe does not fit graph.keyframes": _is_beyond(graph.view_keyframe, len(keyframes)),
+        "graph.ids is not ascending": not _is_ascending(graph.ids),
+        "graph.keyframes.ids does not fit graph.ids": not all(
+            _within(one.ids, graph.ids) and _is_ascending(one.ids) for one in keyframes
+        ),
+        "graph.keyframes.information does not fit graph.keyframes.ids": any(
+            len(one.information) - 3 - SHARED not in (2 * len(one.ids), 4 * len(one.ids)) for one in keyframes
+        ),
+        "graph.keyframes.unit is no parameter": any(not METRES <= one.unit < SHARED for one in keyframes),
+        "tfg_graph.stage does not fit stage": tfg_graph.stage not in (stage - 1, stage) or tfg.stage != tfg_graph.stage,
+        "tfg.facing does not fit graph.ids": tfg.stage == stage and len(tfg.facing) != len(saved.ids),
+        "evidence does not fit graph.ids": not _within(saved.evidence.ids, graph.ids),
+        **{
+            f"{name} is more than {LONGEST:g} m from the origin": not (np.abs(p_M) <= LONGEST).all()
+            for name, p_M in places.items()
+        },
+        **{
+            f"tfg_graph.{name} does not fit tfg_graph.stage": _is_beyond(view, tfg_graph.stage)
+            for name, view in views.items()
+        },
+        "tfg.segment_kind is no kind": _is_beyond(tfg.segment_kind, KINDS_OF_SEGMENTS),
+        "tfg.facing or tfg_graph.tag_facing is no direction": not np.isin(lengths, (0.0, 1.0)).all(),
+        "X_WM or graph.landmark_covariance is not finite": not (is_finite and np.isfinite(saved.X_WM).all()),
+        "graph.landmark_covariance is no covariance": is_finite
+        and np.any(np.linalg.eigvalsh(covariance) < -(LEAST_SIGMA**2)),
+        **{f"{name} does not fit graph.ids": not _within(some[some != -1], graph.ids) for name, some in ids.items()},
+        "tfg_graph.star_offsets does not fit tfg.stage": len(tfg_graph.star_offsets) != tfg.stage + 1,
+        "tfg.star_offsets does not fit tfg.stage": len(tfg.star_offsets) != tfg.stage + 1,
+    }
+    return next((what for what, is_wrong in wrong.items() if is_wrong), "")
+
+
+def _is_beyond(numbers: IntArray, count: int) -> bool:
+    return bool(np.any((numbers < 0) | (numbers >= count)))
+
+
+def _is_ascending(ids: IntArray) -> bool:
+    return bool(np.all(np.diff(ids) > 0))
 
 
 def _within(ids: IntArray, known: IntArray) -> bool:

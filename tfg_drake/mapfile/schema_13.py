@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from tfg_drake.mapfile.message_arrays import ArraysError, from_arrays
 from tfg_drake.messages import WALLS_BELOW, FloatArray, IntArray, replace
 from tfg_drake.slam.keyframe import Keyframe
 from tfg_drake.slam.shared import SHARED
@@ -24,10 +26,18 @@ _NEW |= {"graph.anchor": "graph.p_ML", "graph.reach": "graph.p_ML"}
 Arrays = dict[str, NDArray[Any]]
 
 
+def read_map(kind: type[SavedMap], arrays: Mapping[str, NDArray[Any]]) -> SavedMap:
+    """The map that arrays of this schema hold. Raises ArraysError."""
+    try:
+        known, first, reach = padded(dict(arrays))
+        return with_walls(from_arrays(kind, known), first, reach)
+    except (KeyError, IndexError, ValueError) as error:
+        raise ArraysError(str(error)) from None
+
+
 def padded(arrays: Arrays) -> tuple[Arrays, IntArray, FloatArray]:
     """The arrays of a map with columns that it had not as zeros, and the ids (w,) of its walls' first points and how
     far (w, 2) m from these they have been seen. Raises KeyError where there are none of these."""
-    arrays = dict(arrays)
     first, reach = arrays.pop("walls.first"), arrays.pop("walls.reach")
     arrays["graph.unevenness"] = arrays.pop("walls.unevenness")
     for name, like in _NEW.items():

@@ -45,9 +45,8 @@ def bands(segments: FloatArray, width: float) -> FloatArray:
     along = segments[:, 2:] - segments[:, :2]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     unit = np.divide(along, length, out=np.tile([1.0, 0.0], (len(segments), 1)), where=length > 0.0)
-    side = 0.5 * width * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    start, end = segments[:, :2] - 0.5 * width * unit, segments[:, 2:] + 0.5 * width * unit
-    return np.stack([start - side, end - side, end + side, start + side], axis=1)
+    longer = segments + 0.5 * width * np.hstack([-unit, unit])
+    return spreads(longer, np.full((len(segments), 2), 0.5 * width), 1.0)
 
 
 def spreads(segments: FloatArray, deviations: FloatArray, sigmas: float = 3.0) -> FloatArray:

@@ -93,7 +93,7 @@ def run_figure(
         truth.set_linestyle((0, (3, 2)))
     if estimate is not None:
         mapped = estimate.ids
-        draw_landmarks(axes, X_WM, estimate.p_ML, estimate.landmark_covariance, estimate.is_doubtful, symbol)
+        draw_landmarks(axes, X_WM, estimate, symbol)
         _draw_views(axes, X_WM, estimate.X_MA)
     if world is not None and grid is None:
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
@@ -126,7 +126,7 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
     draw_surfaces(axes, X_WM, tfg)
     _draw_walls(axes, X_WM, saved.graph, 0.4 * symbol)
-    draw_landmarks(axes, X_WM, saved.p_ML, saved.landmark_covariance, saved.is_doubtful, symbol)
+    draw_landmarks(axes, X_WM, saved, symbol)
     _draw_views(axes, X_WM, saved.X_MA)
     if len(tfg.frontiers):
         p_WF = transform(X_WM, tfg.frontiers)
@@ -143,8 +143,7 @@ def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
     axes = figure.add_subplot()
     axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.tick_params(labelsize=8, colors="0.35")
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
     axes.set_title(title, loc="left", fontsize=10)
     return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x_max - x_min), 1.2, 6.0))
 
@@ -195,15 +194,11 @@ def _three(deviations: FloatArray) -> tuple[float, str]:
     return (3.0 * MAGNIFIED, f"3\u03c3 \u00d7 {MAGNIFIED:g}") if small else (3.0, "3\u03c3")
 
 
-def draw_landmarks(
-    axes: Axes, X_WM: FloatArray, p_ML: FloatArray, blocks: FloatArray, doubtful: BoolArray, symbol: float
-) -> None:
-    """Landmarks p_ML (n, 2), m, onto axes of W, with the ellipses of their covariances (n, 2, 2), m^2; see MAGNIFIED.
-
-    doubtful: (n,) which of them are drawn in another colour. symbol: a landmark's size, points.
-    """
-    R_WM = rotation(float(X_WM[2]))
-    p_WL = transform(X_WM, p_ML)
+def draw_landmarks(axes: Axes, X_WM: FloatArray, known: MapEstimate | SavedMap, symbol: float) -> None:
+    """The landmarks of a map onto axes of W, with the ellipses of their covariances, see MAGNIFIED; doubtful ones in
+    another colour. symbol: a landmark's size, points."""
+    R_WM, blocks, doubtful = rotation(float(X_WM[2])), known.landmark_covariance, known.is_doubtful
+    p_WL = transform(X_WM, known.p_ML)
     three, times = _three(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))
     outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T, three)
     # Thin where there are many on little room.
@@ -219,13 +214,12 @@ def draw_landmarks(
 
 def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
     """A grid's probabilities as an image from white (free) to black (occupied), turned from M into W."""
-    rows, columns = grid.probability.shape
-    (x, y), cell = grid.origin, grid.resolution
-    extent = (x, x + cell * columns, y, y + cell * rows)
+    (x_min, y_min), (x_max, y_max) = _corners(grid)
     limits = axes.axis()
     # Black, as dense as the probability, over the true walls.
-    ink = np.zeros((rows, columns, 4))
+    ink = np.zeros((*grid.probability.shape, 4))
     ink[..., 3] = grid.probability
+    extent = (x_min, x_max, y_min, y_max)
     image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
     (a, c), (b, d) = rotation(float(X_WM[2]))
     image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)

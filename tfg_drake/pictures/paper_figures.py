@@ -108,8 +108,7 @@ def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
     for axis in axes:
         axis.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xticks=[], yticks=[])
-        for spine in axis.spines.values():
-            spine.set_visible(False)
+        axis.spines[:].set_visible(False)
     return figure, axes
 
 

@@ -40,6 +40,8 @@ Layer = Mapping[str, NDArray[Any]]
 STAR_TOLERANCE = 0.03
 # A shorter piece of surface has no direction, m.
 SHORT = 0.05
+# Of a candidate: the parts of its gain and all of it, nats.
+GAINS = ("exploitation", "exploration", "pose_price", "gain")
 # How many candidates besides the chosen one are explained.
 NEXT_BEST = 3
 
@@ -109,10 +111,7 @@ def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
         told.append(
             {
                 "at": [_finite(value) for value in roadmap.points[row]] if row >= 0 else None,
-                "exploitation": _finite(choice.exploitation[i]),
-                "exploration": _finite(choice.exploration[i]),
-                "pose_price": _finite(choice.pose_price[i]),
-                "gain": _finite(choice.gain[i]),
+                **{name: _finite(getattr(choice, name)[i]) for name in GAINS},
                 "time": _finite(time),
                 "rate": _finite(choice.gain[i] / max(time, 1.0)),
                 "chosen": bool(choice.candidates[i] == choice.node),

@@ -24,6 +24,8 @@ SURFACES = (
     ("bare", palette.BARE_SURFACE),
     ("keep_out", palette.KEEP_OUT),
 )
+# Layers of bars: how many symbols wide, and their colour.
+BARS = {"frontiers": (1.6, palette.FRONTIER), "path": (1.0, palette.PATH), "trail": (0.6, palette.LIGHT["trail"])}
 WHITE, FLOOR = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85)
 # Of uncertainty and of the numbers of a tour, m: above all that hides what lies lower.
 UNCERTAINTY_HEIGHT, NUMBER_HEIGHT = TAG_HEIGHT + 0.02, TAG_HEIGHT + 0.05
@@ -77,8 +79,9 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
         for kind, (name, colour) in enumerate(SURFACES):
             pieces = arrays["segments"][arrays["kind"] == kind]
             yield Solid(name, bands(pieces, 1.2 * unit), 0.0, SURFACE_HEIGHT, colour)
-    elif layer == "frontiers":
-        yield Solid(layer, bands(arrays["segments"], 1.6 * unit), flat, flat, palette.FRONTIER)
+    elif layer in BARS:
+        width, colour = BARS[layer]
+        yield Solid(layer, bands(arrays["segments"], width * unit), flat, flat, colour)
     elif layer == "gains":
         share = arrays["share"] / 255.0
         # The larger and the deeper the more gain.
@@ -87,10 +90,6 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
             size = unit * (0.4 + 1.6 * share[some, None, None])
             discs = size * circles(np.zeros((int(some.sum()), 2)), 1.0, 8) + arrays["points"][some, None]
             yield Solid(f"{layer}_{k}", discs, flat, flat, (r, g, b))
-    elif layer == "path":
-        yield Solid(layer, bands(arrays["segments"], unit), flat, flat, palette.PATH)
-    elif layer == "trail":
-        yield Solid(layer, bands(arrays["segments"], 0.6 * unit), flat, flat, palette.LIGHT["trail"])
     elif layer == "pose":
         ellipse = ellipses(arrays["points"], arrays["covariance"], 3.0 * MAGNIFIED)
         yield Solid("pose_3sigma", ellipse, UNCERTAINTY_HEIGHT, UNCERTAINTY_HEIGHT, palette.ROBOT, 0.4)

@@ -12,9 +12,6 @@ from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan as FoxgloveScan
-from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2
 
@@ -22,15 +19,17 @@ from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEst
 
 MAP, BASE = "map", "base"
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
-# Our fields of a scan have numbers from here on, but for the ranges, which are Foxglove's; and what is only Foxglove's.
+# Our fields of a scan have numbers behind this, but for the ranges, which are Foxglove's; and what is only Foxglove's.
 FIRST_OWN = 1000
-RANGES = FoxgloveScan.DESCRIPTOR.fields_by_name["ranges"].number
 ONLY_ITS = frozenset(one.name for one in FoxgloveScan.DESCRIPTOR.fields) - {"ranges"}
+# A LinePrimitive's types: a line through its points, or the lines between each two of them.
+LINE_STRIP, LINE_LIST = 0, 2
 # Widths of lines and sizes of landmarks, m.
 _WALL, _WAY, _LANDMARK = 0.04, 0.05, 0.14
-# Colours, red, green, blue and opacity.
-_WALL_COLOUR, _WAY_COLOUR = (0.25, 0.3, 0.38, 1.0), (0.1, 0.45, 0.9, 1.0)
-_LANDMARK_COLOUR = (0.85, 0.35, 0.1, 1.0)
+_WALL_COLOUR = {"r": 0.25, "g": 0.3, "b": 0.38, "a": 1.0}
+_WAY_COLOUR = {"r": 0.1, "g": 0.45, "b": 0.9, "a": 1.0}
+_LANDMARK_COLOUR = {"r": 0.85, "g": 0.35, "b": 0.1, "a": 1.0}
+_UPRIGHT = {"w": 1.0}
 # Bytes of a map in the file, about: of a surface and of a landmark.
 _SURFACE_BYTES, _LANDMARK_BYTES = 40, 110
 
@@ -58,42 +57,43 @@ def scan_files(own: Sequence[Any]) -> tuple[str, descriptor_pb2.FileDescriptorSe
     return FoxgloveScan.DESCRIPTOR.full_name, files
 
 
-def complete_scan(written: Any, scan: LaserScan) -> None:
-    """Says Foxglove's fields of a scan, too, which are all but its ranges."""
-    written.frame_id = BASE
-    _stamp(written.timestamp, scan.stamp)
-    written.pose.orientation.w = 1.0
+def scan_fields(scan: LaserScan) -> dict[str, Any]:
+    """Foxglove's fields of a scan, but for its ranges."""
+    fields: dict[str, Any] = {"frame_id": BASE, "timestamp": _stamp(scan.stamp), "pose": {"orientation": _UPRIGHT}}
     if len(scan.angles):
-        written.start_angle, written.end_angle = float(scan.angles[0]), float(scan.angles[-1])
+        fields |= {"start_angle": float(scan.angles[0]), "end_angle": float(scan.angles[-1])}
+    return fields
 
 
 def pose_message(_time: float, pose: PoseEstimate) -> bytes:
     """The estimated pose, as a FrameTransform from map to base."""
-    written = FrameTransform(parent_frame_id=MAP, child_frame_id=BASE)
-    _stamp(written.timestamp, pose.stamp)
     x, y, theta = pose.X_MB.tolist()
-    written.translation.x, written.translation.y = x, y
-    written.rotation.z, written.rotation.w = math.sin(0.5 * theta), math.cos(0.5 * theta)
-    return bytes(written.SerializeToString())
+    return _written(
+        FrameTransform,
+        parent_frame_id=MAP,
+        child_frame_id=BASE,
+        timestamp=_stamp(pose.stamp),
+        translation={"x": x, "y": y},
+        rotation={"z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)},
+    )
 
 
 def path_message(time: float, path: Path) -> bytes:
     """A path that the robot takes from a time, s, on, as a SceneUpdate."""
-    return _scene(_entity(time, "path", [_lines(path.points, 0, _WAY, _WAY_COLOUR)]))
+    return _scene(time, path={"lines": [_line(path.points, LINE_STRIP, _WAY, _WAY_COLOUR)]})
 
 
 def map_message(time: float, shown: tuple[MapEstimate, TfgMap]) -> bytes:
     """Surfaces and landmarks at a time, s, as a SceneUpdate."""
     estimate, tfg = shown
-    lines = _lines(tfg.segments.reshape(-1, 2), 2, _WALL, _WALL_COLOUR)
-    surfaces, landmarks = _entity(time, "surfaces", [lines]), _entity(time, "landmarks")
+    size = dict.fromkeys("xyz", _LANDMARK)
+    cubes, names = [], []
     for tag, (x, y) in zip(estimate.ids.tolist(), estimate.p_ML.tolist(), strict=True):
-        cube = landmarks.cubes.add()
-        cube.pose.position.x, cube.pose.position.y, cube.pose.orientation.w = x, y, 1.0
-        cube.size.x = cube.size.y = cube.size.z = _LANDMARK
-        _colour(cube.color, _LANDMARK_COLOUR)
-        landmarks.metadata.add(key=str(tag), value=f"{x:.3f}, {y:.3f}")
-    return _scene(surfaces, landmarks)
+        pose = {"position": {"x": x, "y": y}, "orientation": _UPRIGHT}
+        cubes.append({"pose": pose, "size": size, "color": _LANDMARK_COLOUR})
+        names.append({"key": str(tag), "value": f"{x:.3f}, {y:.3f}"})
+    lines = [_line(tfg.segments.reshape(-1, 2), LINE_LIST, _WALL, _WALL_COLOUR)]
+    return _scene(time, surfaces={"lines": lines}, landmarks={"cubes": cubes, "metadata": names})
 
 
 # What is shown, by topic: its schema, and what makes its bytes of a time, s, and what is recorded then.
@@ -109,28 +109,24 @@ def map_size(estimate: MapEstimate, tfg: TfgMap) -> int:
     return _SURFACE_BYTES * len(tfg.segments) + _LANDMARK_BYTES * len(estimate.ids)
 
 
-def _stamp(timestamp: Any, time: float) -> None:
-    if math.isfinite(time):
-        timestamp.seconds, timestamp.nanos = divmod(round(time * 1e9), 10**9)
+def _stamp(time: float) -> dict[str, int] | None:
+    if not math.isfinite(time):
+        return None
+    seconds, nanos = divmod(round(time * 1e9), 10**9)
+    return {"seconds": seconds, "nanos": nanos}
 
 
-def _entity(time: float, name: str, lines: Sequence[Any] = ()) -> Any:
-    entity = SceneEntity(frame_id=MAP, id=name, lines=lines)
-    _stamp(entity.timestamp, time)
-    return entity
+def _line(points: FloatArray, kind: int, thickness: float, colour: dict[str, float]) -> dict[str, Any]:
+    """A LinePrimitive through points (n, 2)."""
+    places = [{"x": x, "y": y} for x, y in points.tolist()]
+    return {"type": kind, "thickness": thickness, "color": colour, "points": places, "pose": {"orientation": _UPRIGHT}}
 
 
-def _colour(field: Any, colour: tuple[float, float, float, float]) -> None:
-    field.r, field.g, field.b, field.a = colour
+def _scene(time: float, **entities: dict[str, Any]) -> bytes:
+    """A SceneUpdate of entities of the map by their names."""
+    known = {"frame_id": MAP, "timestamp": _stamp(time)}
+    return _written(SceneUpdate, entities=[{"id": name, **known, **one} for name, one in entities.items()])
 
 
-def _lines(points: FloatArray, kind: Any, thickness: float, colour: tuple[float, float, float, float]) -> Any:
-    """A line through points (n, 2), kind 0, or the lines between each two of them, kind 2."""
-    line = LinePrimitive(type=kind, thickness=thickness, points=[Point3(x=x, y=y) for x, y in points.tolist()])
-    line.pose.orientation.w = 1.0
-    _colour(line.color, colour)
-    return line
-
-
-def _scene(*entities: Any) -> bytes:
-    return bytes(SceneUpdate(entities=entities).SerializeToString())
+def _written(kind: Any, **fields: Any) -> bytes:
+    return bytes(kind(**fields).SerializeToString())

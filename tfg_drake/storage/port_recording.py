@@ -28,7 +28,7 @@ from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from tfg_drake.io.files import FileError, most_unpacked, of_run, open_inside, reading
-from tfg_drake.mapfile.message_arrays import hints_of
+from tfg_drake.mapfile.message_arrays import entry_type, hints_of
 from tfg_drake.messages import (
     Hazards,
     IntArray,
@@ -54,11 +54,9 @@ _NS = 1e9
 _Field = descriptor_pb2.FieldDescriptorProto
 # Integers of fixed size, as files of before have them.
 _TYPES: Mapping[Any, Any] = {
-    float: _Field.TYPE_DOUBLE,
-    int: _Field.TYPE_SFIXED64,
-    bool: _Field.TYPE_BOOL,
-    np.float64: _Field.TYPE_DOUBLE,
-    np.int64: _Field.TYPE_SFIXED64,
+    np.dtype(np.float64): _Field.TYPE_DOUBLE,
+    np.dtype(np.int64): _Field.TYPE_SFIXED64,
+    np.dtype(np.bool_): _Field.TYPE_BOOL,
 }
 _log = logging.getLogger("tfg_drake.storage.port_recording")
 
@@ -125,7 +123,7 @@ class PortWriter:
         # The new file is in the place of the old one when it has all that stands there.
         beside = path if standing is None else path.with_name(f".{path.name}")
         self._file = open_inside(beside, "wb")
-        self._is_open, self._writer = True, Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
+        self._writer = Writer(self._file, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(library="tfg_drake")
         self._writer.add_metadata("run", {"robot": robot})
         self._channels: dict[str, int] = {}
@@ -202,18 +200,17 @@ class PortWriter:
         self._write_waiting()
         self._newest.clear()
         self._last_data.clear()
-        if not self._is_open:
+        if self._file.closed:
             return
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
         except OSError as error:
             self._give_up(error)
-        self._is_open = False
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if not self._is_open:
+        if self._file.closed:
             return
         try:
             for port, time, value in waiting:
@@ -242,7 +239,7 @@ class PortWriter:
 
     def _give_up(self, error: OSError) -> None:
         _log.error("%s: cannot be written: %s; the run is not recorded any further", self._path, error.strerror)
-        self._is_open, self.failure = False, error
+        self.failure = error
         try:
             self._file.close()
         except OSError:
@@ -366,10 +363,10 @@ def _encoder(kind: type) -> Callable[[Any], bytes]:
     make, names = _proto_class(*_schema(kind)), list(hints_of(kind))
 
     def encode(value: Any) -> bytes:
-        written = make(**{name: np.asarray(getattr(value, name)).tolist() for name in names})
+        fields = {name: np.asarray(getattr(value, name)).tolist() for name in names}
         if kind is LaserScan:
-            foxglove.complete_scan(written, value)
-        return bytes(written.SerializeToString())
+            fields |= foxglove.scan_fields(value)
+        return bytes(make(**fields).SerializeToString())
 
     return encode
 
@@ -406,22 +403,15 @@ def _read_message(kind: type, proto: Any, before: Any) -> Any:
     return kind(**fields)
 
 
-def _numbered(kind: type) -> list[tuple[int, str, Any]]:
-    """The fields of a message: number in protobuf, name and annotation."""
-    of_scan = kind is LaserScan
-    fields = enumerate(hints_of(kind).items(), start=foxglove.FIRST_OWN + 1 if of_scan else 1)
-    return [(foxglove.RANGES if of_scan and name == "ranges" else n, name, hint) for n, (name, hint) in fields]
-
-
 def _schema(kind: type) -> tuple[str, Any]:
     """The name of a message's declaration and the files with it: a dataclass of numbers, truth values and arrays (n,)
-    of them."""
+    of them. A scan's fields but for its ranges stand in Foxglove's declaration."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{kind.__name__}.proto", package="tfg_drake", syntax="proto3")
     declared = file.message_type.add(name=kind.__name__)
-    for number, name, hint in _numbered(kind):
-        dtype = dtype_of(hint)
-        label = _Field.LABEL_OPTIONAL if dtype is None else _Field.LABEL_REPEATED
-        declared.field.add(name=name, number=number, label=label, type=_TYPES[hint if dtype is None else dtype.type])
+    first = foxglove.FIRST_OWN + 1 if kind is LaserScan else 1
+    for number, (name, hint) in enumerate(hints_of(kind).items(), start=first):
+        label = _Field.LABEL_OPTIONAL if dtype_of(hint) is None else _Field.LABEL_REPEATED
+        declared.field.add(name=name, number=number, label=label, type=_TYPES[entry_type(hint)])
     if kind is LaserScan:
-        return foxglove.scan_files([field for field in declared.field if field.number >= foxglove.FIRST_OWN])
+        return foxglove.scan_files([field for field in declared.field if field.name != "ranges"])
     return f"{file.package}.{kind.__name__}", descriptor_pb2.FileDescriptorSet(file=[file])

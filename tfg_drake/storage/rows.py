@@ -16,19 +16,17 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
 @dataclasses.dataclass(frozen=True)
 class Near:
-    """Area of a table: within reach, m, of center, (2,) m; by default everywhere."""
+    """Area of a table: within reach, m, of center, (2,) m."""
 
-    center: FloatArray | None = None
-    reach: float = math.inf
+    center: FloatArray
+    reach: float
 
     def holds(self, places: FloatArray) -> BoolArray:
         """Mask (n,) of the places (n, 2), m, in it."""
-        if self.center is None:
-            return np.ones(len(places), dtype=bool)
         return np.asarray(np.hypot(*(places - self.center).T) <= self.reach)
 
 
-EVERYWHERE = Near()
+EVERYWHERE = Near(np.zeros(2), math.inf)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -107,7 +107,7 @@ class TimelineWriter:
         TimelineError where it is not what it was."""
         self._path, self.watched = path, watched
         self.failure: OSError | None = None
-        self._file: BinaryIO | None = open_inside(path, "wb" if standing is None else "r+b", buffering=0)
+        self._file: BinaryIO = open_inside(path, "wb" if standing is None else "r+b", buffering=0)
         self._records: list[bytes] = []
         self._due: dict[str, float] = {}
         self._rows: dict[str, StandingRows] = {}
@@ -142,7 +142,7 @@ class TimelineWriter:
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
         """Adds a record; see `encoded`."""
-        if self._file is None:
+        if self._file.closed:
             return
         record = encoded(layer, time, arrays, told)
         due = max(time, self._due.get(layer, time))
@@ -158,7 +158,7 @@ class TimelineWriter:
     def flush(self, *, all_of_it: bool = True) -> None:
         """Put on the disk what there is, all of it or only when it is time to."""
         now = time.monotonic()
-        if self._file is None or not self._records:
+        if self._file.closed or not self._records:
             return
         if not all_of_it and now < self._flushed + (WATCHED_PERIOD if self.watched() else FLUSH_PERIOD):
             return
@@ -177,14 +177,9 @@ class TimelineWriter:
         """Write the rest, and let go of it: Drake keeps the systems that hold the writer."""
         self.flush()
         self._rows = {}
-        self._let_go()
-
-    def _let_go(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        self._file.close()
 
     def _end(self, error: OSError) -> None:
         self.failure = error
-        self._let_go()
+        self._file.close()
         _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)

@@ -280,11 +280,11 @@ def test_align(call, path, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ("info none.npz", "no such map: none.npz"),
-        ("info none", "no such map: none"),
-        ("info empty", "no such map: empty/map.npz"),
-        ("view text.npz", "text.npz is damaged or not a map of tfg-drake"),
-        ("export none.npz a.csv", "no such map: none.npz"),
+        ("info none.npz", "none.npz: no such file; name the folder of a run that was recorded"),
+        ("info none", "none: no such file; name the folder of a run that was recorded"),
+        ("info empty", "empty/map.npz: no such file; name the folder of a run that was recorded"),
+        ("view text.npz", "text.npz: is damaged; copy it again from where it was recorded"),
+        ("export none.npz a.csv", "none.npz: no such file; name the folder of a run that was recorded"),
         (
             "export map.npz a.zip",
             "a.zip: unknown format; name a file that ends in .csv, .dxf, .g2o, .geojson, .gtsam, .html, .pdf, .png, "
@@ -301,7 +301,7 @@ def test_align(call, path, tmp_path, monkeypatch):
         ("export map.npz none/a.csv", "none/a.csv: cannot be written: no such file or directory"),
         ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
         ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),
-        ("merge map.npz none.npz both.npz", "no such map: none.npz"),
+        ("merge map.npz none.npz both.npz", "none.npz: no such file; name the folder of a run that was recorded"),
         ("align map.npz out.npz", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags a --plan b", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags none.csv", "none.csv: cannot be read: no such file or directory"),

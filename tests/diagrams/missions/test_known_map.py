@@ -129,7 +129,7 @@ def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp
 def test_what_is_no_map_is_told(tmp_path):
     scenario = rooms()
     scenario.explorer.known_map = str(tmp_path / "nothing.npz")
-    with pytest.raises(MapFileError, match="no such map"):
+    with pytest.raises(MapFileError, match="no such file"):
         tfg_drake.explore(scenario, until=0.0)
     with pytest.raises(MethodError, match="cannot begin with a map"):
         METHODS["grid-nearest"].Check(scenario)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.comparison.time_spent import time_spent
+from benchmarks.time_spent import time_spent
 
 
 def test_the_parts_are_those_of_a_mission_made_by_hand():
