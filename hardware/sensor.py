@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.geometry.sweep import Sweep
-from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.hardware.robot_devices import HostClock
+from tfg_drake.hardware.sources import Source
 from tfg_drake.messages import LaserScan, TagDetections, replace
 from tfg_drake.systems.ports import MessageState
 
 # As often as the SLAM estimator looks.
 PERIOD = 1.0 / 16.0
-
-T = TypeVar("T", LaserScan, Sweep, TagDetections)
-
-
-class Source(Protocol):
-    """Source of messages, such as a SensorSource."""
-
-    def take(self, kind: type[T], until: float) -> list[T]:
-        """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
-
-    def take_remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-
-    def close(self) -> None:
-        """Lets go of what it reads."""
 
 
 class HardwareSensor(LeafSystem):

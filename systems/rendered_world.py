@@ -32,7 +32,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
 from tfg_drake.simulation.people import RADIUS
-from tfg_drake.systems.camera_info import calibration_of
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.hue import hue_of, photographed
 from tfg_drake.vision.image import Image
@@ -48,6 +47,9 @@ _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20
 
 # How tall people are, m, and the grey levels of what they wear and of the sky.
 _TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
+# Drake's renderer has the optical axis at (center_x, center_y) from the corner of the first pixel, ours is from its
+# centre: an edge in the axis shows so in colour and in depth (RenderEngineVtk, Drake 1.51).
+_PIXEL_CENTRE = 0.5
 
 
 def AddScene(scene: SceneGraph, world: World, config: SceneConfig) -> SourceId:
@@ -99,6 +101,13 @@ def _Lamp(heading: float) -> LightParameter:
 def MakeCameraInfo(width: int, height: int, field_of_view: float) -> CameraInfo:
     """Intrinsics of a camera without distortion whose image shows that horizontal field of view, rad."""
     return CameraInfo(width, height, 2.0 * math.atan(math.tan(0.5 * field_of_view) * height / width))
+
+
+def calibration_of(info: CameraInfo) -> CameraCalibration:
+    """The calibration of the images that Drake renders with these intrinsics."""
+    matrix = np.array(info.intrinsic_matrix(), dtype=float)
+    matrix[:2, 2] -= _PIXEL_CENTRE
+    return CameraCalibration(info.width(), info.height(), matrix, "plumb_bob", np.zeros(0))
 
 
 def MakeCameras(info: CameraInfo, least_depth: float, most_depth: float) -> tuple[ColorRenderCamera, DepthRenderCamera]:

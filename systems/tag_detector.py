@@ -29,7 +29,7 @@ class TagDetector(LeafSystem):
 
     image: an ImageRgba8U, as the port color_image of Drake's RgbdSensor has it. detections: a TagDetections message,
     stamped with the time of its image; stamped -inf and empty before the first. remarks: tuple of lines, what was left
-    out of the newest image and why. What Drake renders is calibrated by tfg_drake.systems.camera_info.
+    out of the newest image and why. What Drake renders is calibrated by tfg_drake.systems.rendered_world.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation import differential_drive as drive

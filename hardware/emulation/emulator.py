@@ -10,12 +10,10 @@ import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.hardware.emulation.emulated_base import PERIOD, EmulatedBase
-from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice
-from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
 from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
-from tfg_drake.hardware.kobuki.codec import COMMANDS, Deframer, decode, encode
-from tfg_drake.hardware.kobuki.payloads import BaseControl
-from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.hardware.kobuki.codec import COMMANDS, BaseControl, Deframer, decode, encode
 from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.simulation.differential_drive import CONTACTS
 from tfg_drake.simulation.laser_scanner import ray_angles, scan

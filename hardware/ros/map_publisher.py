@@ -6,7 +6,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
 from tfg_drake.hardware.announcements import Publisher
-from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace

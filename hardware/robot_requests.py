@@ -1,13 +1,33 @@
-"""Recalls the robot, or ends its mission, on low battery."""
+"""Requests that the robot itself makes of the mission: by its buttons, and where its battery is low."""
 
 from __future__ import annotations
+
+import math
 
 from tfg_drake.hardware.device import BaseState, Device
 from tfg_drake.hardware.remarks import Remark, Spells, battery, begun
 from tfg_drake.mission.operation import Command
 
+# Of a Kobuki B0, B1 and B2, by their bits.
+BUTTONS: dict[int, Command] = {1: "stop", 2: "pause", 4: "enable"}
 # The operator is told this long before, s: the reason stands in the log before what the robot does about it.
 TOLD_BEFORE = 1.0
+
+
+class RobotButtons:
+    """Requests by the robot's buttons; a robot that reports no buttons has none."""
+
+    def __init__(self, base: Device) -> None:
+        self._base = base
+        self._pressed = 0
+
+    def requests(self) -> list[Command]:
+        """The requests since the last call."""
+        requests = []
+        for state in self._base.take(BaseState, math.inf):
+            pressed, self._pressed = state.buttons & ~self._pressed, state.buttons
+            requests += [request for bit, request in BUTTONS.items() if pressed & bit]
+        return requests
 
 
 class BatteryWatch:
