@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import socket
@@ -14,7 +13,7 @@ import numpy as np
 
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.plausible import judged
-from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, SensorReader
+from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.messages import FloatArray, LaserScan, TagDetections
 
@@ -100,9 +99,8 @@ class SocketDriver(SensorReader):
         # The kinds that have arrived, and why what else arrived was of no use.
         self._arrived: set[type] = set()
         self._doubt = ""
-        self._socket: socket.socket | None = None
         try:
-            self._connect(PATIENCE)
+            self._connect()
         except OSError as error:
             raise DeviceError(
                 f"{self.name}: {error.strerror or error}: start what serves tags and scans there, or name the "
@@ -116,32 +114,22 @@ class SocketDriver(SensorReader):
             why = f" ({self._doubt})" if self._doubt else ""
             raise DeviceError(f"{self.name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
 
-    def _connect(self, timeout: float) -> None:
-        self._socket = socket.create_connection(self._address, timeout)
-        self._socket.setblocking(False)
+    def _connect(self) -> None:
+        self._device = socket.create_connection(self._address, PATIENCE)
+        self._device.setblocking(False)
         self._pending.clear()  # of a line that the old connection began
 
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            if self._socket is None:
-                self._connect_again(lambda: self._connect(LONGEST_BACK_OFF), left)
-            elif wait([self._socket], left):
-                self._receive()
-
-    def _receive(self) -> None:
-        assert self._socket is not None
+    def _receive(self, left: float) -> None:
+        if not wait([self._device], left):
+            return
         try:
-            data = self._socket.recv(1 << 20)
+            data = self._device.recv(1 << 20)
         except BlockingIOError:
             return
         except OSError:
             data = b""
         if not data:
-            self._socket.close()
-            self._socket = None
-            self._remark("the connection is lost; start what serves it again, it is looked for")
+            self._lose("the connection is lost; start what serves it again, it is looked for")
             return
         self._pending += data
         *lines, rest = self._pending.split(b"\n")
@@ -174,9 +162,3 @@ class SocketDriver(SensorReader):
     def _refuse(self, why: str) -> None:
         self._doubt = why
         self.refusals.add(self.name, "line", f"lines are not used: {why}")
-
-    def close(self) -> None:
-        """Ends the connection."""
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.close()

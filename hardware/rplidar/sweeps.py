@@ -78,7 +78,7 @@ class SweepMaker:
     """Makes sweeps of rays as they arrive."""
 
     def __init__(self, mount: RobotScannerConfig, model: int) -> None:
-        """model: as tfg_drake.hardware.rplidar.codec.Info has it."""
+        """model: as tfg_drake.hardware.rplidar.codec.model has it."""
         self._mount, self._range_max = mount, RANGES.get(model, min(RANGES.values()))
         self._clock = TurnClock()
         # When this turn began and how long one takes, s; None where that is not known.
