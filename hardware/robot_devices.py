@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.kobuki import driver as kobuki
-from tfg_drake.hardware.ros import ros2, rosbridge
+from tfg_drake.hardware.ros.graph_driver import connect
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
-from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.sensor_source import (
+    CamerasSource,
+    SensorSource,
+    Source,
+    SourceSpec,
+    SweepSource,
+    open_sources,
+    parse_source,
+)
 from tfg_drake.hardware.serial_port import check_port
-from tfg_drake.hardware.sources import CamerasSource, Source, SweepSource
 from tfg_drake.hardware.watchdog import Limits
 
 if TYPE_CHECKING:
@@ -218,7 +225,7 @@ def _graph(config: HardwareConfig) -> SourceSpec | None:
 def _open_base(config: HardwareConfig, preset: Preset, limits: Limits, graph: SourceSpec | None) -> Device:
     if graph is None:
         return kobuki.connect(config.port, limits)
-    return ros2.connect(preset) if graph.transport == "ros2" else rosbridge.connect(preset, graph.host, graph.port)
+    return connect(preset, graph.host if graph.transport == "rosbridge" else None, graph.port)
 
 
 def _lesser(one: Limits, other: Limits) -> Limits:

@@ -20,8 +20,8 @@ from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.checks import check, refuse
 from tfg_drake.hardware.keyboard import KEYS, Keyboard
+from tfg_drake.hardware.remarks import BatteryWatch, RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
-from tfg_drake.hardware.robot_requests import BatteryWatch, RobotButtons
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.messages import SaidPose
 from tfg_drake.mission.operation import Request

@@ -98,8 +98,11 @@ class EmulatedBase:
                 self.sounds.append(part.number)
             case p.RequestExtra():
                 major, minor, patch = self.firmware
-                answers = {1: p.HardwareVersion(4, 0, 1), 2: p.FirmwareVersion(patch, minor, major)}
-                answers[8] = p.UniqueId(1, 2, 3)
+                answers: dict[int, p.SubPayload] = {
+                    1: p.HardwareVersion(4, 0, 1),
+                    2: p.FirmwareVersion(patch, minor, major),
+                    8: p.UniqueId(1, 2, 3),
+                }
                 self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
 
     def step(self) -> None:

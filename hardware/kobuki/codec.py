@@ -113,23 +113,24 @@ class Inertia(SubPayload):
 
 
 @dataclasses.dataclass(frozen=True)
-class HardwareVersion(SubPayload):
+class Version(SubPayload):
+    """A version, such as 1.1.4."""
+
+    DATA = struct.Struct("<BBBx")
+    patch: int
+    minor: int
+    major: int
+
+    def __str__(self) -> str:
+        return f"{self.major}.{self.minor}.{self.patch}"
+
+
+class HardwareVersion(Version):
     """Version of the board."""
 
-    DATA = struct.Struct("<BBBx")
-    patch: int
-    minor: int
-    major: int
 
-
-@dataclasses.dataclass(frozen=True)
-class FirmwareVersion(SubPayload):
+class FirmwareVersion(Version):
     """Version of the firmware."""
-
-    DATA = struct.Struct("<BBBx")
-    patch: int
-    minor: int
-    major: int
 
 
 @dataclasses.dataclass(frozen=True)

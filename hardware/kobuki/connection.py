@@ -95,9 +95,9 @@ class Connection:
                 case p.Inertia():
                     inertia = part
                 case p.HardwareVersion():
-                    self.hardware = f"{part.major}.{part.minor}.{part.patch}"
+                    self.hardware = str(part)
                 case p.FirmwareVersion():
-                    self.firmware = f"{part.major}.{part.minor}.{part.patch}"
+                    self.firmware = str(part)
                 case p.UniqueId():
                     self.unique_id = f"{part.a:08x}{part.b:08x}{part.c:08x}"
         if core is None or inertia is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
 import os
 import sys
@@ -11,19 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tfg_drake.hardware.device import Device, DeviceError
-from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
-from tfg_drake.hardware.ros.preset import Preset, Topic
-
-
-def connect(preset: Preset) -> Device:
-    """The base of a preset's robot over ROS 2; raises DeviceError."""
-    return Device(functools.partial(open_driver, preset))
-
-
-def open_driver(preset: Preset) -> GraphBaseDriver:
-    """Its driver; raises DeviceError."""
-    return GraphBaseDriver(Ros2Graph(discovery=preset.discovery), preset)
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros.preset import Topic
 
 
 class Ros2Graph:

@@ -10,8 +10,7 @@ from tfg_drake.hardware import robot_devices
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.hardware.ros.preset import load_preset
-from tfg_drake.hardware.sensor_source import SourceSpec
-from tfg_drake.hardware.sources import CamerasSource, SweepSource
+from tfg_drake.hardware.sensor_source import CamerasSource, SourceSpec, SweepSource
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.vision.calibration import save_calibration
 
