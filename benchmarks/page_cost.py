@@ -33,10 +33,10 @@ def measured(scenario: Scenario, watched: bool, max_time: float, rate: float) ->
     """CPU ms a simulated second: of all, of the timeline, of the server."""
     timeline, write = 0.0, TimelineRecorder._Write
 
-    def timed(recorder: TimelineRecorder, context: Context) -> EventStatus:
+    def timed(recorder: TimelineRecorder, everything: bool, context: Context) -> EventStatus:
         nonlocal timeline
         start = time.thread_time()
-        status = write(recorder, context)
+        status = write(recorder, everything, context)
         timeline += time.thread_time() - start
         return status
 

@@ -11,15 +11,13 @@ from pydrake.systems.primitives import RandomSource
 from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import MakeKeepOut, MakeWorld, Scenario
 from tfg_drake.diagrams.station_ports import MakePorts
-from tfg_drake.systems import odometry, people
-from tfg_drake.systems.changing_world import ChangingWorld
+from tfg_drake.systems import surroundings
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
-from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
-from tfg_drake.systems.people import PeopleWalking
-from tfg_drake.systems.ports import connect_by_name
+from tfg_drake.systems.ports import PERIOD, connect_by_name
 from tfg_drake.systems.safety_filter import SafetyFilter
-from tfg_drake.systems.tag_sensor import TagSensor
+from tfg_drake.systems.simulated_sensors import LaserScanner, TagSensor
+from tfg_drake.systems.surroundings import ChangingWorld, PeopleWalking
 from tfg_drake.world.world import World
 
 if TYPE_CHECKING:
@@ -103,7 +101,7 @@ def MakeTurtlebotStation(
     tag_sensor, scanner = _AddEyes(builder, scenario, world)
     eyes = [tag_sensor] if scanner is tag_sensor else [tag_sensor, scanner]
 
-    _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), odometry.PERIOD)
+    _AddNoise(builder, "odometry_noise", wheels.GetInputPort("noise"), PERIOD)
     _AddNoise(builder, "odometry_run_errors", wheels.GetInputPort("run_errors"), _ONCE)
     _AddSensorNoise(builder, scenario, tag_sensor, scanner)
 
@@ -153,7 +151,7 @@ def _AddSurroundings(builder: DiagramBuilder, scenario: Scenario, world: World) 
     if reality.people:
         added.append(builder.AddNamedSystem("people", PeopleWalking(world, radius, reality.people)))
         numbers = added[0].GetInputPort("numbers")
-        _AddNoise(builder, "people_numbers", numbers, people.PERIOD, RandomDistribution.kUniform)
+        _AddNoise(builder, "people_numbers", numbers, surroundings.PERIOD, RandomDistribution.kUniform)
     if reality.changes:
         added.append(builder.AddNamedSystem("world", ChangingWorld(world, reality.changes, radius)))
     return added

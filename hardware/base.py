@@ -1,26 +1,27 @@
-"""A robot's base as a system."""
+"""A robot's base, and its tag sensor or laser scanner, as systems."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 import math
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
-from tfg_drake.hardware.robot_devices import RobotDevices
-from tfg_drake.messages import Hazards, Odometry, message, replace
+from tfg_drake.hardware.robot_devices import HostClock, RobotDevices
+from tfg_drake.hardware.sensor_source import Source
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
-from tfg_drake.systems.ports import MessageInputs, MessageState
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
 
-# Of commands, and of odometry: the simulated station's.
-PERIOD = 1.0 / 32.0
-ODOMETRY_PERIOD = 1.0 / 16.0
+# Of commands, s: the simulated station's.
+COMMAND_PERIOD = 1.0 / 32.0
 # Without a message younger than this from each of them the base stands, and moves on when they are back, s. A camera's
 # frames are few where a slow computer looks for tags in them, and nobody is run over for want of one.
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
@@ -99,8 +100,8 @@ class HardwareBase(LeafSystem):
         self.DeclareStateOutputPort("odometry", self._odometry.index)
         self._state.declare_outputs(self, "hazards")
         self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, self._state.tickets)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(ODOMETRY_PERIOD, 0.0, self._Hear)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Drive)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Hear)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(COMMAND_PERIOD, 0.0, self._Drive)
 
     def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
         now = self._state(context)
@@ -204,3 +205,37 @@ class HardwareBase(LeafSystem):
         if before.waiting != stale[0]:
             _log.warning("%.2f s: the base stands: no %s for more than %g s", now, stale[0], STALE[stale[0]])
         return replace(before, waiting=stale[0])
+
+
+class HardwareSensor(LeafSystem):
+    """Newest message of a sensor.
+
+    .. pydrake_system::
+
+        name: HardwareSensor
+        output_ports:
+        - <name>
+
+    A LaserScan or TagDetections message, stamped in the station's time. Where the station is late, because it was busy,
+    a message still appears at its time.
+    """
+
+    def __init__(self, name: str, source: Source | None, empty: LaserScan | TagDetections, clock: HostClock) -> None:
+        """name: of the port. source: None of a sensor that the robot does not have. empty: the message before there is
+        any, stamped -inf."""
+        super().__init__()
+        self._source, self._clock = source, clock
+        self._kind: Any = type(empty)
+        self._message = MessageState(self, empty)
+        self.DeclareStateOutputPort(name, self._message.index)
+        if source is not None:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now = context.get_time()
+        assert self._source is not None
+        taken = self._source.take(self._kind, self._clock.host(now))
+        if not taken:
+            return EventStatus.DidNothing()
+        self._message.set(state, replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)))
+        return EventStatus.Succeeded()

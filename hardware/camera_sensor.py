@@ -20,7 +20,6 @@ from tfg_drake.messages import TagDetections
 if TYPE_CHECKING:
     from tfg_drake.vision.calibration import CameraCalibration
     from tfg_drake.vision.camera_view import CameraView
-    from tfg_drake.vision.image import Image
 
 # How long to wait for the first image, s.
 PATIENCE = 10.0
@@ -60,16 +59,16 @@ class CameraDriver(SensorReader):
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
-        # When images were looked at in the last COUNTED seconds, and since when they come, s; whether a tag was seen in
-        # the newest.
+        # When images were looked at in the last COUNTED seconds, and since when they come, s; of the newest the mean
+        # grey level, and whether a tag was seen in it.
         self._looked: collections.deque[float] = collections.deque()
-        self._dark = self._bright = self._tag_seen = False
+        self._light, self._tag_seen = DARK, False
         size = self._calibration.width, self._calibration.height
-        self._reader = FrameReader(source, size, camera.latency)
-        frame = self._reader.first(PATIENCE)
+        self._device = FrameReader(source, size, camera.latency)
+        frame = self._device.first(PATIENCE)
         if frame is None:
+            why = self._device.error or f"no image in {PATIENCE:.0f} s; is it there, and free?"
             self.close()
-            why = self._reader.error or f"no image in {PATIENCE:.0f} s; is it there, and free?"
             raise DeviceError(f"{self.name}: {why.removeprefix(f'{source}: ')}")
         height, width = frame.image.shape[:2]
         if (width, height) != size:
@@ -85,7 +84,7 @@ class CameraDriver(SensorReader):
         from tfg_drake.vision.same_view import weighed
         from tfg_drake.vision.sighting import sighted
 
-        frame = self._reader.take(duration)
+        frame = self._device.take(duration)
         now = time.monotonic()
         if frame is not None:
             tags = self._detector.detect(frame.image)
@@ -94,19 +93,15 @@ class CameraDriver(SensorReader):
             self._messages.append(detections)
             tell(self.refusals, self.name, seen.remarks)
             self._looked.append(now)
-            self._judge_light(frame.image)
+            self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
             self._tag_seen = bool(len(detections.ids))
-        while self._looked and (self._looked[0] < now - COUNTED or self._reader.error):
+        while self._looked and (self._looked[0] < now - COUNTED or self._device.error):
             self._looked.popleft()
-        if self._reader.error:
+        if self._device.error:
             self._begin = now
         self._spells, names = begun(self._spells, holds := self._holding(now), now)
-        for line in (*self._reader.take_remarks(), *(holds[name].line for name in names)):
+        for line in (*self._device.take_remarks(), *(holds[name].line for name in names)):
             self._remark(line)
-
-    def _judge_light(self, image: Image) -> None:
-        mean = float(image[::_SPARSE, ::_SPARSE].mean())
-        self._dark, self._bright = mean < DARK, mean > BRIGHT
 
     def _holding(self, now: float) -> dict[str, Remark]:
         rate = len(self._looked) / COUNTED
@@ -116,18 +111,14 @@ class CameraDriver(SensorReader):
         if rate < LOW_RATE and now - self._begin > COUNTED:
             why = f"fewer than {LOW_RATE:g}: more light, smaller images or another cable may help"
             holds["rate"] = Remark(f"{rate:.1f} images a second, {why}", LASTS)
-        if self._dark:
+        if self._light < DARK:
             holds["dark"] = Remark("images are dark; switch on a light, or take the cap off", LASTS)
-        if self._bright:
+        if self._light > BRIGHT:
             holds["bright"] = Remark("images are too bright; lower the exposure", LASTS)
         if not self._tag_seen:
             line = f"no tag of {self._family} in sight for {WITHOUT_TAG:.0f} s"
             holds["no tag"] = Remark(line, WITHOUT_TAG)
         return holds
-
-    def close(self) -> None:
-        """Lets go of the camera."""
-        self._reader.close()
 
 
 def tell(refusals: Refusals, source: str, remarks: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ from tfg_drake.hardware.device import BaseState, Device, DeviceError
 from tfg_drake.hardware.plausible import made_up
 from tfg_drake.hardware.remarks import battery, where
 from tfg_drake.hardware.robot_devices import RobotDevices
-from tfg_drake.hardware.sensor import Source
+from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.percent import percent
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import itertools
 import math
 import select
 import subprocess
@@ -16,13 +17,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
-from typing import Any, TypeVar
+from multiprocessing.connection import Connection
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.sweep import Sweep
-from tfg_drake.hardware.announcements import Outbox
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections, message
 
@@ -106,6 +107,59 @@ class Driver:
 
     def close(self) -> None:
         """Lets go of the robot."""
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """A driver that can tell others what the explorer knows."""
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message as a dictionary of its fields, from a thread of its own; a header's stamp is the host's
+        time, s."""
+
+
+class Outbox:
+    """Sends pairs of a key and what it stands for from a thread of its own: whoever reads late holds nothing up."""
+
+    def __init__(self, connection: Connection, most: int | None = None) -> None:
+        """most: how many pairs wait to be sent, at the most, the oldest of more being lost; None: of each key the
+        newest waits."""
+        self._connection, self._most = connection, most
+        self._waiting: dict[object, tuple[str, Any]] = {}
+        self._numbers = itertools.count()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def put(self, key: str, content: Any) -> None:
+        """Has a pair sent."""
+        with self._changed:
+            self._waiting[key if self._most is None else next(self._numbers)] = key, content
+            if self._most is not None and len(self._waiting) > self._most:
+                del self._waiting[next(iter(self._waiting))]
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Sends nothing more; the other end must be reading, or gone."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+        self._connection.close()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                waiting, self._waiting = self._waiting, {}
+            try:
+                for one in waiting.values():
+                    self._connection.send(one)
+            except OSError:
+                return  # the process has ended; Device says so
 
 
 # What the process is told, pickled, and calls: the driver, its robot found, odometry arriving; raises DeviceError.
@@ -241,7 +295,7 @@ class Device:
         self._put(("lock", reason))
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message, as tfg_drake.hardware.announcements.Publisher has it, where the driver is one."""
+        """Publishes a message, as Publisher has it, where the driver is one."""
         self._announcements.put(key, message)
 
     def enable(self) -> None:

@@ -5,7 +5,8 @@ ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive what
 What it says: ("ready", None), ("message", message) of those that are plausible, ("locked", reason or None), ("answer",
 reason or None) to an enable, ("remark", line) for the operator, ("alive", None) twice a second, and ("ended", line).
 When the other end is gone the robot stands and the process ends.
-What comes by the second is published, see announcements.py.
+What comes by the second is published: a pipe of its own, with a thread at either end, so a map of a large building
+holds up neither the planner nor the watchdog.
 """
 
 from __future__ import annotations
@@ -19,8 +20,7 @@ import threading
 import time
 from multiprocessing.connection import Connection
 
-from tfg_drake.hardware.announcements import Outbox, Publisher, announce
-from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver, Outbox, Publisher
 from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
@@ -89,6 +89,16 @@ def serve(driver: Driver, connection: Connection) -> None:
             with contextlib.suppress(Exception):  # whatever has happened, the next one may arrive
                 driver.send(0.0, 0.0)
                 driver.spin(TICK)
+
+
+def announce(publisher: Publisher, connection: Connection) -> None:
+    """The process's end: publishes what arrives, until the other end is closed."""
+    while True:
+        try:
+            key, message = connection.recv()
+        except (EOFError, OSError):
+            return
+        publisher.publish(key, message)
 
 
 def main() -> None:

@@ -48,21 +48,15 @@ class RealsenseDriver(SensorReader):
                 f"{name}: pyrealsense2 is not installed; get it with {pip_install('realsense')}"
             ) from None
         self._rs: Any = pyrealsense2
-        self._device = device
+        self._wants = device
         self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch, math.pi if mount.flip else 0.0)
         try:
             limits = mount.low, mount.high, LEAST_DEPTH, MOST_DEPTH, MOST_DEPTH
             self._config = DepthScanConfig(*limits, SIGMA, noise=NOISE)
         except ValueError as error:
             raise DeviceError(f"{name}: {error}") from None
-        self._pipeline: Any = None
         self._connect()
-        end = time.monotonic() + PATIENCE
-        while not self._messages:
-            if time.monotonic() > end:
-                self.close()
-                raise DeviceError(f"{name}: no depth image in {PATIENCE:.0f} s; plug the camera into a USB 3 port")
-            self.spin(0.1)
+        self._wait_for_first(PATIENCE, f"no depth image in {PATIENCE:.0f} s; plug the camera into a USB 3 port")
 
     def _connect(self) -> None:
         """Raises DeviceError."""
@@ -80,32 +74,28 @@ class RealsenseDriver(SensorReader):
         # Depth images are rectified by the camera.
         calibration = CameraCalibration(sees.width, sees.height, matrix, "plumb_bob", np.zeros(0))
         self._rays = depth_rays(calibration, self._mount, self._config)
-        self._pipeline, self._heard = pipeline, time.monotonic()
+        self._device, self._heard = pipeline, time.monotonic()
 
     def _wanted(self, pipeline: Any) -> Any:
         """The configuration of the first mode that the camera has; raises RuntimeError, DeviceError."""
         rs = self._rs
         config = rs.config()
-        if Path(self._device).is_file():
-            config.enable_device_from_file(self._device, repeat_playback=False)
+        if Path(self._wants).is_file():
+            config.enable_device_from_file(self._wants, repeat_playback=False)
             config.enable_stream(rs.stream.depth)
             return config
         for width, height, rate in MODES:
             config = rs.config()
-            if self._device:
-                config.enable_device(self._device)
+            if self._wants:
+                config.enable_device(self._wants)
             config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
             if config.can_resolve(rs.pipeline_wrapper(pipeline)):
                 return config
         raise DeviceError(f"{self.name}: no such camera; plug one in, give its serial number or name a recording")
 
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s, or until one image was."""
-        if self._pipeline is None:
-            self._connect_again(self._connect, duration)
-            return
+    def _receive(self, left: float) -> None:
         try:
-            arrived, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * duration)))
+            arrived, frames = self._device.try_wait_for_frames(max(1, round(1000.0 * left)))
         except RuntimeError:
             arrived, frames = False, None
         now = time.monotonic()
@@ -115,8 +105,7 @@ class RealsenseDriver(SensorReader):
             image = np.asanyarray(depth.get_data()) * np.float32(self._unit)
             self._messages.append(depth_scan(image, self._rays, self._stamp(depth, now), self._config))
         elif now - self._heard > SILENT:
-            self._remark("no more depth images: is the camera plugged in? It is looked for")
-            self._hang_up()
+            self._lose("no more depth images: is the camera plugged in? It is looked for")
 
     def _stamp(self, depth: Any, arrival: float) -> float:
         """When the image was taken, s of the host's monotonic clock."""
@@ -127,11 +116,7 @@ class RealsenseDriver(SensorReader):
         return arrival
 
     def _hang_up(self) -> None:
-        if self._pipeline is not None:
+        if self._device is not None:
             with contextlib.suppress(RuntimeError):  # it is gone already
-                self._pipeline.stop()
-        self._pipeline = None
-
-    def close(self) -> None:
-        """Lets go of the camera."""
-        self._hang_up()
+                self._device.stop()
+        self._device = None

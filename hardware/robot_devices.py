@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+import time
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
-from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import Device, DeviceError
-from tfg_drake.hardware.host_clock import HostClock
 from tfg_drake.hardware.kobuki import driver as kobuki
-from tfg_drake.hardware.ros import ros2, rosbridge
+from tfg_drake.hardware.ros.graph_driver import connect
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
-from tfg_drake.hardware.sensor import Source
-from tfg_drake.hardware.sensor_source import SensorSource, SourceSpec, open_sources, parse_source
+from tfg_drake.hardware.sensor_source import (
+    CamerasSource,
+    SensorSource,
+    Source,
+    SourceSpec,
+    SweepSource,
+    open_sources,
+    parse_source,
+)
 from tfg_drake.hardware.serial_port import check_port
-from tfg_drake.hardware.sweep_source import SweepSource
 from tfg_drake.hardware.watchdog import Limits
 
 if TYPE_CHECKING:
@@ -27,6 +33,31 @@ PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtleb
 NO_TAGS = "none"
 # Cameras of our own that tags come from: each as a source, and its configuration.
 _Cameras = list[tuple[str, RobotCameraConfig]]
+
+_log = logging.getLogger("tfg_drake.host_clock")
+
+
+class HostClock:
+    """The station's time against the host's: a simulator at real-time rate 1 keeps both in step.
+
+    It starts when it is first asked; all systems of a station share one. Real time is nobody's state."""
+
+    def __init__(self) -> None:
+        self._origin: float | None = None
+
+    def host(self, station_time: float) -> float:
+        """The host's monotonic time, s, at a time of the station, s."""
+        return self._started(station_time) + station_time
+
+    def station(self, stamp: float, now: float) -> float:
+        """The station's time, s, at a host's monotonic time; now: the station's, s."""
+        return stamp - self._started(now)
+
+    def _started(self, station_time: float) -> float:
+        if self._origin is None:
+            self._origin = time.monotonic() - station_time
+            _log.info("the station's time 0 is %.6f s of the host's monotonic clock", self._origin)
+        return self._origin
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,7 +225,7 @@ def _graph(config: HardwareConfig) -> SourceSpec | None:
 def _open_base(config: HardwareConfig, preset: Preset, limits: Limits, graph: SourceSpec | None) -> Device:
     if graph is None:
         return kobuki.connect(config.port, limits)
-    return ros2.connect(preset) if graph.transport == "ros2" else rosbridge.connect(preset, graph.host, graph.port)
+    return connect(preset, graph.host if graph.transport == "rosbridge" else None, graph.port)
 
 
 def _lesser(one: Limits, other: Limits) -> Limits:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 from tfg_drake.hardware.device import DeviceError, Driver, Message
 from tfg_drake.hardware.plausible import Refusals
+from tfg_drake.hardware.watchdog import TICK
 
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
@@ -32,9 +35,9 @@ class Inbox:
 
 
 class SensorReader(Inbox, Driver):
-    """A driver that drives nothing.
+    """A driver that drives nothing; a subclass opens a device, reads it, and lets go of it.
 
-    name: of its source, such as "socket:127.0.0.1:5000".
+    name: of its source, such as "socket:127.0.0.1:5000". _device: what is open, such as a port; None while it is lost.
     """
 
     def __init__(self, name: str, sources: Mapping[type, str]) -> None:
@@ -42,21 +45,62 @@ class SensorReader(Inbox, Driver):
         super().__init__()
         self.name, self.sources = name, sources
         self._back_off, self._retry = BACK_OFF, 0.0
+        self._device: Any = None
 
-    def _connect_again(self, connect: Callable[[], None], left: float) -> None:
-        """Tries `connect`, which raises OSError or DeviceError, where it is time to, for up to `left` s; says so where
-        that helps."""
+    def _connect(self) -> None:
+        """Opens the device; raises OSError, DeviceError."""
+        raise NotImplementedError
+
+    def _receive(self, left: float) -> None:
+        """Takes in what arrives within `left` s; may return before."""
+        raise NotImplementedError
+
+    def _wait_for_first(self, patience: float, why: str) -> None:
+        """Waits for a message, s; raises DeviceError where none comes, why in words."""
+        end = time.monotonic() + patience
+        while not self._messages:
+            if time.monotonic() > end:
+                self.close()
+                raise DeviceError(f"{self.name}: {why}")
+            self.spin(TICK)
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            if self._device is None:
+                self._connect_again(left)
+            else:
+                self._receive(left)
+
+    def _connect_again(self, left: float) -> None:
+        """Connects where it is time to, for up to `left` s; says so where that helps."""
         if (wait := self._retry - time.monotonic()) > 0.0:
             time.sleep(min(wait, left))
             return
         try:
-            connect()
+            self._connect()
         except (OSError, DeviceError):
             self._back_off = min(2.0 * self._back_off, LONGEST_BACK_OFF)
             self._retry = time.monotonic() + self._back_off
             return
         self._back_off = BACK_OFF
         self._remark("connected again")
+
+    def _lose(self, why: str) -> None:
+        """The device is lost, and looked for."""
+        self._remark(why)
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._device is not None:
+            with contextlib.suppress(OSError, RuntimeError):  # it is gone already
+                self._device.close()
+        self._device = None
+
+    def close(self) -> None:
+        """Lets go of the device."""
+        self._hang_up()
 
     def _remark(self, line: str) -> None:
         self._remarks.append(f"{self.name}: {line}")

@@ -1,18 +1,21 @@
-"""The client of a sensor socket, docs/sensor_socket.md."""
+"""The client of a sensor socket: tags and scans as lines of JSON, see docs/sensor_socket.md."""
 
 from __future__ import annotations
 
-import contextlib
+import json
+import math
 import socket
 import time
 from multiprocessing.connection import wait
+from typing import Any
+
+import numpy as np
 
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.kobuki.sensor_socket import message_of
 from tfg_drake.hardware.plausible import judged
-from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, SensorReader
+from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.watchdog import TICK
-from tfg_drake.messages import LaserScan, TagDetections
+from tfg_drake.messages import FloatArray, LaserScan, TagDetections
 
 # How long to wait for the server, and for its first lines, s.
 PATIENCE = 5.0
@@ -21,6 +24,64 @@ LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 
 _NAMES = {LaserScan: "scan", TagDetections: "detections"}
+
+
+def message_of(line: bytes) -> TagDetections | LaserScan | None:
+    """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly.
+
+    Whether it is plausible is not judged here, see tfg_drake.hardware.plausible.
+    """
+    try:
+        fields = json.loads(line)
+    except (ValueError, RecursionError):
+        raise ValueError("no JSON") from None
+    if not isinstance(fields, dict) or not isinstance(fields.get("type"), str):
+        raise ValueError("no object with a type")
+    try:
+        if fields["type"] == "detections":
+            return _detections(fields)
+        return _scan(fields) if fields["type"] == "scan" else None
+    except OverflowError:
+        raise ValueError(f"{fields['type']}: a number is too large") from None
+
+
+def _detections(fields: dict[str, Any]) -> TagDetections:
+    ids = fields.get("ids")
+    if not isinstance(ids, list) or not all(type(one) is int and abs(one) < 2**63 for one in ids):
+        raise ValueError("detections: ids is no list of whole numbers")
+    columns = (_numbers(fields, key, len(ids)) for key in ("range", "bearing", "sigma_range", "sigma_bearing"))
+    return TagDetections(_number(fields, "stamp"), np.array(ids, dtype=np.int64), *columns)
+
+
+def _scan(fields: dict[str, Any]) -> LaserScan:
+    ranges = fields.get("ranges")
+    if not isinstance(ranges, list):
+        raise ValueError("scan: ranges is no list of numbers")
+    angles = _numbers(fields, "angles", len(ranges))
+    hit = np.array([one is not None for one in ranges], dtype=bool)
+    distances = np.full(len(ranges), math.inf)
+    met = [one for one in ranges if one is not None]
+    distances[hit] = _numbers(fields | {"ranges": met}, "ranges", len(met))
+    distances[distances == 0.0] = math.nan
+    range_max, sigma = _number(fields, "range_max"), _number(fields, "sigma")
+    return LaserScan(_number(fields, "stamp"), angles, distances, range_max, sigma)
+
+
+def _number(fields: dict[str, Any], key: str) -> float:
+    value = fields.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{fields['type']}: {key} is no number")
+    return float(value)
+
+
+def _numbers(fields: dict[str, Any], key: str, count: int) -> FloatArray:
+    values = fields.get(key)
+    if not isinstance(values, list) or not all(type(one) in (int, float) for one in values):
+        raise ValueError(f"{fields['type']}: {key} is no list of numbers")
+    array = np.array(values, dtype=float)
+    if len(array) != count or not np.isfinite(array).all():
+        raise ValueError(f"{fields['type']}: {key} must hold {count} finite numbers")
+    return array
 
 
 class SocketDriver(SensorReader):
@@ -38,9 +99,8 @@ class SocketDriver(SensorReader):
         # The kinds that have arrived, and why what else arrived was of no use.
         self._arrived: set[type] = set()
         self._doubt = ""
-        self._socket: socket.socket | None = None
         try:
-            self._connect(PATIENCE)
+            self._connect()
         except OSError as error:
             raise DeviceError(
                 f"{self.name}: {error.strerror or error}: start what serves tags and scans there, or name the "
@@ -54,32 +114,22 @@ class SocketDriver(SensorReader):
             why = f" ({self._doubt})" if self._doubt else ""
             raise DeviceError(f"{self.name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
 
-    def _connect(self, timeout: float) -> None:
-        self._socket = socket.create_connection(self._address, timeout)
-        self._socket.setblocking(False)
+    def _connect(self) -> None:
+        self._device = socket.create_connection(self._address, PATIENCE)
+        self._device.setblocking(False)
         self._pending.clear()  # of a line that the old connection began
 
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            if self._socket is None:
-                self._connect_again(lambda: self._connect(LONGEST_BACK_OFF), left)
-            elif wait([self._socket], left):
-                self._receive()
-
-    def _receive(self) -> None:
-        assert self._socket is not None
+    def _receive(self, left: float) -> None:
+        if not wait([self._device], left):
+            return
         try:
-            data = self._socket.recv(1 << 20)
+            data = self._device.recv(1 << 20)
         except BlockingIOError:
             return
         except OSError:
             data = b""
         if not data:
-            self._socket.close()
-            self._socket = None
-            self._remark("the connection is lost; start what serves it again, it is looked for")
+            self._lose("the connection is lost; start what serves it again, it is looked for")
             return
         self._pending += data
         *lines, rest = self._pending.split(b"\n")
@@ -112,9 +162,3 @@ class SocketDriver(SensorReader):
     def _refuse(self, why: str) -> None:
         self._doubt = why
         self.refusals.add(self.name, "line", f"lines are not used: {why}")
-
-    def close(self) -> None:
-        """Ends the connection."""
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.close()

@@ -11,10 +11,9 @@ from tfg_drake.config import DisturbanceConfig, RobotConfig
 from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import Pushes, displacement, with_pushes
-from tfg_drake.simulation.people import People, discs_at
-from tfg_drake.systems.changing_world import world_now
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_optional
+from tfg_drake.systems.ports import MessageInputs, declare_message_output
+from tfg_drake.systems.surroundings import Surroundings
 from tfg_drake.world.world import World
 
 PERIOD = 1.0 / 32.0
@@ -50,11 +49,10 @@ class DifferentialDrivePlant(LeafSystem):
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):
         """disturbances: what moves the base besides its wheels."""
         super().__init__()
-        self._world, self._robot, self._disturbances = world, robot, tuple(disturbances)
+        self._robot, self._disturbances = robot, tuple(disturbances)
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
-        self._people = declare_message_input(self, "people")
-        self._changing = declare_message_input(self, "world")
-        self._pushes = declare_message_input(self, "pushes")
+        self._around = Surroundings(self, world)
+        self._inputs = MessageInputs(self, pushes=Pushes)
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
         state = self.xd_ticket()
@@ -67,14 +65,14 @@ class DifferentialDrivePlant(LeafSystem):
     @metered("differential_drive_plant")
     def _Step(self, context: Context, update: DiscreteValues) -> None:
         command, state = self._command.Eval(context), self._State(context)
-        walls, moved = world_now(self._changing, context, self._world).walls, drive.UNMOVED
-        disturbances = with_pushes(self._disturbances, eval_optional(self._pushes, context, Pushes))
+        walls, moved = self._around.world(context).walls, drive.UNMOVED
+        disturbances = with_pushes(self._disturbances, self._inputs.optional(context, "pushes"))
         if disturbances:
             moved = displacement(disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
         after = drive.step(state, command, walls, self._robot, PERIOD, moved)
-        walking = eval_optional(self._people, context, People)
-        if walking is not None:
-            after = drive.among(state, after, discs_at(walking, after[drive.TIME]), self._robot)
+        discs = self._around.people(context, after[drive.TIME])
+        if discs is not None:
+            after = drive.among(state, after, discs, self._robot)
         update.set_value(after)
 
     def _State(self, context: Context) -> FloatArray:

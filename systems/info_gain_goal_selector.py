@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, Roadmap, TfgMap, message, replace
+from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, message, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.information_gain import density_shown
@@ -17,9 +17,7 @@ from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, MessageState
-
-PERIOD = 1 / 16
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
 
 
 @message
@@ -90,23 +88,15 @@ class InfoGainGoalSelector(LeafSystem):
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
             return EventStatus.DidNothing()
         promise = judged(now.promise, estimate, self._parameters.explorer.prior_sigma)
-        goal = self._Choose(context, now.goal, promise, estimate.given_shared(), tfg, near)
+        goal = self._Choose(context, now.goal, promise, estimate.given_shared())
         stop_gain = self._parameters.explorer.stop_gain
         chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise, stop_gain))
         return self._state.set(state, self._Send(context, chosen, mission))
 
     @metered("goal")
-    def _Choose(
-        self,
-        context: Context,
-        previous: GoalChoice,
-        promise: Promise,
-        landmarks: MapEstimate,
-        tfg: TfgMap,
-        near: Roadmap,
-    ) -> GoalChoice:
+    def _Choose(self, context: Context, previous: GoalChoice, promise: Promise, landmarks: MapEstimate) -> GoalChoice:
         recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
-        tags, parameters = self._inputs(context, "map"), self._parameters
+        (tags, tfg, near), parameters = self._inputs.each(context, "map", "tfg", "local_roadmap"), self._parameters
         is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
         explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))
         if not promise.believed:

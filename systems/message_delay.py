@@ -7,9 +7,7 @@ from typing import Any
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import message
-from tfg_drake.systems.ports import MessageState, declare_message_input, declare_message_output, eval_message
-
-PERIOD = 1.0 / 16.0
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
 
 
 @message
@@ -37,21 +35,21 @@ class MessageDelay(LeafSystem):
     def __init__(self, name: str, delay: float):
         """name: of the output. delay: s."""
         super().__init__()
-        self._delay = delay
-        self._input = declare_message_input(self, f"{name}_at_once")
+        self._delay, self._name = delay, f"{name}_at_once"
+        self._inputs = MessageInputs(self, **{self._name: object})
         self._queue = MessageState(self, _Queue(()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
         # Until there is a first message, the input's own.
-        tickets = self._queue.tickets | {self._input.ticket()}
+        tickets = self._queue.tickets | {self._inputs.ports[self._name].ticket()}
         declare_message_output(self, name, self._Shown, tickets)
 
     def _Shown(self, context: Context) -> object:
         messages = self._queue(context).messages
-        return messages[0][1] if messages else eval_message(self._input, context, object)
+        return messages[0][1] if messages else self._inputs(context, self._name)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         queue, now = self._queue(context), context.get_time()
-        newest, messages = eval_message(self._input, context, object), queue.messages
+        newest, messages = self._inputs(context, self._name), queue.messages
         if not messages or messages[-1][1] is not newest:
             messages = (*messages, (now + self._delay, newest))
         while len(messages) > 1 and messages[1][0] <= now:

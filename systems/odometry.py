@@ -13,9 +13,7 @@ from tfg_drake.simulation.differential_drive import UNMOVED
 from tfg_drake.simulation.disturbance import Pushes, displacement, with_pushes
 from tfg_drake.simulation.odometry import TIME, initial_state, integrate, message, run_errors
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_optional
-
-PERIOD = 1.0 / 16.0
+from tfg_drake.systems.ports import PERIOD, MessageInputs, declare_message_output
 
 
 class Odometry(LeafSystem):
@@ -53,21 +51,19 @@ class Odometry(LeafSystem):
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._noise = self.DeclareVectorInputPort("noise", 2, RandomDistribution.kGaussian)
         self._run_errors = self.DeclareVectorInputPort("run_errors", 3, RandomDistribution.kGaussian)
-        self._pushes = declare_message_input(self, "pushes")
+        self._inputs = MessageInputs(self, pushes=Pushes)
         self.DeclareDiscreteState(initial_state(X_WS))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Integrate)
-        declare_message_output(
-            self,
-            "odometry",
-            lambda context: message(context.get_discrete_state_vector().value()),
-            {self.xd_ticket()},
-        )
+        declare_message_output(self, "odometry", self._Message, {self.xd_ticket()})
+
+    def _Message(self, context: Context) -> object:
+        return message(context.get_discrete_state_vector().value())
 
     @metered("odometry")
     def _Integrate(self, context: Context, update: DiscreteValues) -> None:
         state = context.get_discrete_state_vector().value()
         errors = run_errors(self._run_errors.Eval(context), self._config)
         noise, pose, now = self._noise.Eval(context), self._pose.Eval(context), context.get_time()
-        disturbances = with_pushes(self._disturbances, eval_optional(self._pushes, context, Pushes))
+        disturbances = with_pushes(self._disturbances, self._inputs.optional(context, "pushes"))
         moved = displacement(disturbances, state[TIME], now) if disturbances else UNMOVED
         update.set_value(integrate(state, now, pose, errors, noise, self._config, moved, self._reality))

@@ -11,9 +11,7 @@ from tfg_drake.messages import SaidPose, message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
 from tfg_drake.planning.requested_goal import RequestedGoal, goal_asked_for
 from tfg_drake.simulation.disturbance import Pushes, with_push
-from tfg_drake.systems.ports import MessageState
-
-PERIOD = 1.0 / 16.0
+from tfg_drake.systems.ports import PERIOD, MessageState
 
 _log = logging.getLogger("tfg_drake.operator")
 

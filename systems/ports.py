@@ -24,6 +24,8 @@ from pydrake.systems.framework import (
 
 from tfg_drake import messages
 
+# Period of the odometry, s, and of all that listen to it; a power of two, so that they do at the same instants.
+PERIOD = 1.0 / 16.0
 # What the ports carry that systems have in common: whatever is called so is such a message, in and out.
 KINDS: Mapping[str, type] = {
     "odometry": messages.Odometry,
@@ -84,11 +86,6 @@ def eval_message(port: InputPort, context: Context, kind: type[T]) -> T:
     return value
 
 
-def eval_optional(port: InputPort, context: Context, kind: type[T]) -> T | None:
-    """The message at an input port, None where that is not connected. Raises TypeError as `eval_message` does."""
-    return eval_message(port, context, kind) if port.HasValue(context) else None
-
-
 class MessageInputs:
     """Input ports for messages, by name; called with a context and one of the names it is the message there."""
 
@@ -103,7 +100,7 @@ class MessageInputs:
 
     def optional(self, context: Context, name: str) -> Any:
         """The same, None where the port is not connected."""
-        return eval_optional(self.ports[name], context, self._kinds[name])
+        return self(context, name) if self.ports[name].HasValue(context) else None
 
     def each(self, context: Context, *names: str) -> list[Any]:
         """The messages at some of the ports, at all of them by default."""

@@ -1,11 +1,12 @@
-"""Makes an estimator of a pose that somebody else estimates: the map is what is seen from there."""
+"""Makes an estimator of a pose that somebody else estimates; plain vectors of an estimate, for Drake's own loggers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from scipy.linalg import block_diag
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import (
@@ -19,10 +20,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.keyframe_graph import empty_map
-from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
-
-# Period of the update, s: the odometry's.
-PERIOD = 1.0 / 16.0
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
 
 
 @message
@@ -98,14 +96,10 @@ def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, c
     r, angle = detections.range, X_MB[2] + detections.bearing
     p_ML = X_MB[:2] + r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     variance = detections.sigma_range**2 + (r * detections.sigma_bearing) ** 2 + r**2 * covariance[2, 2]
-    ids = np.union1d(seen.ids, detections.ids)
+    ids, row = np.unique(np.append(seen.ids, detections.ids), return_inverse=True)
     information, weighted = np.zeros(len(ids)), np.zeros((len(ids), 2))
-    for tags, weight, places in (
-        (seen.ids, seen.information, seen.weighted),
-        (detections.ids, 1.0 / variance, p_ML / variance[:, None]),
-    ):
-        np.add.at(information, np.searchsorted(ids, tags), weight)
-        np.add.at(weighted, np.searchsorted(ids, tags), places)
+    np.add.at(information, row, np.append(seen.information, 1.0 / variance))
+    np.add.at(weighted, row, np.vstack([seen.weighted, p_ML / variance[:, None]]))
     return replace(seen, ids=ids, information=information, weighted=weighted, stamp=detections.stamp)
 
 
@@ -114,10 +108,6 @@ def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimat
     n, X_MA, no_wall = len(seen.ids), seen.way[0, 1:], np.zeros((len(seen.ids), 2))
     # The pose's error is in all places alike.
     each = 1.0 / seen.information[:, None, None] * np.eye(2) + covariance[:2, :2]
-    joint = np.zeros((2 * n + 3, 2 * n + 3))
-    for i in range(n):
-        joint[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = each[i]
-    joint[2 * n :, 2 * n :] = covariance
     return replace(
         seen.estimate,
         stage=seen.estimate.stage + 1,
@@ -128,7 +118,7 @@ def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimat
         reach=no_wall,
         X_MD=X_MD,
         local=np.arange(n),
-        covariance=joint,
+        covariance=block_diag(*each, covariance),
         landmark_covariance=each,
         X_MA=np.vstack([seen.estimate.X_MA, X_MA]),
         observation=Observation(seen.ids, seen.way[:, 0], se2.between(X_MA, seen.way[:, 1:])),
@@ -136,3 +126,35 @@ def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimat
         shared=np.zeros(0),
         with_shared=np.zeros((0, 0)),
     )
+
+
+class PoseVector(LeafSystem):
+    """The estimate's stamp (s) and X_MB (x, y in m, theta in rad) as a vector of 4; with_covariance: the same and the
+    covariance of X_MB, row by row, as one of 13.
+
+    .. pydrake_system::
+
+        name: PoseVector
+        input_ports:
+        - pose
+        output_ports:
+        - vector
+        - with_covariance
+
+    pose: PoseEstimate. vector: (4,), with_covariance: (13,), as above.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._inputs = MessageInputs(self, "pose")
+        ticket = self._inputs.ports["pose"].ticket()
+        self.DeclareVectorOutputPort("vector", 4, self._CalcVector, {ticket})
+        self.DeclareVectorOutputPort("with_covariance", 13, self._CalcWithCovariance, {ticket})
+
+    def _CalcVector(self, context: Context, output: BasicVector) -> None:
+        pose = self._inputs(context, "pose")
+        output.SetFromVector(np.append(pose.stamp, pose.X_MB))
+
+    def _CalcWithCovariance(self, context: Context, output: BasicVector) -> None:
+        pose = self._inputs(context, "pose")
+        output.SetFromVector(np.concatenate([[pose.stamp], pose.X_MB, pose.covariance.ravel()]))

@@ -7,22 +7,11 @@ import operator
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import Roadmap
-from tfg_drake.planning.planner import (
-    Now,
-    extended,
-    initial_state,
-    looked,
-    make_roadmap,
-    obstacles_in_map,
-    planned,
-    watched,
-)
+from tfg_drake.planning import planner
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import measured
-from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
-
-PERIOD = 1 / 16
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
 
 
 class PrmPlanner(LeafSystem):
@@ -57,7 +46,7 @@ class PrmPlanner(LeafSystem):
         keep_to_one_thread()
         self._parameters = parameters
         self._inputs = MessageInputs(self, "map", "tfg", "pose", "goal", "scan", "mission")
-        self._state = MessageState(self, initial_state())
+        self._state = MessageState(self, planner.initial_state())
         whole = {self._inputs.ports[name].ticket() for name in ("map", "tfg")}
         declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
         local_roadmap, path_status = operator.attrgetter("roadmap"), operator.attrgetter("status")
@@ -69,18 +58,18 @@ class PrmPlanner(LeafSystem):
         if len(state.roadmap.points) == len(state.nodes.points):
             return state.roadmap
         estimate, tfg = self._inputs.each(context, "map", "tfg")
-        met = obstacles_in_map(state, estimate)
-        return make_roadmap(state.nodes, tfg, estimate, self._parameters, met, state.driven_before)
+        met = planner.obstacles_in_map(state, estimate)
+        return planner.make_roadmap(state.nodes, tfg, estimate, self._parameters, met, state.driven_before)
 
     def _Update(self, context: Context, state: State) -> EventStatus:
         before = self._state(context)
-        now = Now(*(*self._inputs.each(context), self._parameters))
-        seen = after = looked(before, now)
+        now = planner.Now(*(*self._inputs.each(context), self._parameters))
+        seen = after = planner.looked(before, now)
         # What is not due is not metered: that would cost more than to find it out.
         if now.tfg.stage > seen.nodes.stage:
-            after = measured(self, "roadmap", extended, seen, now)
+            after = measured(self, "roadmap", planner.extended, seen, now)
         elif now.mission.phase == "plan":
-            after = measured(self, "path", planned, seen, now)
+            after = measured(self, "path", planner.planned, seen, now)
         if after is seen:
-            after = measured(self, "prm_planner", watched, seen, now)
+            after = measured(self, "prm_planner", planner.watched, seen, now)
         return self._state.set(state, after)

@@ -10,9 +10,8 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, FollowerStatus, GoalChoice, MissionStatus, Path, PoseEstimate
 from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn_to_see
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, declare_message_output
+from tfg_drake.systems.ports import PERIOD, MessageInputs, declare_message_output
 
-PERIOD = 1 / 16
 # An observation lasts this long at least, s: a tag is seen in several frames.
 LOOK_TIME = 0.75
 

@@ -27,10 +27,8 @@ from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.slam.walls import no_walls
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
 
-# Period of the update, s: the odometry's.
-PERIOD = 1.0 / 16.0
 # Odometry of a recording that is silent for so long, s, has ended.
 SILENCE = 1.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -100,8 +101,8 @@ class TimelineRecorder(LeafSystem):
         self._Get = MessageInputs(self, *_MESSAGES, people=People, pushes=Pushes).optional
         self._enabled = self.DeclareVectorInputPort("enabled", 1)
         self._truth = self.DeclareVectorInputPort("truth", 5)
-        self.DeclarePeriodicPublishEvent(1.0 / RATE, 0.0, self._Write)
-        self.DeclareForcedPublishEvent(self._WriteAll)
+        self.DeclarePeriodicPublishEvent(1.0 / RATE, 0.0, functools.partial(self._Write, False))
+        self.DeclareForcedPublishEvent(functools.partial(self._Write, True))
 
     def Connect(self, builder: DiagramBuilder, station: System, explorer: System, *others: System) -> None:
         """Connects it to a mission's station, explorer and others, such as its operator, by port name."""
@@ -115,17 +116,7 @@ class TimelineRecorder(LeafSystem):
         self._whole_due: dict[str, float] = {}  # when all of a large map is written again
         self._count = 0
 
-    def _WriteAll(self, context: Context) -> EventStatus:
-        self._Record(context, everything=True)
-        self._writer.flush()
-        return EventStatus.Succeeded()
-
-    def _Write(self, context: Context) -> EventStatus:
-        self._Record(context, everything=False)
-        self._writer.flush(all_of_it=False)
-        return EventStatus.Succeeded()
-
-    def _Record(self, context: Context, everything: bool) -> None:
+    def _Write(self, everything: bool, context: Context) -> EventStatus:
         now = context.get_time()
         if everything or self._count % POSES_A_LOOK == 0:
             self._Look(context, now, everything)
@@ -136,6 +127,8 @@ class TimelineRecorder(LeafSystem):
                 self._writer.write("enabled", now, {}, enabled=enabled)
         self._WriteMoving(context, now, scans=everything or self._count % POSES_A_SCAN == 0)
         self._count += 1
+        self._writer.flush(all_of_it=everything)
+        return EventStatus.Succeeded()
 
     def _Look(self, context: Context, now: float, everything: bool) -> None:
         """Writes what has changed since the last look; everything: also what has been written too much lately."""

@@ -259,12 +259,8 @@ class MeshcatScene:
         lines = [f"v {x:.3f} {y:.3f} {PLATE_HEIGHT}" for x, y in corners]
         obj = "\n".join(["mtllib plate.mtl", *lines, "vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "usemtl plate"])
         material = "newmtl plate\nKe 1 1 1\nKd 0 0 0\nKs 0 0 0\nmap_Ke plate.png\n"
-        files = {
-            "plate.mtl": MemoryFile(material.encode(), ".mtl", "plate"),
-            "plate.png": MemoryFile(png, ".png", "plate"),
-        }
-        file = MemoryFile(f"{obj}\nf 1/1 2/2 3/3 4/4\n".encode(), ".obj", "plate")
-        self._meshcat.SetObject(path, Mesh(InMemoryMesh(mesh_file=file, supporting_files=files)))
+        mesh = _mesh(f"{obj}\nf 1/1 2/2 3/3 4/4\n", {"plate.mtl": material.encode(), "plate.png": png})
+        self._meshcat.SetObject(path, mesh)
 
     def _ShowPeople(self, points: FloatArray, time: float) -> None:
         for k, place in enumerate(points):
@@ -338,9 +334,8 @@ class MeshcatScene:
         if not obj:
             self._meshcat.Delete(path)
             return 0
-        files = {"materials.mtl": MemoryFile(materials.encode(), ".mtl", "materials")}
-        file = MemoryFile(f"mtllib materials.mtl\n{obj}\n".encode(), ".obj", "solids")
-        self._meshcat.SetObject(path, Mesh(InMemoryMesh(mesh_file=file, supporting_files=files)))
+        mesh = _mesh(f"mtllib materials.mtl\n{obj}\n", {"materials.mtl": materials.encode()})
+        self._meshcat.SetObject(path, mesh)
         return len(obj)
 
     def _ShowCamera(self) -> None:
@@ -393,6 +388,12 @@ def _words_of_goal(arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], 
     x, y = transform(X_WM, arrays["points"])[0]
     tour = f", tour of {len(stops)} in {done[-1]:.0f} s" if len(stops) else ""
     return f"goal ({x:.1f}, {y:.1f}) m{tour}, most gain {told['most']:.0f} nats"
+
+
+def _mesh(obj: str, files: Mapping[str, bytes]) -> Mesh:
+    """A mesh by the text of an OBJ file and the files that it names."""
+    there = {name: MemoryFile(content, f".{name.partition('.')[2]}", name) for name, content in files.items()}
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(obj.encode(), ".obj", "mesh"), supporting_files=there))
 
 
 def _planar(X_AB: FloatArray) -> RigidTransform:

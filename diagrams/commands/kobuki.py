@@ -115,7 +115,7 @@ def emulate(
 
     Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
     """
-    from tfg_drake.hardware.emulation.emulator_orders import order
+    from tfg_drake.hardware.emulation.emulator import order
 
     # In the background of a terminal its input ends, or the whole program would be stopped.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)

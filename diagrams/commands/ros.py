@@ -37,8 +37,7 @@ def emulate(
         bad_input(f"--seed {seed}: must be 0 or more")
 
     from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-    from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
-    from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
+    from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot, Ros2Emulator
     from tfg_drake.hardware.ros.preset import load_preset
 
     preset = load_preset("emulated")

@@ -56,7 +56,7 @@ from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import CpuMeter
-from tfg_drake.systems.odometry import PERIOD as ODOMETRY_PERIOD
+from tfg_drake.systems.ports import PERIOD as ODOMETRY_PERIOD
 from tfg_drake.world.changing import world_at
 from tfg_drake.world.world import World
 

@@ -18,10 +18,9 @@ from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
-from tfg_drake.hardware.battery_watch import BatteryWatch
 from tfg_drake.hardware.checks import check, refuse
 from tfg_drake.hardware.keyboard import KEYS, Keyboard
-from tfg_drake.hardware.robot_buttons import RobotButtons
+from tfg_drake.hardware.remarks import BatteryWatch, RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.messages import SaidPose

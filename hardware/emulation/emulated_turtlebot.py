@@ -14,12 +14,14 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.map_messages import Fields, pose_fields, transform
-from tfg_drake.hardware.ros.preset import Preset
+from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.ros.ros2 import Ros2Graph
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
-from tfg_drake.simulation import differential_drive, laser_scanner, odometry, tag_sensor
+from tfg_drake.simulation import differential_drive, odometry
 from tfg_drake.world.world import World
 
 # A step of it, s; odometry comes with every one, tags and a scan with every third.
@@ -31,7 +33,7 @@ ACCELERATION = 0.9
 _REMEMBERED = 20_000
 
 
-class EmulatedTurtlebot:
+class EmulatedTurtlebot(EmulatedSensors):
     """Stepped by whoever owns it; every time is the host's monotonic clock, s.
 
     It has no watchdog of its own: it keeps the velocity it was last told, so a stop is the driver's doing.
@@ -51,20 +53,16 @@ class EmulatedTurtlebot:
         seed: int | None = None,
     ) -> None:
         """preset: the mount of its scanner, its frames. seed: of the sensors' noise, None for none."""
-        self._world, self._preset = world, preset
         # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would not see ahead.
-        self._tags, self._wheels = tags, wheels
-        self._scanner = dataclasses.replace(scanner, field_of_view=2.0 * math.pi)
+        super().__init__(world, tags, dataclasses.replace(scanner, field_of_view=2.0 * math.pi), seed)
+        self._preset, self._wheels = preset, wheels
         self._robot = RobotConfig(max_acceleration=ACCELERATION)
-        self._angles = laser_scanner.ray_angles(self._scanner)
-        self._random = None if seed is None else np.random.default_rng(seed)
         self._run_errors = odometry.run_errors(self._noise(3), wheels)
         self._base = differential_drive.initial_state(world.start, world.walls, self._robot)
         self._odometry = odometry.initial_state(world.start)
         self._steps, self._distance = 0, 0.0
         self._command = (0.0, 0.0)
         self.silent: set[str] = set()
-        self.faults: dict[str, Fault] = {}
         self.clock = time.time() - time.monotonic()
         self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=_REMEMBERED)
         self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=_REMEMBERED)
@@ -101,15 +99,10 @@ class EmulatedTurtlebot:
         }
         if self._steps % SENSE_EVERY == 0:
             X_WS = se2.compose(X_WB, np.array([mount.x, mount.y, mount.yaw]))
-            seen = laser_scanner.scan(
-                self._world.walls, X_WS, 0.0, self._angles, self._noise(len(self._angles)), self._scanner
-            )
-            if (said := self._told("scan", seen)) is not None:
-                messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, said)
-            normal = self._noise(len(self._world.tag_ids) * tag_sensor.NOISE_PER_TAG)
-            found = tag_sensor.detect(self._world, X_WB, 0.0, normal.reshape(-1, tag_sensor.NOISE_PER_TAG), self._tags)
-            if (said := self._told("tags", found)) is not None:
-                messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, said)
+            if (scan := self._told_scan(X_WS, 0.0)) is not None:
+                messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, scan)
+            if (found := self._told_tags(X_WB, 0.0)) is not None:
+                messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, found)
         return {key: message for key, message in messages.items() if key not in self.silent}
 
     def run(
@@ -133,12 +126,6 @@ class EmulatedTurtlebot:
             "contacts": int(base[differential_drive.CONTACTS]),
             "distance": self._distance,
         }
-
-    def _told(self, sensor: str, message: Any) -> Any:
-        return self.faults.get(sensor, unchanged)(message)
-
-    def _noise(self, n: int) -> FloatArray:
-        return np.zeros(n) if self._random is None else self._random.normal(size=n)
 
 
 def _odometry(header: Fields, base: str, message: Odometry) -> Fields:
@@ -182,3 +169,40 @@ def _cloud(header: Fields, detections: TagDetections) -> Fields:
         "data": points.tobytes(),
         "is_dense": True,
     }
+
+
+class Ros2Emulator:
+    """The robot's topics, as its preset has them. topics: those that it publishes and, last, that it obeys."""
+
+    def __init__(self, robot: EmulatedTurtlebot, preset: Preset) -> None:
+        """Joins the graph; raises DeviceError without ROS."""
+        self._robot = robot
+        topics = preset.topics
+        assert topics.detections is not None
+        published = {"odometry": topics.odometry, "scan": topics.scan, "detections": topics.detections}
+        self._graph = Ros2Graph("turtlebot4", preset.discovery)
+        try:
+            self._publishers = {key: self._graph.publisher(topic) for key, topic in published.items()}
+            self._graph.subscribe(topics.command, lambda message, _: robot.drive(message))
+        except DeviceError:
+            self.close()
+            raise
+        self.topics = [*published.values(), topics.command]
+        transforms = Topic("/tf", "tf2_msgs/msg/TFMessage", "reliable")
+        try:
+            self._publishers["tf"] = self._graph.publisher(transforms)
+            self.topics.insert(0, transforms)
+        except DeviceError:
+            pass  # only pictures need it
+
+    def run(self, go_on: Callable[[], bool]) -> None:
+        """In real time, while go_on()."""
+        self._robot.run(self._publish, self._graph.spin, go_on)
+
+    def _publish(self, key: str, message: Fields) -> None:
+        if (publish := self._publishers.get(key)) is not None:
+            publish(message)
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._graph.close()

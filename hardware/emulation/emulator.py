@@ -1,31 +1,147 @@
-"""A Kobuki on a pseudo-terminal, in real time: a stand-in for the base that needs no base."""
+"""A Kobuki on a pseudo-terminal, in real time: a stand-in for the base that needs no base; and orders to it as lines of
+text, see docs/kobuki_emulator.md."""
 
 from __future__ import annotations
 
 import collections
+import json
+import math
 import random
 import time
 
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.hardware.emulation.emulated_base import PERIOD, EmulatedBase
-from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice
-from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
-from tfg_drake.hardware.emulation.sensor_faults import Fault, unchanged
-from tfg_drake.hardware.kobuki.codec import COMMANDS, Deframer, decode, encode
-from tfg_drake.hardware.kobuki.payloads import BaseControl
-from tfg_drake.hardware.kobuki.sensor_socket import SensorSocket, sensor_line
-from tfg_drake.messages import LaserScan, TagDetections
-from tfg_drake.simulation.differential_drive import CONTACTS
-from tfg_drake.simulation.laser_scanner import ray_angles, scan
-from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect
+from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
+from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors, sensor_fault
+from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.hardware.kobuki import codec as p
+from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
+from tfg_drake.messages import FloatArray
+from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.world.world import World, bare_world
 
+# Time between two feedback frames, s.
+PERIOD = 0.02
+# The base's own limits of speed, m/s, and turn rate, rad/s.
+MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
+# A full battery, 0.1 V.
+FULL = 165
+# What a base says besides in every frame, by ids and lengths of its sub-payloads: dock, cliff sensors' voltages,
+# currents, samples of the gyro, expansion port.
+_BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
 # Commands remembered, some twenty seconds of a driver's.
 _REMEMBERED = 1000
 # How late a late frame is, s.
 DELAY = 0.2
+# Bits of CoreSensors. A wheel without a side is both.
+_SIDES = {"left": 4, "centre": 2, "right": 1}
+_WHEELS = {"left": 2, "right": 1, "": 3}
+_BUTTONS = {"0": 1, "1": 2, "2": 4}
+_OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
+# Of the charger: in the dock, charging.
+DOCKED = 6
+
+
+class EmulatedBase:
+    """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
+
+    state: of tfg_drake.simulation.differential_drive, the truth. distance: how far it has gone so far, m. outputs: the
+    newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons,
+    charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper besides. clock: s
+    that its stamps are ahead of the time since it was switched on. turned: what the gyro has turned, rad. stuck: which
+    of "gyro" and "encoders" say what they said when they got stuck, whatever it does; what they miss meanwhile is never
+    said. firmware: the version that it says, (major, minor, patch).
+    """
+
+    def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
+        """walls: (m, 4) in W, m. start: (3,) X_WS. robot: its radius and accelerations count; speeds are the base's."""
+        self._walls = walls
+        self._robot = RobotConfig(
+            robot.radius, MAX_SPEED, MAX_TURN_RATE, robot.max_acceleration, robot.max_turn_acceleration
+        )
+        self.state = drive.initial_state(start, walls, self._robot)
+        self.outputs = 0
+        self.sounds: list[int] = []
+        self.bumper = self.wheel_drop = self.cliff = self.buttons = self.charger = self.overcurrent = 0
+        self.battery = FULL
+        self.clock = 0.0
+        self.stuck: set[str] = set()
+        self.distance = 0.0
+        self.firmware = (1, 1, 4)
+        self._command = (0.0, 0.0)
+        self.turned = 0.0
+        # What the left and the right wheel have gone, m, and the gyro's rate, rad/s.
+        self._wheels = [0.0, 0.0]
+        self._turn_rate = 0.0
+        self._answers: list[p.SubPayload] = []
+
+    @property
+    def time(self) -> float:
+        """Time since it was switched on, s."""
+        return float(self.state[drive.TIME])
+
+    @property
+    def pose(self) -> FloatArray:
+        """The true pose X_WB (3,)."""
+        pose: FloatArray = self.state[drive.X : drive.THETA + 1]
+        return pose
+
+    def obey(self, part: p.SubPayload) -> None:
+        """Takes one command; answers come with the next frame."""
+        match part:
+            case p.BaseControl():
+                self._command = velocity(part)
+            case p.GeneralOutput():
+                self.outputs = part.bits
+            case p.SoundSequence():
+                self.sounds.append(part.number)
+            case p.RequestExtra():
+                major, minor, patch = self.firmware
+                answers: dict[int, p.SubPayload] = {
+                    1: p.HardwareVersion(4, 0, 1),
+                    2: p.FirmwareVersion(patch, minor, major),
+                    8: p.UniqueId(1, 2, 3),
+                }
+                self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
+
+    def step(self) -> None:
+        """Moves on by one PERIOD."""
+        before = self.pose
+        self.state = drive.step(self.state, np.array(self._command), self._walls, self._robot, PERIOD)
+        speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
+        if "encoders" not in self.stuck:
+            self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
+            self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
+        if "gyro" not in self.stuck:
+            self.turned += PERIOD * turn_rate
+            self._turn_rate = turn_rate
+        self.distance += math.hypot(*(self.pose - before)[:2])
+
+    def feedback(self) -> list[p.SubPayload]:
+        """The sub-payloads of one frame: the streamed ones, then the answers to requests."""
+        left, right = (round(distance / METRES_PER_TICK) % 65536 for distance in self._wheels)
+        angle = (round(self.turned / GYRO_UNIT) + 18000) % 36000 - 18000
+        answers, self._answers = self._answers, []
+        return [
+            p.CoreSensors(
+                stamp=round(1000.0 * (self.time + self.clock)) % 65536,
+                bumper=int(self.state[drive.BUMPER]) | self.bumper,
+                wheel_drop=self.wheel_drop,
+                cliff=self.cliff,
+                left_encoder=left,
+                right_encoder=right,
+                left_pwm=0,
+                right_pwm=0,
+                buttons=self.buttons,
+                charger=self.charger,
+                battery=self.battery,
+                overcurrent=self.overcurrent,
+            ),
+            p.Inertia(angle, round(self._turn_rate / GYRO_UNIT)),
+            *_BESIDES,
+            *answers,
+        ]
 
 
 def empty_plane() -> World:
@@ -33,12 +149,12 @@ def empty_plane() -> World:
     return bare_world(np.zeros((0, 4)), np.zeros(3))
 
 
-class Emulator(EmulatedDevice):
+class Emulator(EmulatedSensors, EmulatedDevice):
     """The base, switched on from `with` or start() until close(). Without its cable it goes on with what it was told
     last.
 
     sensors: address (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands:
-    what a driver told the wheels, newest last: (time, BaseControl), the time when it was read, s of time.monotonic().
+    what a driver told the wheels, newest last: (time, p.BaseControl), the time when it was read, s of time.monotonic().
     corrupt, lost, late: shares of frames that leave with a byte changed, not at all, or DELAY late with their old
     stamp. silent: it says nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see
     sensor_faults.
@@ -55,22 +171,20 @@ class Emulator(EmulatedDevice):
         seed: int = 0,
     ) -> None:
         """world: an empty plane where there is none. seed: of the sensors' noise and of the corrupted bytes."""
-        self._world = world or empty_plane()
-        self._tags, self._scanner = tags or TagSensorConfig(), scanner or ScanConfig()
-        self._angles = ray_angles(self._scanner)
-        self._noise, self._chance = np.random.default_rng(seed), random.Random(seed)
-        self.base = EmulatedBase(self._world.walls, self._world.start, robot or RobotConfig())
-        self.commands: collections.deque[tuple[float, BaseControl]] = collections.deque(maxlen=_REMEMBERED)
+        world = world or empty_plane()
+        EmulatedSensors.__init__(self, world, tags or TagSensorConfig(), scanner or ScanConfig(), seed)
+        self._chance = random.Random(seed)
+        self.base = EmulatedBase(world.walls, world.start, robot or RobotConfig())
+        self.commands: collections.deque[tuple[float, p.BaseControl]] = collections.deque(maxlen=_REMEMBERED)
         self.corrupt = self.lost = self.late = 0.0
         self.silent = False
-        self.faults: dict[str, Fault] = {}
         # Late frames, and when they are due, s of the base's time.
         self._late: collections.deque[tuple[float, bytearray]] = collections.deque()
-        self._deframer = Deframer()
+        self._deframer = p.Deframer()
         self._begin = 0.0
         self._socket = SensorSocket()
         self.sensors = self._socket.address
-        super().__init__("kobuki")
+        EmulatedDevice.__init__(self, "kobuki")
 
     def _switch_on(self) -> None:
         self.base.step()
@@ -80,7 +194,7 @@ class Emulator(EmulatedDevice):
     def unplug(self) -> None:
         """Pulls the cable; half a frame that has come is forgotten."""
         super().unplug()
-        self._deframer = Deframer()
+        self._deframer = p.Deframer()
 
     def report(self) -> dict[str, object]:
         """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
@@ -88,7 +202,7 @@ class Emulator(EmulatedDevice):
             return {
                 "stamp": self._begin + self.base.time,
                 "pose": self.base.pose.tolist(),
-                "contacts": int(self.base.state[CONTACTS]),
+                "contacts": int(self.base.state[drive.CONTACTS]),
                 "distance": self.base.distance,
             }
 
@@ -110,13 +224,13 @@ class Emulator(EmulatedDevice):
 
     def _listen(self, line: PseudoTerminal) -> None:
         for payload in self._deframer.feed(line.read()):
-            for part in decode(payload, COMMANDS):
+            for part in p.decode(payload, p.COMMANDS):
                 self.base.obey(part)
-                if isinstance(part, BaseControl):
+                if isinstance(part, p.BaseControl):
                     self.commands.append((time.monotonic(), part))
 
     def _speak(self, line: PseudoTerminal) -> None:
-        frame = bytearray(encode(*self.base.feedback()))
+        frame = bytearray(p.encode(*self.base.feedback()))
         if self._chance.random() < self.corrupt:
             frame[self._chance.randrange(len(frame))] ^= self._chance.randrange(1, 256)
         if self._chance.random() < self.late:
@@ -129,19 +243,65 @@ class Emulator(EmulatedDevice):
 
     def _sense(self, begin: float, before: float) -> None:
         """Tags and a scan, each when another of its periods is over since `before`, s."""
-        now, pose, world = self.base.time, self.base.pose, self._world
-        if _count(now, self._tags.rate) > _count(before, self._tags.rate):
-            normal = self._noise.normal(size=(len(world.tag_ids), NOISE_PER_TAG))
-            self._say("tags", detect(world, pose, begin + now, normal, self._tags))
-        if _count(now, self._scanner.rate) > _count(before, self._scanner.rate):
-            normal = self._noise.normal(size=len(self._angles))
-            self._say("scan", scan(world.walls, pose, begin + now, self._angles, normal, self._scanner))
-
-    def _say(self, sensor: str, message: TagDetections | LaserScan) -> None:
-        if (said := self.faults.get(sensor, unchanged)(message)) is not None:
-            self._socket.send(sensor_line(said))
+        now, pose = self.base.time, self.base.pose
+        for sensor, told in ((self._tags, self._told_tags), (self._scanner, self._told_scan)):
+            due = _count(now, sensor.rate) > _count(before, sensor.rate)
+            if due and (message := told(pose, begin + now)) is not None:
+                self._socket.send(sensor_line(message))
 
 
 def _count(now: float, rate: float) -> int:
     """Periods of a rate (Hz) that are over."""
     return int(now * rate + 1e-6)
+
+
+def order(emulator: Emulator, line: str) -> str | None:
+    """Does what a line says; the answer, where it asks for one. Raises ValueError where it says nothing known."""
+    base, words = emulator.base, line.split()
+    try:
+        match words:
+            case []:
+                pass
+            case ["silent", "on" | "off" as state]:
+                emulator.silent = state == "on"
+            case ["tags" | "scan" as sensor, "well"]:
+                emulator.faults.pop(sensor, None)
+            case ["tags" | "scan" as sensor, name, *numbers] if all(math.isfinite(float(one)) for one in numbers):
+                emulator.faults[sensor] = sensor_fault(sensor, name, [float(one) for one in numbers])
+            case ["corrupt" | "lost" | "late" as what, share] if 0.0 <= float(share) <= 1.0:
+                setattr(emulator, what, float(share))
+            case ["unplug"]:
+                emulator.unplug()
+            case ["plug"]:
+                emulator.plug()
+            case ["press" | "release" as verb, "bumper", side]:
+                base.bumper = _changed(base.bumper, _SIDES[side], verb == "press")
+            case ["press" | "release" as verb, "button", button]:
+                base.buttons = _changed(base.buttons, _BUTTONS[button], verb == "press")
+            case ["open" | "close" as verb, "cliff", side]:
+                base.cliff = _changed(base.cliff, _SIDES[side], verb == "open")
+            case ["drop" | "raise" as verb, "wheel", *side]:
+                base.wheel_drop = _changed(base.wheel_drop, _WHEELS[" ".join(side)], verb == "drop")
+            case ["battery", volts] if 0.0 <= float(volts) <= 25.5:
+                base.battery = round(10.0 * float(volts))
+            case ["dock" | "undock" as verb]:
+                base.charger = DOCKED if verb == "dock" else 0
+            case ["overcurrent", wheel]:
+                base.overcurrent = _OVERCURRENT[wheel]
+            case ["clock", ahead] if math.isfinite(float(ahead)):
+                base.clock += float(ahead)
+            case ["stick", "gyro" | "encoders" as sensor]:
+                base.stuck.add(sensor)
+            case ["free", "gyro" | "encoders" as sensor]:
+                base.stuck.discard(sensor)
+            case ["report"]:
+                return json.dumps(emulator.report())
+            case _:
+                raise ValueError
+    except (KeyError, ValueError):
+        raise ValueError(f"no order {line.strip()!r}; docs/kobuki_emulator.md lists those that there are") from None
+    return None
+
+
+def _changed(bits: int, which: int, on: bool) -> int:
+    return bits | which if on else bits & ~which

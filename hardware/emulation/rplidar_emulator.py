@@ -11,8 +11,7 @@ import numpy as np
 
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry.se2 import compose, wrap_angle
-from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice
-from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import Node
 from tfg_drake.messages import FloatArray

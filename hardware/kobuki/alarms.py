@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tfg_drake.hardware.kobuki.payloads import CoreSensors
+from tfg_drake.hardware.kobuki.codec import CoreSensors
 
 # Below these the vendor calls the battery low, and dangerously so, V.
 LOW, DANGEROUS = 14.0, 13.2

@@ -1,8 +1,11 @@
-"""The bytes on the Kobuki's serial line: frames, their checksum, and the sub-payloads in them, both ways.
+"""The Kobuki's serial protocol, both ways: its sub-payloads, whole numbers in the wire's units, and their bytes.
 
 A frame is `AA 55 | length | payload | xor`, the xor over length and payload. A payload is a row of sub-payloads
 `id | length | data`, little-endian. An id means one thing in COMMANDS (host to base) and another in FEEDBACK (base to
-host). Source: the vendor's driver kobuki_core 1.4.0, see tfg_drake.hardware.kobuki.payloads.
+host). Source: the vendor's driver kobuki_core 1.4.0 (packets/*.hpp, command.cpp) and the protocol appendix of its
+developer guide; where they disagree, the driver's code. "0.1 V" and so on is the unit of a number;
+tfg_drake.hardware.kobuki.odometry makes SI units of them. What else a base says, of its dock, its motors' currents or
+its expansion port, nobody here reads.
 """
 
 from __future__ import annotations
@@ -12,29 +15,148 @@ import functools
 import operator
 import struct
 from collections.abc import Callable, Mapping
-
-from tfg_drake.hardware.kobuki import payloads
-from tfg_drake.hardware.kobuki.payloads import FirmwareVersion, HardwareVersion, Other, SubPayload
+from typing import ClassVar
 
 BAUD_RATE = 115200
 HEADER = b"\xaa\x55"
 # Least and greatest length of a payload: one sub-payload with a byte of data; what the length's byte can say.
 MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
 
+
+@dataclasses.dataclass(frozen=True)
+class SubPayload:
+    """One sub-payload of a frame; each kind is a frozen dataclass. DATA: how its fields stand in bytes."""
+
+    DATA: ClassVar[struct.Struct]
+
+
+@dataclasses.dataclass(frozen=True)
+class Other(SubPayload):
+    """One that nobody here reads. number: its id. content: its bytes."""
+
+    number: int
+    content: bytes
+
+
+# --- Host to base ---
+
+
+@dataclasses.dataclass(frozen=True)
+class BaseControl(SubPayload):
+    """How to drive. speed: of the outer wheel, mm/s. radius: of the arc, mm; 0 straight ahead, 1 turn in place."""
+
+    DATA = struct.Struct("<hh")
+    speed: int
+    radius: int
+
+
+@dataclasses.dataclass(frozen=True)
+class SoundSequence(SubPayload):
+    """A tune. number: 0 on, 1 off, 2 recharge, 3 button, 4 error, 5 cleaning starts, 6 cleaning ends."""
+
+    DATA = struct.Struct("<B")
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
+class RequestExtra(SubPayload):
+    """Asks for what is not in every frame. flags: 1 hardware version, 2 firmware version, 8 unique id."""
+
+    DATA = struct.Struct("<H")
+    flags: int
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneralOutput(SubPayload):
+    """All outputs at once. bits: 0x000F digital, 0x00F0 power (3.3 V, 5 V, 12 V 5 A, 12 V 1.5 A), 0x0F00 the LEDs' (red
+    1, green 1, red 2, green 2). Power bits of 0 cut the power of sensors that hang on them."""
+
+    DATA = struct.Struct("<H")
+    bits: int
+
+
+# --- Base to host ---
+
+
+@dataclasses.dataclass(frozen=True)
+class CoreSensors(SubPayload):
+    """Core sensor data, in every frame.
+
+    stamp: ms, wraps at 65536. bumper: bits 1 right, 2 centre, 4 left. wheel_drop: bits 1 right, 2 left. cliff: bits as
+    the bumper's. left_encoder, right_encoder: ticks, wrap at 65536. left_pwm, right_pwm: as the motors get it. buttons:
+    bits 1, 2, 4. charger: 0 discharging, 2 full and 6 charging in the dock, 18 and 22 the same by the adapter. battery:
+    0.1 V. overcurrent: bits 1 left, 2 right.
+    """
+
+    DATA = struct.Struct("<HBBBHHbbBBBB")
+    stamp: int
+    bumper: int
+    wheel_drop: int
+    cliff: int
+    left_encoder: int
+    right_encoder: int
+    left_pwm: int
+    right_pwm: int
+    buttons: int
+    charger: int
+    battery: int
+    overcurrent: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Inertia(SubPayload):
+    """The gyro about the vertical axis. angle: 0.01 degrees, integrated by the base. rate: 0.01 degrees/s."""
+
+    DATA = struct.Struct("<hh3x")
+    angle: int
+    rate: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Version(SubPayload):
+    """A version, such as 1.1.4."""
+
+    DATA = struct.Struct("<BBBx")
+    patch: int
+    minor: int
+    major: int
+
+    def __str__(self) -> str:
+        return f"{self.major}.{self.minor}.{self.patch}"
+
+
+class HardwareVersion(Version):
+    """Version of the board."""
+
+
+class FirmwareVersion(Version):
+    """Version of the firmware."""
+
+
+@dataclasses.dataclass(frozen=True)
+class UniqueId(SubPayload):
+    """Three words that no other base has."""
+
+    DATA = struct.Struct("<III")
+    a: int
+    b: int
+    c: int
+
+
 # Kinds by id.
 Kinds = Mapping[int, type[SubPayload]]
 COMMANDS: Kinds = {
-    1: payloads.BaseControl,
-    4: payloads.SoundSequence,
-    9: payloads.RequestExtra,
-    12: payloads.GeneralOutput,
+    1: BaseControl,
+    4: SoundSequence,
+    9: RequestExtra,
+    12: GeneralOutput,
 }
 FEEDBACK: Kinds = {
-    1: payloads.CoreSensors,
-    4: payloads.Inertia,
-    10: payloads.HardwareVersion,
-    11: payloads.FirmwareVersion,
-    19: payloads.UniqueId,
+    1: CoreSensors,
+    4: Inertia,
+    10: HardwareVersion,
+    11: FirmwareVersion,
+    19: UniqueId,
 }
 _ID = {kind: number for kinds in (COMMANDS, FEEDBACK) for number, kind in kinds.items()}
 
@@ -51,7 +173,7 @@ def checksum(body: bytes) -> int:
 
 
 def encode(*parts: SubPayload) -> bytes:
-    """The frame that carries these sub-payloads. Raises ValueError where a number or the whole does not fit."""
+    """The frame that carries these sub- Raises ValueError where a number or the whole does not fit."""
     payload = b"".join(bytes([number, len(data)]) + data for number, data in map(_numbered, parts))
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload of {len(payload)} bytes; a frame carries {MIN_PAYLOAD} to {MAX_PAYLOAD}")

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.device import BaseState, Message
 from tfg_drake.hardware.kobuki import alarms, odometry
-from tfg_drake.hardware.kobuki import payloads as p
-from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
+from tfg_drake.hardware.kobuki import codec as p
 
 if TYPE_CHECKING:
     import serial
@@ -35,7 +34,7 @@ class Connection:
 
     def __init__(self, port: serial.Serial, now: float, before: odometry.Reckoning | None) -> None:
         """before: dead reckoning up to the end of the connection before, if there was one."""
-        self._port, self._deframer = port, Deframer()
+        self._port, self._deframer = port, p.Deframer()
         self._opened = self._heard = now
         self._said_anything = False
         self._messages: list[Message] = []
@@ -83,7 +82,7 @@ class Connection:
             return False
         self._said_anything |= bool(data)
         for payload in self._deframer.feed(data):
-            self._take(decode(payload, FEEDBACK), now)
+            self._take(p.decode(payload, p.FEEDBACK), now)
         return bool(data)
 
     def _take(self, parts: tuple[p.SubPayload, ...], now: float) -> None:
@@ -96,9 +95,9 @@ class Connection:
                 case p.Inertia():
                     inertia = part
                 case p.HardwareVersion():
-                    self.hardware = f"{part.major}.{part.minor}.{part.patch}"
+                    self.hardware = str(part)
                 case p.FirmwareVersion():
-                    self.firmware = f"{part.major}.{part.minor}.{part.patch}"
+                    self.firmware = str(part)
                 case p.UniqueId():
                     self.unique_id = f"{part.a:08x}{part.b:08x}{part.c:08x}"
         if core is None or inertia is None:
@@ -159,7 +158,7 @@ class Connection:
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""
         with contextlib.suppress(OSError):
-            os.write(self.fileno(), encode(*parts))
+            os.write(self.fileno(), p.encode(*parts))
 
     def close(self) -> None:
         """Closes the port."""

@@ -8,9 +8,8 @@ import time
 from multiprocessing.connection import wait
 
 from tfg_drake.hardware.device import BaseState, Device, DeviceError, Driver, Message
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
-from tfg_drake.hardware.kobuki import payloads as p
-from tfg_drake.hardware.kobuki.codec import BAUD_RATE
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.guardian import Guardian
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
@@ -94,7 +93,7 @@ class KobukiDriver(Driver):
 
     def _connect(self, now: float) -> None:
         try:
-            self._connection = Connection(open_port(self._path, BAUD_RATE, KOBUKI), now, self._reckoning)
+            self._connection = Connection(open_port(self._path, p.BAUD_RATE, KOBUKI), now, self._reckoning)
         except DeviceError as error:
             self._retry(str(error))
 

@@ -15,8 +15,7 @@ import subprocess
 import sys
 import time
 
-from tfg_drake.hardware.kobuki.codec import encode
-from tfg_drake.hardware.kobuki.payloads import BaseControl
+from tfg_drake.hardware.kobuki.codec import BaseControl, encode
 
 # After so long without a sign of life the base is told to stop, s.
 SILENCE = 0.3

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.hardware.kobuki.payloads import BaseControl, CoreSensors, Inertia
+from tfg_drake.hardware.kobuki.codec import BaseControl, CoreSensors, Inertia
 from tfg_drake.messages import Hazards, Odometry
 
 # Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.

@@ -3,7 +3,7 @@
 A message is an object with attributes, as rclpy gives it, or a dictionary, as rosbridge does. REP 103: metres, radians,
 seconds; x forward, y left, counter-clockwise. REP 105: odometry is the pose of base_link in odom, our X_OB. A message
 that cannot be used raises ValueError with one line; numbers and sizes are bounded before anything is computed of them,
-and whether what comes out is plausible is judged elsewhere. `stamp` is always the host's time, s: see stamps.py.
+and whether what comes out is plausible is judged elsewhere. `stamp` is always the host's time, s: see intake.py.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from __future__ import annotations
 import base64
 import math
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -321,12 +322,10 @@ def _create3(message: Any, before: Hazards) -> Hazards:
 _SIDES = (LEFT, CENTRE, RIGHT)
 # By the type of the message. BumperEvent.bumper and CliffEvent.sensor: 0 left, 1 centre, 2 right; WheelDropEvent.wheel:
 # 0 left, 1 right.
-HAZARDS = {
-    "kobuki_ros_interfaces/msg/BumperEvent": lambda m, h: _kobuki_event(
-        "bumper", "bumper", (LEFT, CENTRE, RIGHT), m, h
-    ),
-    "kobuki_ros_interfaces/msg/CliffEvent": lambda m, h: _kobuki_event("cliff", "sensor", _SIDES, m, h),
-    "kobuki_ros_interfaces/msg/WheelDropEvent": lambda m, h: _kobuki_event("wheel_drop", "wheel", (LEFT, RIGHT), m, h),
+HAZARDS: dict[str, Callable[[Any, Hazards], Hazards]] = {
+    "kobuki_ros_interfaces/msg/BumperEvent": partial(_kobuki_event, "bumper", "bumper", _SIDES),
+    "kobuki_ros_interfaces/msg/CliffEvent": partial(_kobuki_event, "cliff", "sensor", _SIDES),
+    "kobuki_ros_interfaces/msg/WheelDropEvent": partial(_kobuki_event, "wheel_drop", "wheel", (LEFT, RIGHT)),
     "turtlebot3_msgs/msg/SensorState": _turtlebot3,
     "irobot_create_msgs/msg/HazardDetectionVector": _create3,
 }

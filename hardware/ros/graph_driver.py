@@ -1,22 +1,28 @@
-"""Shared part of the drivers on a ROS graph, by any transport; see tfg_drake.hardware.device.Driver."""
+"""The drivers on a ROS graph, by any transport: of the base, and of tags and scans, which also publishes what the
+explorer says. Each has a process of its own; see tfg_drake.hardware.device.Driver."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
-from tfg_drake.hardware.device import DeviceError, Driver, Message
+from tfg_drake.hardware.device import Device, DeviceError, Driver, Message
 from tfg_drake.hardware.ros import conversions
-from tfg_drake.hardware.ros.intake import Intake
-from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.hardware.ros.stamps import SILENCE
+from tfg_drake.hardware.ros.conversions import ros_time
+from tfg_drake.hardware.ros.intake import SILENCE, Intake
+from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Publish, Topic
 from tfg_drake.hardware.watchdog import TICK
-from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.io.extras import pip_install
+from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 # How long to look for the topics, and for their first messages, s.
 PATIENCE = 10.0
+Send = Callable[[dict[str, Any]], None]
+# By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.
+KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
 
 class Graph(Protocol):
@@ -53,6 +59,27 @@ class Graph(Protocol):
 
     def close(self) -> None:
         """Leaves the graph."""
+
+
+def join(host: str | None, port: int, name: str, preset: Preset) -> Graph:
+    """Joins a graph as the node `name`; raises DeviceError. host, port: of rosbridge, None and any for ROS 2."""
+    if host is None:
+        from tfg_drake.hardware.ros.ros2 import Ros2Graph
+
+        return Ros2Graph(name, preset.discovery)
+    from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
+
+    return RosbridgeGraph(host, port)
+
+
+def open_base(preset: Preset, host: str | None, port: int) -> GraphBaseDriver:
+    """The driver of a preset's base; raises DeviceError. host, port: as of `join`."""
+    return GraphBaseDriver(join(host, port, "tfg_drake", preset), preset)
+
+
+def connect(preset: Preset, host: str | None = None, port: int = 0) -> Device:
+    """The base of a preset's robot, in a process of its own; raises DeviceError. host, port: as of `join`."""
+    return Device(partial(open_base, preset, host, port))
 
 
 class GraphDriver(Driver):
@@ -170,3 +197,161 @@ class GraphBaseDriver(GraphDriver):
         """Publishes a velocity, m/s and rad/s."""
         kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())
         self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
+
+
+class Announcer:
+    """Publishes messages by their key in `publish`; a topic is advertised with its first message. Thread-safe."""
+
+    def __init__(
+        self, names: Publish, advertise: Callable[[Topic], Send], robot_clock: Callable[[float], float]
+    ) -> None:
+        """advertise: a topic, which may raise DeviceError. robot_clock: ROS time, s, at the host's time, s."""
+        self._names, self._advertise, self._robot_clock = names, advertise, robot_clock
+        self._senders: dict[str, Send | None] = {}
+        self._remarks: list[str] = []
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Sends a message, its stamps brought to ROS time. A topic that cannot be advertised is said once, then left
+        out: the robot drives without it."""
+        with self._lock:
+            if self._closed:
+                return
+            if key not in self._senders:
+                self._senders[key] = self._sender(key)
+            if (send := self._senders[key]) is not None:
+                send(with_ros_stamps(message, self._robot_clock))
+
+    def _sender(self, key: str) -> Send | None:
+        kind, latched = PUBLISHED[key]
+        topic = Topic(getattr(self._names, key), kind, "latched" if latched else "reliable")
+        try:
+            return self._advertise(topic)
+        except DeviceError as error:
+            self._remarks.append(f"{topic.name} is not published: {error}")
+            return None
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        with self._lock:
+            remarks, self._remarks = self._remarks, []
+        return remarks
+
+    def close(self) -> None:
+        """Sends nothing more, so that the graph may be left."""
+        with self._lock:
+            self._closed = True
+
+
+def with_ros_stamps(message: dict[str, Any], robot: Callable[[float], float]) -> dict[str, Any]:
+    """The message, its headers' stamps brought from the host's clock (s) to ROS time by robot(stamp), s."""
+    changed = dict(message)
+    for key, value in message.items():
+        if key == "header":
+            changed[key] = value | {"stamp": ros_time(robot(value["stamp"]))}
+        elif isinstance(value, list) and value and isinstance(value[0], dict) and "header" in value[0]:
+            changed[key] = [with_ros_stamps(one, robot) for one in value]
+    return changed
+
+
+def open_sensors(
+    host: str | None, port: int, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool
+) -> SensorDriver:
+    """Joins a graph; raises DeviceError. host, port: as of `join`. Else as of SensorDriver."""
+    return SensorDriver(join(host, port, "tfg_drake_sensors", preset), topics, preset, base)
+
+
+class SensorDriver(GraphDriver):
+    """Listens, and drives nothing; see tfg_drake.hardware.device.Driver. It publishes what the explorer knows, see
+    tfg_drake.hardware.device.Publisher."""
+
+    def __init__(
+        self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
+    ) -> None:
+        """Waits until every topic is there and has sent a message; raises DeviceError.
+
+        topics: (what for, topic), "tags" or "scan"; of one that is a name only, the graph has the type. preset: where
+        the scanner and the camera are mounted, and the topic of the camera's calibration. base: the robot's base is on
+        this graph, so its odometry tells the clock and how the robot moves, and somebody may say where that is.
+        """
+        super().__init__(graph, preset)
+        self._announcer = Announcer(preset.publish, graph.publisher, lambda now: self._intake.clock.robot(now))
+        self.sources: dict[type, str] = {}
+        try:
+            needed = []
+            for use, named in topics:
+                (key, kind), topic = KEYS[use], named if isinstance(named, Topic) else self._named(use, named)
+                self.sources[kind] = f"{use} of {topic.name}"
+                needed.append((key, topic))
+            if any(topic.type.startswith("apriltag") for _, topic in needed):
+                if preset.topics.camera_info is None:
+                    raise DeviceError(f"{graph.label}: corners of tags say nothing without the preset's camera_info")
+                needed.append(("camera_info", preset.topics.camera_info))
+            needed += [
+                ("camera_info", _beside(topic)) for _, topic in needed if topic.type in (IMAGE, COMPRESSED_IMAGE)
+            ]
+            if base:
+                needed.append(("clock", preset.topics.odometry))
+            for key, topic in needed:
+                self._seek(topic, mend="; or give --tags none" if key in ("detections", "camera_info") else "")
+            said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
+            self._listen([*needed, *said])
+            self._wait({topic.name for _, topic in needed})
+        except DeviceError:
+            self.close()
+            raise
+
+    def _seek(self, topic: Topic, mend: str) -> None:
+        """Waits until somebody publishes a topic of a type that is known here; raises DeviceError, which ends so."""
+        try:
+            self._graph.require(topic)
+            self._find(topic)
+        except DeviceError as error:
+            raise DeviceError(f"{error}{mend}") from None
+
+    def _named(self, use: str, name: str) -> Topic:
+        """The topic of this name, of the type that the graph has it with; raises DeviceError."""
+        graph, known = self._graph, TYPES[KEYS[use][0]]
+        end = time.monotonic() + PATIENCE
+        while not (types := graph.types(name)):
+            if types is None:
+                raise DeviceError(
+                    f"{graph.label}: what {name} is cannot be told, because rosapi does not answer: start it on the "
+                    "robot with `ros2 launch rosbridge_server rosbridge_websocket_launch.xml`"
+                )
+            if time.monotonic() > end:
+                raise DeviceError(f"{graph.label}: nobody publishes {name}; {self._instead(known, name)}")
+            graph.spin(10.0 * TICK)
+        if not (fitting := [kind for kind in types if kind in known]):
+            raise DeviceError(
+                f"{graph.label}: {name} is {types[0]}; {use} come as {' or '.join(known)}: name a topic of that type"
+            )
+        return Topic(name, fitting[0])
+
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Publishes a message on the preset's topic for it."""
+        self._announcer.publish(key, message)
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call."""
+        return [*super().remarks(), *self._announcer.remarks()]
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._announcer.close()
+        super().close()
+
+
+def _beside(image: Topic) -> Topic:
+    """The camera_info of a topic of images, in the same namespace, as image_transport has it; raises DeviceError where
+    there is nothing that sees."""
+    try:
+        import robotpy_apriltag  # noqa: F401
+    except ImportError as error:
+        raise DeviceError(
+            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with "
+            f"{pip_install('camera')}"
+        ) from None
+    name = image.name.removesuffix("/compressed").rpartition("/")[0]
+    return Topic(f"{name}/camera_info", TYPES["camera_info"][0])

@@ -40,9 +40,8 @@ class ImageTags:
         image_proc does it."""
         self._compressed, self._rectified = kind == COMPRESSED_IMAGE, "rect" in name
         self._detector = TagDetector()
-        self._sizes = TagSizes(camera.tag_size)
-        self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch)
-        self._noise = TagNoise(pixels=camera.corner_sigma)
+        mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch)
+        self._sheet = TagSizes(camera.tag_size), mount, TagNoise(pixels=camera.corner_sigma)
         self._views = no_views()
 
     def sighting(self, message: Any, camera_info: Any, stamp: float) -> Sighting:
@@ -50,7 +49,7 @@ class ImageTags:
         image = decompressed(message) if self._compressed else plain(message)
         calibration = lens(camera_info, self._rectified)
         tags = self._detector.detect(image)
-        seen = sighted(tags, stamp, calibration, self._sizes, self._mount, self._noise)
+        seen = sighted(tags, stamp, calibration, *self._sheet)
         detections, self._views = weighed(seen.detections, tags, self._views)
         return Sighting(detections, seen.remarks)
 

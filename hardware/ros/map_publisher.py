@@ -5,15 +5,12 @@ from __future__ import annotations
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
-from tfg_drake.hardware.announcements import Publisher
-from tfg_drake.hardware.host_clock import HostClock
+from tfg_drake.hardware.device import Publisher
+from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace
-from tfg_drake.systems.ports import MessageInputs, connect_by_name
-
-# Between two poses, s.
-PERIOD = 1.0 / 16.0
+from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name
 
 _SHOWN = ("map", "tfg", "roadmap", "goal", "path", "grid")
 

@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import functools
+import importlib
 import os
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
-from tfg_drake.hardware.device import Device, DeviceError
-from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
-from tfg_drake.hardware.ros.preset import Preset, Topic
-from tfg_drake.hardware.ros.ros2_messages import filled, message_type
-
-
-def connect(preset: Preset) -> Device:
-    """The base of a preset's robot over ROS 2; raises DeviceError."""
-    return Device(functools.partial(open_driver, preset))
-
-
-def open_driver(preset: Preset) -> GraphBaseDriver:
-    """Its driver; raises DeviceError."""
-    return GraphBaseDriver(Ros2Graph(discovery=preset.discovery), preset)
+from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros.preset import Topic
 
 
 class Ros2Graph:
@@ -120,3 +108,24 @@ def _message_type(topic: Topic) -> Any:
             f"ros2: {topic.name} needs the package {package}, which this ROS lacks: install "
             f"ros-$ROS_DISTRO-{package.replace('_', '-')} and source ROS again, or take the topic out of the preset"
         ) from None
+
+
+def message_type(kind: str) -> Any:
+    """The class of a type "package/msg/Name" or "package/Name"; raises ImportError without the package."""
+    package, _, name = kind.partition("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name.removeprefix("msg/"))
+
+
+def filled(message: Any, values: dict[str, Any]) -> Any:
+    """The message, its fields set from a dictionary; those not in it stay as they are."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            filled(getattr(message, name), value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            # "sequence<geometry_msgs/Point>" or "sequence<geometry_msgs/Point, 3>".
+            inner = message.get_fields_and_field_types()[name].partition("<")[2].rstrip(">").partition(",")[0]
+            one = message_type(inner)
+            setattr(message, name, [filled(one(), item) for item in value])
+        else:
+            setattr(message, name, value)
+    return message

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import array
 import contextlib
-import functools
 import queue
 import time
 from collections.abc import Callable
 from typing import Any
 
-from tfg_drake.hardware.device import WAITING, Device, DeviceError
-from tfg_drake.hardware.ros.graph_driver import Graph, GraphBaseDriver
-from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.device import WAITING, DeviceError
+from tfg_drake.hardware.ros.graph_driver import Graph
+from tfg_drake.hardware.ros.preset import Topic
 from tfg_drake.io.extras import pip_install
 
 # How long to wait for the server, and for the node rosapi, which lists its topics, s.
@@ -27,16 +26,6 @@ LONGEST_RETRY = 2.0
 STREAMS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CameraInfo")
 
 Receive = Callable[[Any, float], None]
-
-
-def connect(preset: Preset, host: str = "localhost", port: int = 9090) -> Device:
-    """The base of a preset's robot behind the rosbridge server at host and port; raises DeviceError."""
-    return Device(functools.partial(open_driver, preset, host, port))
-
-
-def open_driver(preset: Preset, host: str, port: int) -> GraphBaseDriver:
-    """Its driver; raises DeviceError."""
-    return GraphBaseDriver(RosbridgeGraph(host, port), preset)
 
 
 class RosbridgeGraph(Graph):

@@ -62,17 +62,9 @@ def answer(data: bytes, command: int) -> bytes | None:
     return rest if goes_on else rest[:length]
 
 
-@dataclasses.dataclass(frozen=True)
-class Info:
-    """model: 1 of an A1, 2 of an A2, 3 of an A3. firmware: such as "1.29"."""
-
-    model: int
-    firmware: str
-
-
-def info(data: bytes) -> Info:
-    """Decodes a GET_INFO answer."""
-    return Info(data[0] >> 4, f"{data[2]}.{data[1]}")
+def model(told: bytes) -> int:
+    """The model by a GET_INFO answer: 1 of an A1, 2 of an A2, 3 of an A3."""
+    return told[0] >> 4
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,6 @@ import os
 import termios
 import time
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.sweep import Sweep
@@ -18,9 +17,6 @@ from tfg_drake.hardware.rplidar.sweeps import SweepMaker
 from tfg_drake.hardware.sensor_reader import SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK
-
-if TYPE_CHECKING:
-    import serial
 
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
 # How long to wait for an answer, for a scanner that was reset, and for the first revolution, s.
@@ -41,27 +37,21 @@ class RplidarDriver(SensorReader):
         name = f"rplidar:{path}"
         super().__init__(name, {Sweep: f"scan of {name}"})
         self._path, self._mount = path, mount
-        self._port: serial.Serial | None = None
         self._model = 0
         self._connect()
-        end = time.monotonic() + PATIENCE
-        while not self._messages:
-            self.spin(TICK)
-            if time.monotonic() > end:
-                self.close()
-                raise DeviceError(f"{self.name}: no whole revolution in {PATIENCE:.0f} s; does it turn freely?")
+        self._wait_for_first(PATIENCE, f"no whole revolution in {PATIENCE:.0f} s; does it turn freely?")
 
     def _connect(self) -> None:
         """Raises DeviceError."""
         for baud_rate in codec.BAUD_RATES:
-            self._port = open_port(self._path, baud_rate, RPLIDAR)
+            self._device = open_port(self._path, baud_rate, RPLIDAR)
             try:
                 self._say(codec.request(codec.STOP))
                 time.sleep(TICK)
-                self._port.reset_input_buffer()
+                self._device.reset_input_buffer()
                 told = self._asked(codec.GET_INFO)
                 if told is not None:
-                    self._begin(codec.info(told))
+                    self._begin(codec.model(told))
                     return
             except (OSError, termios.error) as error:
                 self._hang_up()
@@ -73,14 +63,13 @@ class RplidarDriver(SensorReader):
         rates = " or ".join(map(str, codec.BAUD_RATES))
         raise DeviceError(f"{self.name}: no RPLidar answers at {rates} baud; name the scanner's port")
 
-    def _begin(self, told: codec.Info) -> None:
+    def _begin(self, model: int) -> None:
         """Starts the motor and the scan; raises DeviceError, OSError."""
-        assert self._port is not None
         health = self._asked(codec.GET_HEALTH)
         if health is not None and health[0] == codec.FAILED:
             self._say(codec.request(codec.RESET))
             time.sleep(RESET_WITHIN)
-            self._port.reset_input_buffer()
+            self._device.reset_input_buffer()
             health = self._asked(codec.GET_HEALTH)
         if health is None or health[0] == codec.FAILED:
             code = "nothing" if health is None else f"error {int.from_bytes(health[1:3], 'little')}"
@@ -88,57 +77,48 @@ class RplidarDriver(SensorReader):
                 f"{self.name}: the scanner says {code} of its health; unplug it, and see that it turns freely"
             )
         with contextlib.suppress(OSError):  # a line that has no such wire
-            self._port.dtr = False  # the wire that lets the motor turn
-        if told.model >= 2:
+            self._device.dtr = False  # the wire that lets the motor turn
+        if model >= 2:
             self._say(codec.motor(codec.DUTY))
         self._say(codec.request(codec.SCAN))
-        self._model, self._decoder = told.model, NodeDecoder()
-        self._maker = SweepMaker(self._mount, told.model)
+        self._model, self._decoder = model, NodeDecoder()
+        self._maker = SweepMaker(self._mount, model)
         self._heard = time.monotonic()
         # What comes before the first rays, until their descriptor was found.
         self._preamble: bytes | None = b""
 
     def _say(self, data: bytes) -> None:
-        assert self._port is not None
-        os.write(self._port.fileno(), data)
+        os.write(self._device.fileno(), data)
 
     def _asked(self, command: int) -> bytes | None:
         """The answer to a command; raises OSError."""
-        assert self._port is not None
         self._say(codec.request(command))
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
         while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
-            if wait([self._port.fileno()], left):
+            if wait([self._device.fileno()], left):
                 heard += self._read()
         return told
 
     def _read(self) -> bytes:
         """The bytes so far; raises OSError if the line is cut."""
-        assert self._port is not None
         try:
-            data = os.read(self._port.fileno(), 1 << 16)
+            data = os.read(self._device.fileno(), 1 << 16)
         except BlockingIOError:
             return b""
         if not data:
             raise OSError("the line is cut")
         return data
 
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            if self._port is None:
-                self._connect_again(self._connect, left)
-                continue
-            try:
-                if wait([self._port.fileno()], left):
-                    self._receive(self._read(), time.monotonic())
-                if time.monotonic() - self._heard > SILENT:
-                    self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
-            except OSError:
-                self._lose("the connection is lost; plug the scanner in again, it is looked for")
+    def _receive(self, left: float) -> None:
+        try:
+            if wait([self._device.fileno()], left):
+                self._take_in(self._read(), time.monotonic())
+            if time.monotonic() - self._heard > SILENT:
+                self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
+        except OSError:
+            self._lose("the connection is lost; plug the scanner in again, it is looked for")
 
-    def _receive(self, data: bytes, now: float) -> None:
+    def _take_in(self, data: bytes, now: float) -> None:
         if self._preamble is not None:
             self._preamble += data
             data = codec.answer(self._preamble, codec.SCAN) or b""
@@ -151,22 +131,12 @@ class RplidarDriver(SensorReader):
         if self._decoder.lost > before:
             self.refusals.add(self.name, "bytes", "bytes are lost on the way; the other rays are used, check the cable")
 
-    def _lose(self, why: str) -> None:
-        self._remark(why)
-        self._hang_up()
-
-    def _hang_up(self) -> None:
-        if self._port is not None:
-            with contextlib.suppress(OSError):
-                self._port.close()
-        self._port = None
-
     def close(self) -> None:
         """Stops the motor and lets go of the port."""
-        if self._port is not None:
+        if self._device is not None:
             with contextlib.suppress(OSError):
                 self._say(codec.request(codec.STOP))
                 if self._model >= 2:
                     self._say(codec.motor(0))
-                self._port.dtr = True
+                self._device.dtr = True
         self._hang_up()

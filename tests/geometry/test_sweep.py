@@ -6,7 +6,7 @@ import numpy as np
 
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.sweep import Sweep, scan_of
-from tfg_drake.hardware.sweep_source import SweepSource
+from tfg_drake.hardware.sensor_source import SweepSource
 from tfg_drake.messages import Odometry
 
 V_B, X, Y = np.array([0.3, 1.2]), 0.1, -0.05

@@ -4,7 +4,8 @@ import threading
 import time
 from multiprocessing import Pipe
 
-from tfg_drake.hardware.announcements import Outbox, announce
+from tfg_drake.hardware.device import Outbox
+from tfg_drake.hardware.driver_process import announce
 
 LARGE = {"data": bytes(5_000_000)}
 

@@ -194,7 +194,7 @@ def test_what_is_told_once(picture, line, stream, camera, monkeypatch):
     driver, said = CameraDriver(stream.url, camera), []
     stream.pictures.append(picture)
     until(lambda: said.extend(driver.remarks()) or any(line in one for one in said), driver)
-    seen = driver._reader.take(1.0)
+    seen = driver._device.take(1.0)
     assert seen is not None
     until(lambda: len(driver._looked) > 10, driver)
     said += driver.remarks()

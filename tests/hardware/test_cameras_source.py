@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tfg_drake.hardware.cameras_source import CamerasSource
+from tfg_drake.hardware.sensor_source import CamerasSource
 from tfg_drake.messages import TagDetections
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.hardware.device import BaseState
-from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.codec import HEADER, MAX_PAYLOAD, checksum, encode
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.plausible import Judge

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hardware.fake_robot import base_state
-from tfg_drake.hardware.battery_watch import TOLD_BEFORE, BatteryWatch
-from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, Remark, Watch, begun, watched, where
+from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, TOLD_BEFORE, BatteryWatch, Remark, Watch, begun, watched, where
 from tfg_drake.messages import Hazards
 
 

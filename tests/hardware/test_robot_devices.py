@@ -7,12 +7,10 @@ import pytest
 from tests.cameras import pinhole
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware import robot_devices
-from tfg_drake.hardware.cameras_source import CamerasSource
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import open_devices
 from tfg_drake.hardware.ros.preset import load_preset
-from tfg_drake.hardware.sensor_source import SourceSpec
-from tfg_drake.hardware.sweep_source import SweepSource
+from tfg_drake.hardware.sensor_source import CamerasSource, SourceSpec, SweepSource
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.vision.calibration import save_calibration
 

@@ -13,8 +13,7 @@ import pytest
 
 from tests.integration.robot_explorer import Explorer, moves, wait_until
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-from tfg_drake.hardware.emulation.emulator import Emulator
-from tfg_drake.hardware.emulation.emulator_orders import order
+from tfg_drake.hardware.emulation.emulator import Emulator, order
 from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
 from tfg_drake.hardware.kobuki.odometry import velocity
 

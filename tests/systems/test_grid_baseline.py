@@ -18,9 +18,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.systems.frontier_goal_selector import FrontierGoalSelector
-from tfg_drake.systems.grid_mapper import GridMapper
-from tfg_drake.systems.grid_planner import GridPlanner
+from tfg_drake.systems.grid_baseline import FrontierGoalSelector, GridMapper, GridPlanner
 
 ROBOT, EXPLORER = RobotConfig(), ExplorerConfig()
 NONE = np.zeros((0, 2))

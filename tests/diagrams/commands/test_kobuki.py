@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.hardware.emulation.emulator import Emulator, empty_plane
-from tfg_drake.hardware.kobuki.payloads import BaseControl
+from tfg_drake.hardware.kobuki.codec import BaseControl
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from tfg_drake.config import RobotConfig
-from tfg_drake.hardware.emulation.emulated_base import EmulatedBase
-from tfg_drake.hardware.emulation.emulator import DELAY, Emulator, empty_plane
+from tfg_drake.hardware.emulation.emulator import DELAY, EmulatedBase, Emulator, empty_plane
 from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry as o
-from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
 from tfg_drake.world.world import World
 

@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from tfg_drake.hardware.emulation.emulator_orders import order
+from tfg_drake.hardware.emulation.emulator import order
 from tfg_drake.messages import LaserScan
 
 

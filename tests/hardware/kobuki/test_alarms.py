@@ -3,7 +3,7 @@
 import pytest
 
 from tfg_drake.hardware.kobuki import alarms
-from tfg_drake.hardware.kobuki.payloads import CoreSensors
+from tfg_drake.hardware.kobuki.codec import CoreSensors
 
 
 def core(charger=0, battery=165, overcurrent=0):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tfg_drake.hardware.kobuki import payloads as p
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.codec import COMMANDS, FEEDBACK, Deframer, checksum, decode, encode
 
 # Frames of the vendor's driver, kobuki_core 1.4.0.

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import driver as module
-from tfg_drake.hardware.kobuki import payloads as p
 from tfg_drake.hardware.kobuki.driver import KobukiDriver, connect
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, Odometry

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import between
 from tfg_drake.hardware.kobuki import odometry as o
-from tfg_drake.hardware.kobuki.payloads import BaseControl, CoreSensors, Inertia
+from tfg_drake.hardware.kobuki.codec import BaseControl, CoreSensors, Inertia
 
 CORE = CoreSensors(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 165, 0)
 PERIOD = 0.02

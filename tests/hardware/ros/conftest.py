@@ -3,7 +3,6 @@ the tests of a file have ended."""
 
 import contextlib
 import functools
-import importlib
 import math
 import os
 import runpy
@@ -17,6 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.ros.graph_driver import connect
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import SourceSpec, open_sources
 from tfg_drake.messages import Odometry
@@ -55,17 +55,16 @@ class Transport:
 
     def arguments(self):
         """Of connect, besides the preset."""
-        return {} if self.port is None else {"port": self.port}
+        return () if self.port is None else ("localhost", self.port)
 
     def connect(self, preset=None):
         """A device for the robot."""
-        module = importlib.import_module(f"tfg_drake.hardware.ros.{self.name}")
-        return module.connect(preset or self.preset, **self.arguments())
+        return connect(preset or self.preset, *self.arguments())
 
     def parent(self):
         """Another process that drives the robot for ever, once it does."""
-        arguments = [str(value) for value in self.arguments().values()]
-        process = subprocess.Popen([sys.executable, str(HERE / "driving_parent.py"), self.name, *arguments])
+        arguments = [str(value) for value in self.arguments()]
+        process = subprocess.Popen([sys.executable, str(HERE / "driving_parent.py"), *arguments])
         began = time.monotonic()
         self.wait_for(lambda: self.last_motion_told() > began, 60.0)
         return process

@@ -5,7 +5,7 @@ from multiprocessing.connection import Connection
 
 from emulated import PRESET, make_robot, orders
 
-from tfg_drake.hardware.emulation.ros2_emulator import Ros2Emulator
+from tfg_drake.hardware.emulation.emulated_turtlebot import Ros2Emulator
 
 connection, robot = Connection(int(sys.argv[1])), make_robot()
 emulator = Ros2Emulator(robot, PRESET)

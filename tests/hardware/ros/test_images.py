@@ -12,8 +12,8 @@ import pytest
 from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
 from tfg_drake.hardware.ros import images
+from tfg_drake.hardware.ros.graph_driver import SensorDriver
 from tfg_drake.hardware.ros.preset import Camera, Topic, load_preset
-from tfg_drake.hardware.ros.sensors import SensorDriver
 
 CAMERA = pinhole(320, 240, 260.0)
 SEEN = render([(7, np.eye(3), np.array([-0.3, 0.0, 1.5]), 0.16)], CAMERA, noise=1.0)

@@ -14,11 +14,10 @@ from pydrake.systems.analysis import Simulator
 
 from tests.hardware.fake_robot import SameClock
 from tfg_drake.geometry import se2
-from tfg_drake.hardware.announcements import Publisher
+from tfg_drake.hardware.device import Publisher
 from tfg_drake.hardware.ros import map_messages
-from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver
+from tfg_drake.hardware.ros.graph_driver import GraphBaseDriver, SensorDriver
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
-from tfg_drake.hardware.ros.sensors import SensorDriver
 from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import Odometry
 

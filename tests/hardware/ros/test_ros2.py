@@ -6,23 +6,21 @@ import sys
 import pytest
 
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.ros import graph_driver, stamps
-from tfg_drake.hardware.ros import ros2 as transport
+from tfg_drake.hardware.ros import graph_driver, intake
 from tfg_drake.hardware.ros.preset import Topic, load_preset
-from tfg_drake.hardware.ros.sensors import open_driver
 
 
 def complaint(preset):
     """What opening the driver of a preset's base in this process says."""
     with pytest.raises(DeviceError) as error:
-        transport.open_driver(preset)
+        graph_driver.open_base(preset, None, 0)
     return str(error.value)
 
 
 def complaint_of_scan(preset):
     """What opening the driver of its scanner says."""
     with pytest.raises(DeviceError) as error:
-        open_driver(None, 0, (("scan", preset.topics.scan),), preset, base=True)
+        graph_driver.open_sensors(None, 0, (("scan", preset.topics.scan),), preset, base=True)
     return str(error.value)
 
 
@@ -48,7 +46,7 @@ def test_a_package_that_is_not_there(ros_domain):
 
 def test_the_line_comes_through_the_process(ros_domain):
     with pytest.raises(DeviceError, match=r"^ros2: /hazard_detection needs the package irobot_create_msgs"):
-        transport.connect(load_preset("turtlebot4"))
+        graph_driver.connect(load_preset("turtlebot4"))
 
 
 def test_nobody_publishes(ros2, monkeypatch):
@@ -82,7 +80,7 @@ def test_another_quality_of_service(ros2):
 
 
 def test_another_clock(ros2, monkeypatch):
-    monkeypatch.setattr(stamps, "MAX_SKEW", -1.0)
+    monkeypatch.setattr(intake, "MAX_SKEW", -1.0)
     line = complaint(ros2.preset)
     assert line.startswith("ros2: /odom is stamped 0.0")
     assert line.endswith("synchronise both, with chrony for example")

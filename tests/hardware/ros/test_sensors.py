@@ -10,8 +10,8 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros import graph_driver
+from tfg_drake.hardware.ros.graph_driver import SensorDriver
 from tfg_drake.hardware.ros.preset import load_preset
-from tfg_drake.hardware.ros.sensors import SensorDriver
 from tfg_drake.hardware.sensor_source import open_sources
 from tfg_drake.messages import LaserScan, Odometry, SaidPose, TagDetections
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, detect

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from tfg_drake.hardware.ros.stamps import JUMP, LEARN, MAX_SKEW, SILENCE, ClockJump, StampClock
+from tfg_drake.hardware.ros.intake import JUMP, LEARN, MAX_SKEW, SILENCE, ClockJump, StampClock
 
 # Host's monotonic clock minus the robot's, s.
 OFFSET = -1.7e9

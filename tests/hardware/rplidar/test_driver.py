@@ -10,7 +10,7 @@ from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.sweep import scan_of
 from tfg_drake.hardware import sensor_reader
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.emulation.pseudo_terminal import PseudoTerminal
+from tfg_drake.hardware.emulation.emulated_device import PseudoTerminal
 from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
 from tfg_drake.hardware.rplidar import codec, driver
 from tfg_drake.hardware.rplidar.driver import RplidarDriver

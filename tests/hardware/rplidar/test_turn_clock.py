@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.hardware.rplidar.turn_clock import TurnClock
+from tfg_drake.hardware.rplidar.sweeps import TurnClock
 
 PERIOD = 0.18
 
