@@ -23,7 +23,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
-from tfg_drake.datasets.rows import Rows, ShortRowError
+from tfg_drake.datasets.rows import Rows
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import Sweep, scan_of
@@ -270,11 +270,10 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
 
     def parse(number: int, words: list[str]) -> tuple[float, ...]:
         # The rover's own logs may have one column more, of zeros.
-        if len(words) != columns and (other or len(words) != columns + 1):
-            expected = f"{columns} columns expected, {_FIRST} and {columns - _FIRST} rays, {len(words)} found"
+        if other or len(words) != columns + 1:
+            expected = f"{columns} columns expected, {_FIRST} and {columns - _FIRST} rays"
             mend = "mend it" if other else f"mend it, or of another scanner {_SAY_SPAN}"
-            kind = ShortRowError if len(words) < columns else DatasetError
-            raise kind(f"{path}, line {number}: {expected}; {mend}")
+            rows.expect(number, words, columns, expected, mend)
         return tuple(parse_numbers(path, number, [words[0], *words[2:4], *words[_FIRST:columns]]))
 
     read = rows.once(rows.read(parse))
