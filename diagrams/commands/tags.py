@@ -133,14 +133,15 @@ def _advice(
     from threadpoolctl import threadpool_limits
 
     from tfg_drake.diagrams.scenario import MakeWorld
+    from tfg_drake.planning.candidates import GoalParameters
     from tfg_drake.world.tag_advice import advise_tags
     from tfg_drake.world.world import WorldError
 
-    settings = (scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+    mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     try:
         # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
         with threadpool_limits(limits=1):
-            return advise_tags(MakeWorld(scenario.world), count, *settings, floor=floor, on_tag=on_tag)
+            return advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
     except WorldError as error:
         bad_input(f"{source}: {error}")
 

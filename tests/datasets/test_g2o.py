@@ -167,6 +167,28 @@ def test_where_all_poses_are_fixed_only_landmarks_move(tmp_path):
     np.testing.assert_allclose(solved.p_ML, [[1.5, 1.0]], atol=1e-6)
 
 
+def test_where_all_is_fixed_nothing_moves(tmp_path):
+    path = tmp_path / "fixed.g2o"
+    path.write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 2 0 0 1 0 0 1 0 1\nFIX 0\nFIX 1\n")
+    solved = solve_pose_graph(read_g2o(path))
+    np.testing.assert_array_equal(solved.X_MB, [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    assert half_chi_square(solved) == 0.5
+
+
+def test_what_nothing_determines_stays_near_its_value(tmp_path):
+    """A second pose sees the landmark alone, so that it may turn about it; a third pose is tied to nothing."""
+    path = tmp_path / "free.g2o"
+    path.write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 2 0.1 0.5\nVERTEX_SE2 5 7 8 0.9\nVERTEX_XY 2 1 0\n"
+        "EDGE_SE2_XY 0 2 1 0 1 0 1\nEDGE_SE2_XY 1 2 -1 0 1 0 1\n"
+    )
+    solved = solve_pose_graph(read_g2o(path))
+    assert half_chi_square(solved) < 1e-12
+    np.testing.assert_allclose(solved.p_ML, [[1.0, 0.0]], atol=1e-6)
+    assert np.abs(solved.X_MB[1] - [2.0, 0.1, 0.5]).max() < 0.5
+    np.testing.assert_allclose(solved.X_MB[2], [7.0, 8.0, 0.9])
+
+
 def test_progress_runs_from_nothing_to_one():
     shares = []
     solve_pose_graph(drive()[1], shares.append)

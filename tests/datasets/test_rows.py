@@ -35,7 +35,8 @@ def read(tmp_path: Path, text: str) -> tuple[np.ndarray, tuple[str, ...]]:
         ("\r\n".join(LINES[:2]) + "\r\n" + "\n".join(LINES[2:]), "line ends CRLF and LF, read as such"),
         ("\ufeff" + "\n".join(LINES) + "\n", None),
         ("\n\n".join(LINES) + "\n", "3 blank lines skipped"),
-        ("Time [s] x [m]\n" + "\n".join(LINES) + "\n", "1 line of a heading without '#', skipped"),
+        ("Time [s] x [m]\n" + "\n".join(LINES) + "\n", None),
+        ("seconds metres\n" + "\n".join(LINES) + "\n", "1 line of a heading without '#', skipped"),
         ("\n".join([LINES[3], *LINES[:3]]) + "\n", "1 row out of order, sorted"),
         ("\n".join(LINES[::-1]) + "\n", "3 rows out of order, sorted"),
         ("\n".join([*LINES, LINES[0], LINES[3]]) + "\n", "2 rows twice, left out"),
@@ -64,8 +65,8 @@ LAYOUTS = ("time", "x", "y", "heading"), ("time", "x", "y", "qz", "qw")
 @pytest.mark.parametrize(
     ("heading", "separator", "order", "note"),
     [
-        ("time,x,y,heading", ",", (0, 1, 2, 3), "1 line of a heading without '#', skipped"),
-        ("time;x;y;heading", ";", (0, 1, 2, 3), "1 line of a heading without '#', skipped"),
+        ("time,x,y,heading", ",", (0, 1, 2, 3), None),
+        ("time;x;y;heading", ";", (0, 1, 2, 3), None),
         ("# time x y heading", " ", (0, 1, 2, 3), None),
         ("#timestamp [ns]\tyaw [rad]\tpx [m]\tpy [m]", "\t", (0, 3, 1, 2), "columns read as time, heading, x, y"),
         ("Yaw, Stamp, Ty, Tx", ", ", (3, 0, 2, 1), "columns read as heading, time, y, x"),

@@ -125,11 +125,9 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
     run = load_tagslam(folder)
     np.testing.assert_array_equal([one.X_OB for one in run.odometry], [one.X_OB for one in clean.odometry])
     np.testing.assert_array_equal([one.range for one in run.detections], [one.range for one in clean.detections])
-    mended = "the last row cut off, left out; 1 row twice, left out; 5 rows out of order, sorted"
-    assert [note.text.split("; ", 2)[2] for note in run.notes] == [mended, mended]
-    assert run.notes[0].text.startswith(
-        "vio_odometry.csv: line ends CRLF, read as such; no header, columns read as stamp_s"
-    )
+    mended = "line ends CRLF, read as such; the last row cut off, left out; 1 row twice, left out; 5 rows out of order"
+    texts = [note.text for note in run.notes]
+    assert texts == [f"{name}: {mended}, sorted" for name in ("vio_odometry.csv", "tag_corners.csv")]
 
 
 @pytest.mark.parametrize(
@@ -139,7 +137,7 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
         (
             "vio_odometry.csv",
             ("x_m", "east"),
-            "{}/vio_odometry.csv: no column 'x_m' in the first line; name the columns there",
+            "{}/vio_odometry.csv, line 1: x not among the columns time, east, y, z, qx, qy, qz, qw; name them there",
         ),
         (
             "vio_odometry.csv",
@@ -154,12 +152,14 @@ def test_tables_without_header_and_out_of_order_are_read(folder):
         (
             "tag_corners.csv",
             ("0.000000,left,3,0,", "0.000000,left,3,"),
-            "{}/tag_corners.csv, line 2: 12 values expected, 11 found; mend the line",
+            "{}/tag_corners.csv, line 2: 12 numbers expected (time, camera, tag_id, hamming, x0_px, y0_px, x1_px, "
+            "y1_px, x2_px, y2_px, x3_px, y3_px), 11 found; mend the line",
         ),
         (
             "tag_corners.csv",
             ("0.000000,left,3,0", "0.000000,top,3,0"),
-            "{}/tag_corners.csv, data line 1: camera 'top' is not in cameras.yaml; add it there",
+            "{}/tag_corners.csv, line 2: camera 'top' is not known, only cam0, rig, left, tags, cam1, right; mend the "
+            "line",
         ),
         (
             "cameras.yaml",

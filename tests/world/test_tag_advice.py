@@ -6,11 +6,12 @@ import pytest
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import replace
+from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.world import tag_advice
 from tfg_drake.world.tag_advice import advise_tags
 from tfg_drake.world.world import World, WorldError
 
-SETTINGS = (RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+MAPPER = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
 # Two rooms of 4 x 3 m with a door between them.
 WALLS = np.array([[0, 0, 8, 0], [8, 0, 8, 3], [8, 3, 0, 3], [0, 3, 0, 0], [4, 0, 4, 1], [4, 2, 4, 3]], dtype=float)
 ROOMS = World(
@@ -24,7 +25,7 @@ ROOMS = World(
 
 @pytest.fixture(scope="module")
 def advice():
-    return advise_tags(ROOMS, 6, *SETTINGS)
+    return advise_tags(ROOMS, 6, MAPPER)
 
 
 def test_tags_hang_on_walls_and_face_the_floor(advice):
@@ -49,7 +50,7 @@ def test_both_rooms_get_some(advice):
 
 def turns(world):
     places, parent = tag_advice._places(world, 0.18, None)
-    return tag_advice._Turns(world, places, parent, *SETTINGS), places
+    return tag_advice._Turns(world, places, parent, MAPPER), places
 
 
 def test_the_first_tag_is_the_best_of_all_and_each_next_too(advice):
@@ -94,22 +95,22 @@ def test_tags_that_hang_stay_and_are_built_upon():
     hung = replace(
         ROOMS, tag_ids=np.arange(2), p_WT=np.array([[4.01, 0.5], [7.99, 1.5]]), tag_facing=np.array([0.0, np.pi])
     )
-    more = advise_tags(hung, 1, *SETTINGS)
-    assert more.deviation[0].mean() < advise_tags(ROOMS, 0, *SETTINGS).deviation[0].mean()
+    more = advise_tags(hung, 1, MAPPER)
+    assert more.deviation[0].mean() < advise_tags(ROOMS, 0, MAPPER).deviation[0].mean()
     assert more.p_WT[0, 0] < 4.0  # where none hangs
 
 
 def test_a_floor_limits_where_the_robot_will_be():
-    left = advise_tags(ROOMS, 2, *SETTINGS, floor=lambda points: points[:, 0] < 3.5)
+    left = advise_tags(ROOMS, 2, MAPPER, floor=lambda points: points[:, 0] < 3.5)
     assert (left.places[:, 0] < 3.5).all()
 
 
 def test_walls_without_room_for_so_many_give_fewer():
-    few = advise_tags(replace(ROOMS, walls=WALLS[:1]), 1000, *SETTINGS)
+    few = advise_tags(replace(ROOMS, walls=WALLS[:1]), 1000, MAPPER)
     assert 0 < len(few.p_WT) < 60
     assert len(few.deviation) == len(few.p_WT) + 1
 
 
 def test_a_world_without_walls_is_refused():
     with pytest.raises(WorldError, match="no wall can be reached from the start"):
-        advise_tags(replace(ROOMS, walls=WALLS[:0]), 3, *SETTINGS)
+        advise_tags(replace(ROOMS, walls=WALLS[:0]), 3, MAPPER)

@@ -15,6 +15,7 @@ from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
+from tfg_drake.storage.trajectory import poses_at
 
 # True poses farther apart than this leave the time between them without truth, s.
 LONGEST_GAP = 1.0
@@ -62,16 +63,14 @@ def robot_error(truth: GroundTruth, stamps: FloatArray, X_MB: FloatArray) -> Rob
     inside = (stamps >= truth.stamps[0]) & (stamps <= truth.stamps[-1]) & (gap <= LONGEST_GAP)
     if not inside.any():
         return RobotError(float("nan"), np.zeros(3), 0)
-    at = stamps[inside]
-    p_WB = np.column_stack([np.interp(at, truth.stamps, truth.X_WB[:, i]) for i in range(2)])
+    p_WB = truth_at(truth, stamps[inside])[:, :2]
     X_WM = align(p_WB, X_MB[inside, :2])
-    return RobotError(rmse(se2.transform(X_WM, X_MB[inside, :2]) - p_WB), X_WM, len(at))
+    return RobotError(rmse(se2.transform(X_WM, X_MB[inside, :2]) - p_WB), X_WM, len(p_WB))
 
 
 def truth_at(truth: GroundTruth, stamps: FloatArray) -> FloatArray:
     """(n, 3) true poses at stamps (n,), s, interpolated."""
-    x, y, heading = (truth.X_WB[:, 0], truth.X_WB[:, 1], np.unwrap(truth.X_WB[:, 2]))
-    return np.column_stack([np.interp(stamps, truth.stamps, one) for one in (x, y, heading)])
+    return poses_at(stamps, truth.stamps, truth.X_WB)
 
 
 def relative_error(X_WS: FloatArray, X_MS: FloatArray) -> tuple[dict[str, float], dict[str, float]]:

@@ -41,7 +41,7 @@ def read_g2o(path: Path) -> PoseGraph:
     """
     file = Rows(path)
     rows: dict[str, list[tuple[int, list[int], list[float]]]] = {tag: [] for tag in _FORMAT}
-    for number, tag, ids, numbers in file.once(file.read(partial(_parse_line, path)), lambda row: row[1:]):
+    for number, tag, ids, numbers in file.once(file.read(partial(_parse_line, file)), lambda row: row[1:]):
         rows[tag].append((number, list(ids), list(numbers)))
 
     poses = {row[1][0]: row[2] for row in rows["VERTEX_SE2"]}
@@ -122,18 +122,15 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
     write_atomic(path, "\n".join(lines) + "\n")
 
 
-def _parse_line(path: Path, number: int, words: list[str]) -> tuple[int, str, tuple[int, ...], tuple[float, ...]]:
+def _parse_line(file: Rows, number: int, words: list[str]) -> tuple[int, str, tuple[int, ...], tuple[float, ...]]:
     """The line's number, its tag, and the ids and numbers after it, as many as the tag takes; raises DatasetError."""
-    tag = words[0]
+    path, tag = file.path, words[0]
     if tag not in _FORMAT:
         known = "VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY and FIX"
         kind = ShortRowError if len(words) == 1 and any(one.startswith(tag) for one in _FORMAT) else DatasetError
         raise kind(f"{path}, line {number}: {tag[:40]} is not supported; planar graphs of {known} are")
     ids, numbers = _FORMAT[tag]
-    if len(words) != 1 + ids + numbers:
-        complaint = f"{tag} takes {ids + numbers} numbers, {len(words) - 1} found; mend the line"
-        kind = ShortRowError if len(words) < 1 + ids + numbers else DatasetError
-        raise kind(f"{path}, line {number}: {complaint}")
+    file.expect(number, words[1:], ids + numbers, f"{tag} takes {ids + numbers} numbers")
     for word in words[1 : 1 + ids]:
         if not word.isdecimal() or len(word) > _ID_DIGITS:
             complaint = f"{word[:40]!r} is not an id; ids are whole numbers of at most {_ID_DIGITS} digits"

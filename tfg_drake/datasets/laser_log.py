@@ -23,13 +23,14 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
-from tfg_drake.datasets.rows import Rows, ShortRowError
+from tfg_drake.datasets.rows import Rows
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
-from tfg_drake.geometry.sweep import Sweep, scan_of
+from tfg_drake.geometry.sweep import from_place, in_order
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, replace
 from tfg_drake.notes import Note
 from tfg_drake.simulation import odometry
+from tfg_drake.storage.trajectory import poses_at
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
@@ -105,8 +106,7 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, scanner: Mapping[s
         ranges = one.ranges[order]
         met = (ranges > 0.0) & (ranges < min(NO_RETURN, one.range_max))
         farthest = min(OTHER_RANGE_MAX, one.range_max, greatest)
-        within = np.where(ranges[met] <= farthest, ranges[met], math.inf)
-        scans.append(LaserScan(float(stamp), angles[met], within, farthest, CARMEN_SIGMA))
+        scans.append(_scan(stamp, angles[met], ranges[met], farthest, CARMEN_SIGMA))
     place = np.array([said.get("x", X_BS[0]), said.get("y", X_BS[1])]) if raw else np.zeros(2)
     believed = (WHEELED_SCANNER if place.any() else UNPLACED_SCANNER) if raw else EXACT_SCANNER
     model = odometry_model() if raw else model
@@ -114,7 +114,7 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, scanner: Mapping[s
     return Recording(
         name=path.name.split(".")[0],
         odometry=odometry_along(stamps, poses, tells_rest=True) if raw else _noisy_odometry(stamps, poses, model, seed),
-        scans=tuple(_from_body(one, place) for one in scans),
+        scans=tuple(from_place(one, place) for one in scans),
         model=model,
         truth=None if raw else GroundTruth(stamps, poses, np.empty(0, dtype=np.int64), np.empty((0, 2))),
         notes=rows.notes + untrue,
@@ -139,8 +139,8 @@ def _way(path: Path, log: CarmenLog) -> tuple[bool, FloatArray, FloatArray]:
             raise DatasetError(f"{path}: scans without poses and no ODOM lines; record odometry, too")
         return False, X_WS, np.zeros(3)
     order = np.argsort(log.stamps, kind="stable")
-    lines = np.column_stack([log.X_OB[:, :2], np.unwrap(log.X_OB[:, 2])])[order].T
-    between = np.column_stack([np.interp([one.stamp for one in log.scans], log.stamps[order], one) for one in lines])
+    at = np.array([one.stamp for one in log.scans])
+    between = poses_at(at, log.stamps[order], log.X_OB[order])
     if np.isnan(X_OB).any():
         return True, between, np.zeros(3)
     off = np.min([_apart(X_OB, between), _apart(X_OB, np.where(np.isnan(before), between, before))], axis=0)
@@ -213,6 +213,10 @@ def _spanning(n: int, said: Mapping[str, Any]) -> FloatArray:
     return np.linspace(-0.5, 0.5, n) * float(said["field_of_view"])
 
 
+def _scan(stamp: float, angles: FloatArray, ranges: FloatArray, range_max: float, sigma: float) -> LaserScan:
+    return LaserScan(float(stamp), angles, np.where(ranges <= range_max, ranges, math.inf), range_max, sigma)
+
+
 def _seen(angles: FloatArray, said: Mapping[str, Any], yaw: float) -> tuple[FloatArray, IntArray]:
     """The angles (m,) of rays from the body's x axis, increasing in (-pi, pi], and which of (n,) these are that the
     scanner counts as `angles`, rad. yaw: where it looks, rad, unless somebody has said that."""
@@ -220,17 +224,8 @@ def _seen(angles: FloatArray, said: Mapping[str, Any], yaw: float) -> tuple[Floa
     angles = angles + said.get("yaw", yaw)
     if angles.min() <= -math.pi or angles.max() > math.pi:
         angles = se2.wrap_angle(angles)
-    order = np.argsort(angles, kind="stable")
-    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    order = in_order(angles)
     return angles[order], order
-
-
-def _from_body(scan: LaserScan, place: FloatArray) -> LaserScan:
-    """A scan taken at a place (2,), m in B, as it is seen from the body's origin."""
-    if not place.any():
-        return scan
-    at_once, (x, y) = np.zeros(len(scan.angles)), place.tolist()
-    return scan_of(Sweep(scan.stamp, scan.angles, scan.ranges, at_once, x, y, scan.range_max, scan.sigma), np.zeros(2))
 
 
 def _noisy_odometry(stamps: FloatArray, X_WB: FloatArray, model: OdometryConfig, seed: int) -> tuple[Odometry, ...]:
@@ -270,11 +265,10 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
 
     def parse(number: int, words: list[str]) -> tuple[float, ...]:
         # The rover's own logs may have one column more, of zeros.
-        if len(words) != columns and (other or len(words) != columns + 1):
-            expected = f"{columns} columns expected, {_FIRST} and {columns - _FIRST} rays, {len(words)} found"
+        if other or len(words) != columns + 1:
+            expected = f"{columns} columns expected, {_FIRST} and {columns - _FIRST} rays"
             mend = "mend it" if other else f"mend it, or of another scanner {_SAY_SPAN}"
-            kind = ShortRowError if len(words) < columns else DatasetError
-            raise kind(f"{path}, line {number}: {expected}; {mend}")
+            rows.expect(number, words, columns, expected, mend)
         return tuple(parse_numbers(path, number, [words[0], *words[2:4], *words[_FIRST:columns]]))
 
     read = rows.once(rows.read(parse))
@@ -299,9 +293,8 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
         ranges = 1e-3 * row[3 + own :][order]
         valid = ranges >= LEAST_RANGE
         if stamp >= 0.0:
-            within = np.where(ranges[valid] <= range_max, ranges[valid], math.inf)
-            seen = LaserScan(float(stamp), angles[valid], within, range_max, ROVER_SIGMA)
-            scans.append(_from_body(seen, np.array(place)))
+            seen = _scan(stamp, angles[valid], ranges[valid], range_max, ROVER_SIGMA)
+            scans.append(from_place(seen, np.array(place)))
     return Recording(
         name=path.name.split(".")[0],
         odometry=_wheel_odometry(stamps, METRES_PER_COUNT * table[:, 1:3]),

@@ -18,6 +18,7 @@ from tfg_drake.datasets.rows import Rows
 from tfg_drake.datasets.text import parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message
+from tfg_drake.storage.trajectory import poses_at
 
 _COLUMNS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
 
@@ -81,11 +82,7 @@ def off_relations(
         times = here[_nearest(told, times, relations)]
     else:
         _nearest(stamps, times, relations)
-    after = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
-    share = np.clip((times - stamps[after - 1]) / (stamps[after] - stamps[after - 1]), 0.0, 1.0)
-    step = X_W[after] - X_W[after - 1]
-    step[..., 2] = se2.wrap_angle(step[..., 2])
-    X_W1, X_W2 = np.moveaxis(X_W[after - 1] + share[..., None] * step, 1, 0)
+    X_W1, X_W2 = (poses_at(at, stamps, X_W) for at in times.T)
     return times, se2.between(se2.between(X_W1, X_W2), relations.X_12)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import bisect
 import re
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -115,8 +115,7 @@ class Rows:
                 found = f"{', '.join(missing)} not among the columns {', '.join(names)}"
                 raise DatasetError(f"{self.path}, line {number}: {found}; name them there")
             layout, at, width = nearest, [names.index(column) for column in nearest], len(row)
-            if at != list(range(len(at))):
-                told = f"columns read as {', '.join(names)}"
+            told = f"columns read as {', '.join(names)}" if at != list(range(len(at))) else ""
         self._mended += [told] if told else []
         return layout, at, width, max(plain, default=0)
 
@@ -152,9 +151,11 @@ class Rows:
             ends.append(words[-1])
         return rows
 
-    def mended(self, what: str) -> None:
-        """Note what else was mended."""
-        self._mended.append(what)
+    def expect(self, number: int, words: list[str], width: int, expected: str, mend: str = "mend the line") -> None:
+        """Raises DatasetError where a line has another number of words, ShortRowError where it has fewer."""
+        if len(words) != width:
+            kind = ShortRowError if len(words) < width else DatasetError
+            raise kind(f"{self.path}, line {number}: {expected}, {len(words)} found; {mend}")
 
     def once(self, rows: Sequence[Row], key: Callable[[Row], object] = lambda row: row) -> list[Row]:
         """The rows without those that are, by their keys (hashable), there already."""
@@ -193,11 +194,13 @@ class Rows:
         return not self._ended and _CUT_NUMBER.fullmatch(words[-1]) is not None and not _is_number(words[-1])
 
 
-def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tuple[FloatArray, tuple[Note, ...]]:
+def read_table(
+    path: Path, *layouts: tuple[str, ...], timed: bool = True, names: Mapping[str, Mapping[str, int]] | None = None
+) -> tuple[FloatArray, tuple[Note, ...]]:
     """Finite numbers (n, columns of a layout) and what was mended, a note or none.
 
     layouts: names of columns, of which the file has one set, see `Rows.columns`. timed: the first column is time, by
-    whatever unit, and sorts the rows.
+    whatever unit, and sorts the rows. names: by column, numbers for the words that stand in it.
 
     Raises:
         DatasetError: the file cannot be read, or a line of it is broken.
@@ -207,10 +210,13 @@ def read_table(path: Path, *layouts: tuple[str, ...], timed: bool = True) -> tup
     columns, at, width, after = rows.columns(*layouts)
 
     def parse(number: int, words: list[str]) -> tuple[float, ...]:
-        if len(words) != width:
-            complaint = f"{width} numbers expected ({', '.join(columns)}), {len(words)} found; mend the line"
-            kind = ShortRowError if len(words) < width else DatasetError
-            raise kind(f"{path}, line {number}: {complaint}")
+        rows.expect(number, words, width, f"{width} numbers expected ({', '.join(columns)})")
+        for column, known in (names or {}).items():
+            i = at[columns.index(column)]
+            if words[i] not in known:
+                complaint = f"{column} {words[i]!r} is not known, only {', '.join(known)}; mend the line"
+                raise DatasetError(f"{path}, line {number}: {complaint}")
+            words[i] = str(known[words[i]])
         return tuple(parse_numbers(path, number, [words[i] for i in at]))
 
     found = rows.read(parse, after)

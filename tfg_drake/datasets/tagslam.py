@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
-from tfg_drake.datasets.rows import Rows, ShortRowError
-from tfg_drake.datasets.text import GREATEST, find_file, found_file, parse_numbers, read_text
+from tfg_drake.datasets.rows import read_table
+from tfg_drake.datasets.text import GREATEST, find_file, found_file, read_text
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry
 from tfg_drake.notes import Note
@@ -36,11 +36,8 @@ JUMP_TURN_RATE = 1.5
 # A tag must be this far from the rig in the plane for its bearing to mean anything, m.
 LEAST_RANGE = 0.3
 
-_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-_CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "xy")
-# The columns of a table without a header.
-_POSE_COLUMNS = ("stamp_s", *_POSE)
-_TAG_COLUMNS = ("stamp_s", "camera", "tag_id", "hamming", *_CORNERS)
+_POSE_COLUMNS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_TAG_COLUMNS = ("time", "camera", "tag_id", "hamming", *(f"{axis}{i}_px" for i in range(4) for axis in "xy"))
 
 
 def odometry_model() -> OdometryConfig:
@@ -82,12 +79,13 @@ class _Setup:
         self.files = {name: folder / f"{name}.yaml" for name in ("cameras", "camera_poses", "tagslam")}
         cameras, poses, world = (_read_yaml(file) for file in self.files.values())
         self.cameras: dict[str, dict[str, Any]] = {}
+        # The rows of the cameras by all that a table may call them.
+        self.named: dict[str, int] = {}
         try:
-            for name, camera in cameras.items():
-                self.cameras[name] = {
-                    "names": {name, *str(camera.get("tagtopic", "")).split("/")},
-                    "calibration": calibration_of(camera),
-                }
+            for row, (name, camera) in enumerate(cameras.items()):
+                self.cameras[name] = {"calibration": calibration_of(camera)}
+                for other in (name, *filter(None, str(camera.get("tagtopic", "")).split("/"))):
+                    self.named.setdefault(other, row)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise _incomplete(self.files["cameras"], error) from error
         try:
@@ -111,10 +109,6 @@ class _Setup:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, StopIteration) as error:
             raise _incomplete(self.files["tagslam"], error) from error
         self.p_WT: FloatArray = np.array([p for _, p in surveyed]).reshape(-1, 3) @ R_WB.T + p_WB
-
-    def camera(self, name: str) -> dict[str, Any] | None:
-        """The camera that a table calls by this name."""
-        return next((camera for camera in self.cameras.values() if name in camera["names"]), None)
 
 
 def _planar_odometry(
@@ -148,27 +142,21 @@ def _detections(
     folder: Path, setup: _Setup, stamps: FloatArray, R_VR: FloatArray, heading: FloatArray, notes: list[Note]
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Stamps, ids, range, bearing and their deviations, a row a sighting, as make_frames takes them."""
-    file = find_file(folder, "tag_corners.csv")
-    names, table, mended = _read_csv(file, ("stamp_s", "tag_id", "hamming", *_CORNERS), _TAG_COLUMNS, "camera")
+    table, mended = read_table(find_file(folder, "tag_corners.csv"), _TAG_COLUMNS, names={"camera": setup.named})
     notes += mended
-    ids = table[:, 1].astype(np.int64)
-    for row, name in enumerate(names):
-        if setup.camera(name) is None:
-            raise DatasetError(
-                f"{file}, data line {row + 1}: camera {name!r} is not in {setup.files['cameras'].name}; add it there"
-            )
+    ids = table[:, 2].astype(np.int64)
     inside = (table[:, 0] >= stamps[0]) & (table[:, 0] <= stamps[-1])
-    trusted = (table[:, 2] <= setup.most_hamming) & ~np.isin(ids, sorted(setup.ignored))
+    trusted = (table[:, 3] <= setup.most_hamming) & ~np.isin(ids, sorted(setup.ignored))
     left_out = int(np.count_nonzero(~(inside & trusted)))
     if left_out:
         told = f"{left_out} detections outside the odometry or of tags to ignore were left out"
         notes.append(Note("messages", None, told))
     p_RT = np.zeros((len(table), 3))
     covariance = np.zeros((len(table), 3, 3))
-    for camera in setup.cameras.values():
-        rows = np.flatnonzero(np.array([name in camera["names"] for name in names], dtype=bool) & inside & trusted)
+    for number, camera in enumerate(setup.cameras.values()):
+        rows = np.flatnonzero((table[:, 1] == number) & inside & trusted)
         sizes = np.array([setup.sizes.get(int(tag), setup.default_size) for tag in ids[rows]])
-        p_CT, unit = tag_positions(table[rows, 3:].reshape(-1, 4, 2), sizes, camera["calibration"])
+        p_CT, unit = tag_positions(table[rows, 4:].reshape(-1, 4, 2), sizes, camera["calibration"])
         p_RT[rows] = p_CT @ camera["R_RC"].T + camera["p_RC"]
         covariance[rows] = CORNER_NOISE**2 * (camera["R_RC"] @ unit @ camera["R_RC"].T)
 
@@ -210,7 +198,7 @@ def _rig_poses(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """stamps (n,), R_VR (n, 3, 3), p_VR (n, 3) from a table of poses of the frame O that sits in the rig at X_RO."""
     file = find_file(folder, name)
-    _, table, mended = _read_csv(file, _POSE_COLUMNS, _POSE_COLUMNS)
+    table, mended = read_table(file, _POSE_COLUMNS)
     notes += mended
     if len(table) < 2:
         raise DatasetError(f"{file}: fewer than two poses in it; copy it again")
@@ -255,37 +243,3 @@ def _read_yaml(file: Path) -> dict[str, Any]:
     if not isinstance(tree, dict):
         raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
     return tree
-
-
-def _read_csv(
-    file: Path, columns: tuple[str, ...], usual: tuple[str, ...], label: str | None = None
-) -> tuple[list[str], FloatArray, tuple[Note, ...]]:
-    """The label column, if one is asked for, the columns named as finite numbers (n, len(columns)), and what was
-    mended, a note or none.
-
-    usual: the columns of a file that has no header. The rows are sorted by their first column named, time, s.
-    """
-    rows = Rows(file, ",")
-    first, header = rows.first()
-    if header:
-        header[0] = header[0].removeprefix("#").strip()
-    if len(header) == len(usual) and not set(header) & set(usual):
-        rows.mended(f"no header, columns read as {', '.join(usual[:3])} and so on")
-        first, header = 0, list(usual)
-    for column in (*columns, *([label] if label else [])):
-        if column not in header:
-            raise DatasetError(f"{file}: no column {column!r} in the first line; name the columns there")
-    at = [header.index(column) for column in columns]
-
-    def parse(number: int, words: list[str]) -> tuple[str, tuple[float, ...]]:
-        if len(words) != len(header):
-            complaint = f"{len(header)} values expected, {len(words)} found; mend the line"
-            kind = ShortRowError if len(words) < len(header) else DatasetError
-            raise kind(f"{file}, line {number}: {complaint}")
-        numbers = parse_numbers(file, number, [words[i] for i in at])
-        return words[header.index(label)] if label else "", tuple(numbers)
-
-    found = rows.once(rows.read(parse, after=first))
-    table = np.array([numbers for _, numbers in found]).reshape(-1, len(columns))
-    order = rows.in_order(table[:, 0])
-    return [found[i][0] for i in order.tolist()], table[order], rows.notes

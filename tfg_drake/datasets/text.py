@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import math
 from pathlib import Path
 
 from tfg_drake.datasets.recording import DatasetError
@@ -77,15 +76,12 @@ def parse_numbers(path: Path, line: int, words: list[str]) -> list[float]:
             return numbers
     except ValueError:
         pass  # which it is, is found below
-    numbers = []
-    for word in words:
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
-        if not abs(number) < GREATEST:
-            raise DatasetError(
-                f"{path}, line {line}: {word[:40]!r} is not a finite number below {GREATEST:g}; mend the line"
-            )
-        numbers.append(number)
-    return numbers
+    wrong = next(word for word in words if not _is_measured(word))
+    raise DatasetError(f"{path}, line {line}: {wrong[:40]!r} is not a finite number below {GREATEST:g}; mend the line")
+
+
+def _is_measured(word: str) -> bool:
+    try:
+        return abs(float(word)) < GREATEST
+    except ValueError:
+        return False

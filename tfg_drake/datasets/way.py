@@ -10,6 +10,7 @@ from tfg_drake.datasets.recording import Recording
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray
 from tfg_drake.slam.odometry_model import first_reckoning, reckon
+from tfg_drake.storage.trajectory import poses_at
 
 
 def poses_between(recording: Recording, stamps: FloatArray, X_MB: FloatArray) -> FloatArray:
@@ -18,10 +19,9 @@ def poses_between(recording: Recording, stamps: FloatArray, X_MB: FloatArray) ->
     reckoned = [first_reckoning(recording.odometry[0])]
     for earlier, later in itertools.pairwise(recording.odometry):
         reckoned.append(reckon(reckoned[-1], earlier, later))
-    X_OB, told = np.array([one.X_OB for one in reckoned]), [one.stamp for one in reckoned]
-    X_OB[:, 2] = np.unwrap(X_OB[:, 2])
+    X_OB, told = np.array([one.X_OB for one in reckoned]), np.array([one.stamp for one in reckoned])
     at = np.array([scan.stamp for scan in recording.scans])
-    of_known, of_scan = (np.column_stack([np.interp(t, told, one) for one in X_OB.T]) for t in (stamps, at))
+    of_known, of_scan = (poses_at(t, told, X_OB) for t in (stamps, at))
     before = np.clip(np.searchsorted(stamps, at, "right") - 1, 0, len(stamps) - 1)
     after = np.minimum(before + 1, len(stamps) - 1)
     share = np.clip((at - stamps[before]) / np.maximum(stamps[after] - stamps[before], 1e-9), 0.0, 1.0)

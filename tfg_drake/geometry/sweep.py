@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FloatArray, LaserScan, message, replace
+from tfg_drake.messages import FloatArray, IntArray, LaserScan, message, replace
 
 
 @message
@@ -48,6 +48,19 @@ def scan_of(sweep: Sweep, V_B: FloatArray) -> LaserScan:
     px, py = ahead + np.cos(turned) * x - np.sin(turned) * y, np.sin(turned) * x + np.cos(turned) * y
     angles = wrap_angle(np.arctan2(py, px))
     ranges = np.where(hit, np.hypot(px, py), sweep.ranges)
-    order = np.argsort(angles, kind="stable")
-    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
+    order = in_order(angles)
     return LaserScan(sweep.stamp, angles[order], ranges[order], sweep.range_max, sweep.sigma)
+
+
+def from_place(scan: LaserScan, place: FloatArray) -> LaserScan:
+    """A scan taken at one instant and at a place (2,), m in B, as seen from the body's origin."""
+    if not place.any():
+        return scan
+    at_once, (x, y) = np.zeros(len(scan.angles)), place.tolist()
+    return scan_of(Sweep(scan.stamp, scan.angles, scan.ranges, at_once, x, y, scan.range_max, scan.sigma), np.zeros(2))
+
+
+def in_order(angles: FloatArray) -> IntArray:
+    """Rows (m,) of angles (n,), rad, that are increasing, of equal ones the first."""
+    order = np.argsort(angles, kind="stable")
+    return np.asarray(order[np.diff(angles[order], prepend=-math.inf) > 1e-9])

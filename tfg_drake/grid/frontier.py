@@ -8,8 +8,6 @@ outside through a spurious gap, or lies behind a wall, is none.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -23,14 +21,6 @@ OCCUPIED_ABOVE = 0.55
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 CellArray = NDArray[np.uint8]
-
-
-@dataclasses.dataclass(frozen=True)
-class Frontier:
-    """One frontier. cells: (n, 2) rows and columns of its free cells. length: m, a cell's side each."""
-
-    cells: IntArray
-    length: float
 
 
 def classify(grid: GridMap) -> CellArray:
@@ -72,17 +62,17 @@ def _wave_from(cells: CellArray, row: int, column: int) -> BoolArray:
     return np.asarray(label == label[row, column])
 
 
-def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_length: float) -> list[Frontier]:
-    """The frontiers of a grid and its cells (h, w) (see classify) round a robot at p_MB (2,), m in M.
+def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_length: float) -> tuple[IntArray, IntArray]:
+    """The frontiers of a grid and its cells (h, w) (see classify) round a robot at p_MB (2,), m in M: rows and columns
+    (f, 2) of all their cells, and which frontier each belongs to, (f,) ascending.
 
-    Cells that touch, be it at a corner, are one frontier; those shorter than least_length (m) are left out.
+    Cells that touch, be it at a corner, are one frontier; those shorter than least_length (m), a side for each cell,
+    are left out.
     """
     edge = next_to_unknown(cells)
     edge &= _wave_from(cells, *cell_at(grid, p_MB))
     label, _ = ndimage.label(edge, structure=np.ones((3, 3)))
-    where = np.argwhere(edge)
-    of = label[edge]
+    where, of = np.argwhere(edge), label[edge]
     order = np.argsort(of, kind="stable")
-    groups = np.split(where[order], np.flatnonzero(np.diff(of[order])) + 1)
-    frontiers = [Frontier(g, len(g) * grid.resolution) for g in groups if len(g)]
-    return [frontier for frontier in frontiers if frontier.length >= least_length]
+    order = order[grid.resolution * np.bincount(of)[of[order]] >= least_length]
+    return where[order], of[order]

@@ -68,13 +68,7 @@ def find_access(
     grid: GridMap, ways: Ways, p_MB: FloatArray, tried: TriedPlaces, robot: RobotConfig, attempts: int
 ) -> Access:
     """How the frontiers of a grid can be looked at by a robot at p_MB (2,), m in M; attempts: tries at one place."""
-    frontiers = find_frontiers(grid, ways.cells, p_MB, 2.0 * robot.radius)
-    if not frontiers:
-        none = np.zeros(0, dtype=np.bool_)
-        nowhere = np.zeros((0, 2), dtype=np.int64)
-        return Access(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), none, none, nowhere, none, np.zeros(0))
-    cells = np.vstack([frontier.cells for frontier in frontiers])
-    of = np.repeat(np.arange(len(frontiers)), [len(frontier.cells) for frontier in frontiers])
+    cells, of = find_frontiers(grid, ways.cells, p_MB, 2.0 * robot.radius)
     p_MF = center_of(grid, cells)
     live = np.ones(len(cells), dtype=np.bool_)
     if len(tried.p_MF):
@@ -143,27 +137,37 @@ def choose(
     # The nearest cell of each frontier, the nearest frontier first.
     _, first = np.unique(access.frontier[by_cost], return_index=True)
     nearest = by_cost[np.sort(first)]
-    zeros = np.zeros(len(nearest))
-    cost = float(access.cost[nearest[0]])
-    choice = GoalChoice(
-        stage=grid.stage,
-        node=flat_index(grid, access.stand[nearest[0]]),
-        p_MG=center_of(grid, access.stand[nearest[0]]),
-        candidates=np.ravel_multi_index(tuple(access.stand[nearest].T), ways.cost.shape),
-        exploitation=zeros,
-        exploration=zeros,
-        pose_price=zeros,
-        gain=zeros,
-        value=-access.cost[nearest],
-        verdict="goal",
-        reason=f"The nearest of {len(nearest)} frontiers is {cost:.1f} m away, counted by clearance.",
-    )
+    cost = access.cost[nearest]
+    reason = f"The nearest of {len(nearest)} frontiers is {cost[0]:.1f} m away, counted by clearance."
+    choice = goal_among(grid, access.stand[nearest], 0, -cost, reason)
     return choice, TriedPlaces(np.vstack([tried.p_MF, access.p_MF[nearest[:1]]]))
 
 
-def flat_index(grid: GridMap, cell: IntArray) -> int:
-    """The flat index of a cell (2,)."""
-    return int(cell[0] * grid.probability.shape[1] + cell[1])
+def goal_among(
+    grid: GridMap,
+    stand: IntArray,
+    best: int,
+    value: FloatArray,
+    reason: str,
+    exploration: FloatArray | float = 0.0,
+    exploitation: FloatArray | float = 0.0,
+) -> GoalChoice:
+    """The choice of the best of some cells (c, 2). The other arguments are as in GoalChoice."""
+    candidates, zeros = np.ravel_multi_index(tuple(stand.T), grid.probability.shape), np.zeros(len(stand))
+    exploration, exploitation = zeros + exploration, zeros + exploitation
+    return GoalChoice(
+        stage=grid.stage,
+        node=int(candidates[best]),
+        p_MG=center_of(grid, stand[best]),
+        candidates=candidates,
+        exploitation=exploitation,
+        exploration=exploration,
+        pose_price=zeros,
+        gain=exploration + exploitation,
+        value=value,
+        verdict="goal",
+        reason=reason,
+    )
 
 
 def no_goal(grid: GridMap, access: Access, ways: Ways, p_MB: FloatArray, robot: RobotConfig) -> GoalChoice:

@@ -71,20 +71,20 @@ class GmappingState:
     noise: FloatArray
     sigma: FloatArray
     seed: int
-    updates: int
-    odometry: Odometry | None
-    reckonings: tuple[DeadReckoning, ...]
-    stamp: float
-    clock: float
-    X_OU: FloatArray
-    motion_noise: FloatArray
-    motion_calibration: FloatArray
     X_MU: FloatArray
     log_weight: FloatArray
     score: FloatArray
     parents: IntArray
-    waiting: LaserScan | None
     maps: TileMaps
+    updates: int = 0
+    odometry: Odometry | None = None
+    reckonings: tuple[DeadReckoning, ...] = ()
+    stamp: float = -math.inf
+    clock: float = -math.inf
+    X_OU: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    motion_noise: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
+    motion_calibration: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
+    waiting: LaserScan | None = None
 
 
 def initial_state(config: GridConfig, odometry: OdometryConfig, seed: int) -> GmappingState:
@@ -95,19 +95,10 @@ def initial_state(config: GridConfig, odometry: OdometryConfig, seed: int) -> Gm
         noise=random_walks(odometry),
         sigma=np.maximum(calibration_sigma(odometry), 1e-6),
         seed=seed,
-        updates=0,
-        odometry=None,
-        reckonings=(),
-        stamp=-math.inf,
-        clock=-math.inf,
-        X_OU=np.zeros(3),
-        motion_noise=np.zeros((3, 3)),
-        motion_calibration=np.zeros((3, 3)),
         X_MU=np.zeros((n, 3)),
         log_weight=np.full(n, -math.log(n)),
         score=np.zeros(n),
         parents=np.arange(n),
-        waiting=None,
         maps=empty_maps(n, config.resolution),
     )
 

@@ -15,15 +15,7 @@ def save_grid(path: Path, grid: GridMap, *, final: bool = True) -> None:
     """Write a grid, atomically; one that is not final neither compressed nor durable. Raises OSError where it cannot
     be written."""
     buffer = io.BytesIO()
-    save = np.savez_compressed if final else np.savez
-    save(
-        buffer,
-        stage=grid.stage,
-        stamp=grid.stamp,
-        resolution=grid.resolution,
-        origin=grid.origin,
-        probability=grid.probability,
-    )
+    (np.savez_compressed if final else np.savez)(buffer, **vars(grid))
     write_atomic(path, buffer.getvalue(), durable=final)
 
 
@@ -32,10 +24,5 @@ def load_grid(path: Path) -> GridMap:
     with reading(path):
         arrays = read_arrays(path)
         _height, _width = arrays["probability"].shape
-        return GridMap(
-            stage=int(arrays["stage"]),
-            stamp=float(arrays["stamp"]),
-            resolution=float(arrays["resolution"]),
-            origin=arrays["origin"].reshape(2),
-            probability=arrays["probability"],
-        )
+        stage, stamp, resolution = (arrays[name].item() for name in ("stage", "stamp", "resolution"))
+        return GridMap(stage, stamp, resolution, arrays["origin"].reshape(2), arrays["probability"])

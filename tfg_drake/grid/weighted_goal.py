@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, GridConfig, OdometryConfig, RobotConfig, ScanConfig
 from tfg_drake.grid.frontier import FREE, OCCUPIED, UNKNOWN, CellArray, center_of
-from tfg_drake.grid.frontier_goal import Access, TriedPlaces, find_access, flat_index, no_goal
+from tfg_drake.grid.frontier_goal import Access, TriedPlaces, find_access, goal_among, no_goal
 from tfg_drake.grid.path import Ways, find_ways, in_cells
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, IntArray, PoseEstimate
 from tfg_drake.planning.candidates import OVERHEAD
@@ -126,14 +126,7 @@ def _expected(
     """I_OG and I_SLAM (c,), nats, of a turn at each of the cells (c, 2)."""
     res = grid.resolution
     solid = (ways.cells != FREE).astype(np.float64)
-    slope = np.stack(
-        [
-            ndimage.gaussian_filter1d(
-                ndimage.gaussian_filter1d(solid, SMOOTHING, axis=1 - a), SMOOTHING, axis=a, order=1
-            )
-            for a in (0, 1)
-        ]
-    )
+    slope = np.stack([ndimage.gaussian_filter(solid, SMOOTHING, order=order) for order in ((1, 0), (0, 1))])
     points = np.vstack([center_of(grid, stand), pose.X_MB[None, :2]])
     area, summed = _look_round(ways.cells, slope, in_cells(grid, points), scan.range / res, RAYS)
     # A range is matched with a surface that is known to half a cell; each ray cast stands for several of the turn's.
@@ -200,17 +193,6 @@ def choose(
     value = gain / time if weights.per_time else gain
     best = int(np.argmax(value))
     what = "a frontier" if best < frontiers else "a known place"
-    choice = GoalChoice(
-        stage=grid.stage,
-        node=flat_index(grid, stand[best]),
-        p_MG=center_of(grid, stand[best]),
-        candidates=np.ravel_multi_index(tuple(stand.T), ways.cost.shape),
-        exploitation=exploitation,
-        exploration=exploration,
-        pose_price=np.zeros(len(gain)),
-        gain=gain,
-        value=value,
-        verdict="goal",
-        reason=f"{map_gain[best]:.0f} nats of the grid and {certainty[best]:.1f} of the pose are expected at {what}.",
-    )
+    reason = f"{map_gain[best]:.0f} nats of the grid and {certainty[best]:.1f} of the pose are expected at {what}."
+    choice = goal_among(grid, stand, best, value, reason, exploration, exploitation)
     return choice, TriedPlaces(np.vstack([tried.p_MF, p_MF[best : best + 1]]), best < frontiers)

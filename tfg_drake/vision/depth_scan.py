@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message
+from tfg_drake.geometry.sweep import from_place, in_order
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, message, replace
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 
@@ -83,8 +84,8 @@ def depth_rays(calibration: CameraCalibration, mount: CameraMount, config: Depth
     azimuth = wrap_angle(np.arctan2(direction[:, 1], direction[:, 0]) - mount.yaw)
     # Columns at the row that looks to the horizon, or nearest to it.
     level = np.argmin(np.abs(direction[:, 2]).reshape(h, w), axis=0)
-    angles = np.sort(azimuth.reshape(h, w)[level, np.arange(w)])
-    angles = angles[np.diff(angles, prepend=-math.inf) > 1e-9]
+    angles = azimuth.reshape(h, w)[level, np.arange(w)]
+    angles = angles[in_order(angles)]
     edges = 0.5 * (angles[1:] + angles[:-1])
     column = np.searchsorted(edges, azimuth)
     order = np.argsort(column, kind="stable")
@@ -133,7 +134,11 @@ def depth_scan(
     quiet = np.add.reduceat((silent & rays.near_in_band).astype(float), rays.begins)
     nearest[np.isinf(nearest) & ~is_free] = np.nan
     nearest[quiet > config.most_silent * looking] = np.nan
-    return _from_body(nearest, rays, stamp, config)
+    seen = from_place(LaserScan(stamp, rays.angles, nearest, config.range_max, config.sigma), rays.p_BC[:2])
+    angles = wrap_angle(seen.angles)
+    order = in_order(angles)
+    ranges = np.where(seen.ranges > config.range_max, math.inf, seen.ranges)
+    return replace(seen, angles=angles[order], ranges=ranges[order])
 
 
 def _mean_of_nearest(nearest: FloatArray, ranges: FloatArray, begins: IntArray, noise: float) -> FloatArray:
@@ -148,18 +153,3 @@ def _mean_of_nearest(nearest: FloatArray, ranges: FloatArray, begins: IntArray, 
 
 def _in_band(height: FloatArray, config: DepthScanConfig) -> BoolArray:
     return np.asarray((height >= config.low) & (height <= config.high))
-
-
-def _from_body(ranges: FloatArray, rays: DepthRays, stamp: float, config: DepthScanConfig) -> LaserScan:
-    """The scan as seen from the body's origin, which is not where the camera is."""
-    angles = rays.angles
-    if rays.p_BC[:2].any():
-        reach = np.where(np.isfinite(ranges), ranges, config.range_max)
-        x, y = rays.p_BC[0] + reach * np.cos(angles), rays.p_BC[1] + reach * np.sin(angles)
-        ranges = np.where(np.isfinite(ranges), np.hypot(x, y), ranges)
-        ranges[np.isfinite(ranges) & (ranges > config.range_max)] = np.inf
-        angles = np.arctan2(y, x)
-    angles = wrap_angle(angles)
-    order = np.argsort(angles, kind="stable")
-    order = order[np.diff(angles[order], prepend=-math.inf) > 1e-9]
-    return LaserScan(stamp, angles[order], ranges[order], config.range_max, config.sigma)

@@ -92,11 +92,9 @@ def load_map_server(path: Path) -> OccupancyMap:
 
 def _distinct(segments: FloatArray) -> FloatArray:
     """Each segment (m, 4) once: a spur one cell thick may collapse into a line there and back."""
-    backwards = segments[:, [2, 3, 0, 1]]
-    swap = (backwards[:, 0] < segments[:, 0]) | (
-        (backwards[:, 0] == segments[:, 0]) & (backwards[:, 1] < segments[:, 1])
-    )
-    _, first = np.unique(np.where(swap[:, None], backwards, segments), axis=0, return_index=True)
+    # Complex numbers are sorted by x, then by y.
+    ends = np.sort(segments[:, ::2] + 1j * segments[:, 1::2], axis=1)
+    _, first = np.unique(ends, axis=0, return_index=True)
     return segments[np.sort(first)]
 
 

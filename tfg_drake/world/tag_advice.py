@@ -21,10 +21,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
+from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.exact_gain import whitened
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
@@ -64,10 +64,7 @@ class Advice:
 def advise_tags(
     world: World,
     count: int,
-    robot: RobotConfig,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    explorer: ExplorerConfig,
+    mapper: GoalParameters,
     *,
     floor: Callable[[FloatArray], BoolArray] | None = None,
     on_tag: Callable[[int], object] | None = None,
@@ -77,18 +74,19 @@ def advise_tags(
     Args:
         world: walls, start and the tags that stay.
         count: of tags to hang; fewer are advised where the walls have no room for as many.
-        robot, sensor, odometry, explorer: who will map the building.
+        mapper: who will map the building.
         floor: says which points (n, 2) in W are floor (n,); None: all that can be reached.
         on_tag: called with the number of tags chosen so far.
 
     Raises:
         WorldError: there is no wall, or no room for the robot at its start.
     """
-    places, parent = _places(world, robot.radius, floor)
+    radius = mapper.robot.radius
+    places, parent = _places(world, radius, floor)
     if not len(world.walls) or not len(places):
         raise WorldError("no wall can be reached from the start; start where the robot has room, between walls")
-    p_WT, facing = _candidates(world, robot.radius)
-    turns = _Turns(world, places, parent, robot, sensor, odometry, explorer)
+    p_WT, facing = _candidates(world, radius)
+    turns = _Turns(world, places, parent, mapper)
     for p, heading in zip(world.p_WT.copy(), world.tag_facing, strict=True):
         turns.hang(turns.rows(p, heading))
     rows = [turns.rows(p, heading) for p, heading in zip(p_WT, facing, strict=True)]
@@ -174,16 +172,8 @@ def _candidates(world: World, robot_radius: float) -> tuple[FloatArray, FloatArr
 class _Turns:
     """The joint Gaussian of the poses at the first look and at all places, with the tags that hang so far."""
 
-    def __init__(
-        self,
-        world: World,
-        places: FloatArray,
-        parent: IntArray,
-        robot: RobotConfig,
-        sensor: TagSensorConfig,
-        odometry: OdometryConfig,
-        explorer: ExplorerConfig,
-    ) -> None:
+    def __init__(self, world: World, places: FloatArray, parent: IntArray, mapper: GoalParameters) -> None:
+        sensor, explorer = mapper.sensor, mapper.explorer
         self._walls, self._sensor = world.walls, sensor
         # The first look fixes the map: its pose is known, and it sees what is ahead of it alone.
         self._p = np.vstack([world.start[None, :2], places])
@@ -191,21 +181,20 @@ class _Turns:
         looked = max(1.0, sensor.detection_probability * sensor.rate * explorer.first_look)
         self._noise = turn_noise(sensor, sightings_of_turn(sensor, explorer.turn_rate))
         self._first_noise = turn_noise(sensor, looked)
-        self._covariance = self._driven(np.append(-1, parent + 1), robot, odometry, explorer)
+        self._covariance = self._driven(np.append(-1, parent + 1), mapper)
 
-    def _driven(
-        self, parent: IntArray, robot: RobotConfig, odometry: OdometryConfig, explorer: ExplorerConfig
-    ) -> FloatArray:
+    def _driven(self, parent: IntArray, mapper: GoalParameters) -> FloatArray:
         """The covariance (3n, 3n) of the poses by odometry alone, each reached from its parent."""
         n = len(self._p)
         S = np.zeros((n, 3, n, 3))
-        look_round = 2.0 * math.pi / explorer.turn_rate
+        look_round = 2.0 * math.pi / mapper.explorer.turn_rate
         for i in range(1, n):
             k = max(int(parent[i]), 0)
             d = self._p[i] - self._p[k]
             distance = np.array([np.hypot(*d)])
             X = np.append(self._p[k], 0.0)
-            Q = odometry_covariance(X, self._p[i][None], distance, distance / robot.max_speed + look_round, odometry)[0]
+            time = distance / mapper.robot.max_speed + look_round
+            Q = odometry_covariance(X, self._p[i][None], distance, time, mapper.odometry)[0]
             F = np.eye(3)
             F[:2, 2] = -d[1], d[0]
             S[i, :, :i] = np.einsum("ab,bjc->ajc", F, S[k, :, :i])
