@@ -50,7 +50,7 @@ def test_the_linearisation_is_that_of_its_cost():
 
     def errors(x):
         p_ML, A, D, shared = parts(x)
-        return residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[0]
+        return residual(p_ML, np.zeros((4, 2)), one.measured, A, D, shared)[0]
 
     H, g, twice = at(x)
     assert twice == pytest.approx(cost(one, *parts(x)), rel=1e-12)
@@ -59,7 +59,7 @@ def test_the_linearisation_is_that_of_its_cost():
     np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-2)
     J = np.column_stack([(errors(x + h) - errors(x - h)) / 2e-6 for h in steps])
     p_ML, A, D, shared = parts(x)
-    on = residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[1]
+    on = residual(p_ML, np.zeros((4, 2)), one.measured, A, D, shared)[1]
     np.testing.assert_allclose(on, J[:, 11:], atol=1e-8)
     np.testing.assert_allclose(H, J.T @ one.information @ J, rtol=1e-6, atol=1e-7 * np.abs(H).max())
 
@@ -79,7 +79,7 @@ def test_with_the_tags_errors_the_linearisation_is_that_of_its_cost(fused):
 
     def twice(x):
         p_ML, D, A, shared, errors = x[:8].reshape(-1, 2), x[8:11], x[11:14], x[14:27], x[27:]
-        error = residual(p_ML, np.zeros((4, 2)), *one.measured, A, D, shared)[0]
+        error = residual(p_ML, np.zeros((4, 2)), one.measured, A, D, shared)[0]
         if fused:
             error = np.append(error, errors)
             return error @ one.information @ error + 2.0 * one.vector @ shared + 2.0 * one.pull.ravel() @ errors
@@ -307,7 +307,7 @@ def test_the_jacobians_of_walls_are_their_differences():
     x = np.concatenate([rng.normal(size=8), X_MA, se2.compose(X_MA, X_AD), TRUTH])
 
     def of(x):
-        return residual(x[:8].reshape(-1, 2), p_MC, *one.measured, x[8:11], x[11:14], x[14:])
+        return residual(x[:8].reshape(-1, 2), p_MC, one.measured, x[8:11], x[11:14], x[14:])
 
     J = np.column_stack([(of(x + h)[0] - of(x - h)[0]) / 2e-6 for h in 1e-6 * np.eye(len(x))])
     _, on, by_landmark = of(x)

@@ -101,8 +101,7 @@ def test_a_loop_is_found_after_coming_back_and_believed_once_another_agrees():
 
 def loops(truth, pairs, off=(0.0, 0.0, 0.0)):
     return tuple(
-        loop_search.Loop(old, newest, se2.between(truth[old], truth[newest]) + np.array(off), 0.0, 1.0)
-        for old, newest in pairs
+        loop_search.Loop(old, newest, se2.between(truth[old], truth[newest]) + np.array(off)) for old, newest in pairs
     )
 
 

@@ -86,7 +86,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
         assert newest.walls >= 5
         assert not np.isin(newest.ids, state.graph.keyframes[0].ids).any()
         assert state.contradictions == 0
-        reaches = state.localizer.reach[:, 1] > state.localizer.reach[:, 0]
+        reaches = state.localizer.walls.reach[:, 1] > state.localizer.walls.reach[:, 0]
         np.testing.assert_array_equal(reaches, np.isin(state.map.ids, newest.ids))
     state = robot.view(state)
     assert np.abs(state.map.covariance[-3:, -3:]).max() < 0.05**2

@@ -78,7 +78,7 @@ def test_no_points_make_no_pieces():
         assert len(pieces.piece) == 0
         gradient = np.zeros(6)
         every = np.arange(len(pieces.frame))
-        assert add_pieces(every, *pieces, np.zeros((3, 3)), np.array([-1, 0, 3]), NO_BLOCK, gradient) == 0.0
+        assert add_pieces(every, pieces, np.zeros((3, 3)), np.array([-1, 0, 3]), NO_BLOCK, gradient) == 0.0
         assert not gradient.any()
 
 
@@ -268,7 +268,7 @@ def points_of_all(pieces, every):
 
 def twice_cost(pieces, X_MN):
     return add_pieces(
-        np.arange(len(pieces.frame)), *pieces, X_MN, np.full(len(X_MN), -1), NO_BLOCK, np.zeros(3 * len(X_MN))
+        np.arange(len(pieces.frame)), pieces, X_MN, np.full(len(X_MN), -1), NO_BLOCK, np.zeros(3 * len(X_MN))
     )
 
 
@@ -357,7 +357,7 @@ def added(pieces, X_MN, node_at, size, which=None):
     """Twice the cost, gradient and block."""
     block, gradient = np.zeros((size, size)), np.zeros(size)
     which = np.arange(len(pieces.frame)) if which is None else np.array(which, dtype=np.int64)
-    return add_pieces(which, *pieces, X_MN, node_at, block, gradient), gradient, block
+    return add_pieces(which, pieces, X_MN, node_at, block, gradient), gradient, block
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -387,7 +387,7 @@ def test_pieces_are_added_each_where_their_unknowns_are():
     at = (node_at[:, None] + [0, 1, 2]).ravel()
     block, gradient = rng.normal(size=(24, 24)), rng.normal(size=24)
     more, further = block.copy(), gradient.copy()
-    total = add_pieces(np.array([1, 4]), *pieces, X_MN, node_at, more, further)
+    total = add_pieces(np.array([1, 4]), pieces, X_MN, node_at, more, further)
     expected, expected_gradient, H = expected_of([told[1], told[4]], X_MN)
     assert total == pytest.approx(expected, rel=1e-9)
     gradient[at] += expected_gradient
@@ -418,7 +418,7 @@ def test_without_a_block_only_the_gradient_is_added():
     pieces, X_MN, _ = explicit(5)
     node_at, without = np.array([-1, 0, 3, 6, 9]), np.ones(12)
     expected, gradient, _ = added(pieces, X_MN, node_at, 12)
-    assert add_pieces(np.arange(6), *pieces, X_MN, node_at, NO_BLOCK, without) == expected
+    assert add_pieces(np.arange(6), pieces, X_MN, node_at, NO_BLOCK, without) == expected
     np.testing.assert_allclose(without, 1.0 + gradient, rtol=1e-12)
 
 
@@ -480,7 +480,7 @@ def ties_by_hand(ties, X_MN, which):
 def test_ties_are_least_squares_of_relative_poses(seed):
     ties, X_MN = some_ties(seed)
     every, node_at, block, gradient = np.arange(5), 3 * np.arange(4), np.zeros((12, 12)), np.zeros(12)
-    total = add_ties(every, *ties, X_MN, node_at, block, gradient)
+    total = add_ties(every, ties, X_MN, node_at, block, gradient)
     # All are nearly where they are to be, whichever way round.
     assert 0.0 < total < 15 * 900.0 * 0.3**2
     expected = ties_by_hand(ties, X_MN, every)
@@ -489,7 +489,7 @@ def test_ties_are_least_squares_of_relative_poses(seed):
     np.testing.assert_allclose(block, expected[2], atol=1e-12 * np.abs(block).max())
 
     def cost(x):
-        return 0.5 * add_ties(every, *ties, x.reshape(4, 3), node_at, NO_BLOCK, np.zeros(12))
+        return 0.5 * add_ties(every, ties, x.reshape(4, 3), node_at, NO_BLOCK, np.zeros(12))
 
     x, step = X_MN.ravel(), 1e-6
     by_differences = [(cost(x + step * row) - cost(x - step * row)) / (2.0 * step) for row in np.eye(12)]
@@ -502,7 +502,7 @@ def test_a_tie_that_is_kept_costs_nothing_and_half_a_turn_off_most():
         X_MN[1] = se2.compose(X_MN[0], np.array([0.5, -0.2, 0.2]))
         for turn, off in ((0.2, 0.0), (0.2 + 4.0 * np.pi, 0.0), (3.2, 3.0), (-2.8, 3.0), (3.7, 2.0 * np.pi - 3.5)):
             ties = Ties(np.array([0]), np.array([1]), np.array([[0.5, -0.2, turn]]), np.eye(3)[None])
-            total = add_ties(np.array([0]), *ties, X_MN, np.array([-1, -1]), NO_BLOCK, np.zeros(3))
+            total = add_ties(np.array([0]), ties, X_MN, np.array([-1, -1]), NO_BLOCK, np.zeros(3))
             assert total == pytest.approx(off**2, abs=1e-9)
 
 
@@ -511,7 +511,7 @@ def test_ties_are_added_each_where_their_unknowns_are():
     node_at = np.array([4, -19, 0, 9])
     block, gradient, without = np.ones((13, 13)), np.ones(13), np.ones(13)
     which = np.array([0, 2, 4])
-    total = add_ties(which, *ties, X_MN, node_at, block, gradient)
+    total = add_ties(which, ties, X_MN, node_at, block, gradient)
     expected = ties_by_hand(ties, X_MN, which)
     free = np.array([0, 2, 3])
     at, rows = (node_at[free][:, None] + [0, 1, 2]).ravel(), (3 * free[:, None] + [0, 1, 2]).ravel()
@@ -521,9 +521,9 @@ def test_ties_are_added_each_where_their_unknowns_are():
     assert total == pytest.approx(expected[0], rel=1e-12)
     np.testing.assert_allclose(block, whole, atol=1e-10 * np.abs(whole).max())
     np.testing.assert_allclose(gradient, of_each, atol=1e-10 * np.abs(of_each).max())
-    assert add_ties(which, *ties, X_MN, node_at, NO_BLOCK, without) == total
+    assert add_ties(which, ties, X_MN, node_at, NO_BLOCK, without) == total
     np.testing.assert_array_equal(without, gradient)
-    assert add_ties(np.arange(0), *no_ties(), X_MN, node_at, NO_BLOCK, without) == 0.0
+    assert add_ties(np.arange(0), no_ties(), X_MN, node_at, NO_BLOCK, without) == 0.0
 
 
 def ring_of_surfaces(tag_error):
@@ -562,8 +562,8 @@ def whole_system(factors, values):
     u = Unknowns(2 * np.arange(n), np.append(-1, 2 * n + 3 * np.arange(k)), size - SHARED, error_at)
     H, gradient, places = np.zeros((size, size)), np.zeros(size), np.empty((len(factors.keyframes.rows), 2, 3))
     error = assemble(np.arange(k), factors.keyframes, values, u, H, gradient, places)
-    error += add_pieces(np.arange(len(factors.pieces.frame)), *factors.pieces, values.X_MN, u.node_at, H, gradient)
-    error += add_ties(np.arange(len(factors.ties.first)), *factors.ties, values.X_MN, u.node_at, H, gradient)
+    error += add_pieces(np.arange(len(factors.pieces.frame)), factors.pieces, values.X_MN, u.node_at, H, gradient)
+    error += add_ties(np.arange(len(factors.ties.first)), factors.ties, values.X_MN, u.node_at, H, gradient)
     H[-SHARED:, -SHARED:] += factors.information
     if of_errors:
         i = error_at[:, None] + [0, 1]

@@ -24,7 +24,7 @@ from scipy.linalg import blas, lapack
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Unknowns, Values, assemble, batch_gradient, factors_of
+from tfg_drake.slam.solver import Unknowns, Values, assemble, factors_of
 from tfg_drake.slam.surfaces import add_pieces, add_ties
 
 # Keyframes of a front that has no halves, at most.
@@ -349,8 +349,8 @@ class DissectionSolver:
             if len(front.pieces):
                 of_ties = front.pieces >= len(factors.pieces.frame)
                 some = front.pieces[~of_ties], front.pieces[of_ties] - len(factors.pieces.frame)
-                error += add_pieces(some[0], *factors.pieces, values.X_MN, at.node_at, whole, own)
-                error += add_ties(some[1], *factors.ties, values.X_MN, at.node_at, whole, own)
+                error += add_pieces(some[0], factors.pieces, values.X_MN, at.node_at, whole, own)
+                error += add_ties(some[1], factors.ties, values.X_MN, at.node_at, whole, own)
             gradient[front.unknowns] += own
             if front is first:
                 whole[at.shared_at : at.shared_at + SHARED, at.shared_at : at.shared_at + SHARED] += factors.information
@@ -372,11 +372,9 @@ class DissectionSolver:
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """Gradient (u,) of the cost and twice the cost at some values."""
-        gradient = np.zeros(self._dissection.size)
-        error = batch_gradient(self.factors.keyframes, values, self.unknowns, gradient)
-        pieces = self.factors.pieces
-        every, none = np.arange(len(pieces.frame)), np.zeros((0, 0))
-        error += add_pieces(every, *pieces, values.X_MN, self.unknowns.node_at, none, gradient)
-        ties = self.factors.ties
-        error += add_ties(np.arange(len(ties.first)), *ties, values.X_MN, self.unknowns.node_at, none, gradient)
-        return gradient, error + self.factors.priors(values, self.unknowns, gradient)
+        factors, u, gradient, none = self.factors, self.unknowns, np.zeros(self._dissection.size), np.zeros((0, 0))
+        every, pieces, ties = (np.arange(len(of)) for of in (values.X_MN[1:], factors.pieces.frame, factors.ties.first))
+        error = assemble(every, factors.keyframes, values, u, none, gradient, np.zeros((0, 2, 3)))
+        error += add_pieces(pieces, factors.pieces, values.X_MN, u.node_at, none, gradient)
+        error += add_ties(ties, factors.ties, values.X_MN, u.node_at, none, gradient)
+        return gradient, error + factors.priors(values, u, gradient)

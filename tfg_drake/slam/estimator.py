@@ -41,6 +41,7 @@ from tfg_drake.slam.estimator_state import (
     opened,
     reduced_now,
     unknown_way,
+    with_map,
 )
 from tfg_drake.slam.evidence import (
     Evidence,
@@ -54,7 +55,6 @@ from tfg_drake.slam.evidence import (
     missing,
     only,
     overturned,
-    renewed,
     sanitized,
     watched,
     weighed,
@@ -74,7 +74,7 @@ from tfg_drake.slam.localizer import (
 )
 from tfg_drake.slam.loop_search import with_loops_closed
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
-from tfg_drake.slam.map_update import deviation_of, finished, is_looser, jointly_known, needs_solve, updated
+from tfg_drake.slam.map_update import finished, is_looser, jointly_known, needs_solve, updated
 from tfg_drake.slam.odometry_model import (
     BREAK,
     BREAK_RATE,
@@ -164,8 +164,8 @@ def carried(state: EstimatorState) -> EstimatorState:
         suspect=None,
         kidnapped=True,
         placed=math.nan,
-        turn=None,
-        piece=None,
+        open=None,
+        turns=False,
         way=(),
     )
 
@@ -182,7 +182,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
             state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
         )
         piece = opened(state)
-        return replace(state, piece=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
+        return replace(state, open=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
     if odometry.stamp <= state.newest.stamp:
         return state
     if odometry.breaks != state.newest.breaks:
@@ -215,8 +215,7 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
     X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
     if state.map is None:  # The map begins here.
         state = replace(state, localizer=start_localizer(state.localizer.map, state.walls), way=())
-        begun = opened(state)
-        return replace(state, piece=begun) if state.turn is None else replace(state, turn=begun)
+        return replace(state, open=opened(state))
     sigma = np.minimum(np.sqrt(np.diag(covariance) + np.square(BREAK + dt * BREAK_RATE)), KIDNAPPED)
     state = replace(state, localizer=placed_localizer(state.map, state.walls, X_MB, sigma))
     lost = bool(np.any(sigma > FOUND_WITHIN))
@@ -259,10 +258,10 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     """
     if not state.odometry:
         raise ValueError("A turn cannot begin before the first odometry message.")
-    if state.turn is not None:
+    if state.turns:
         raise ValueError("A turn is open already.")
     state = _end_piece(_step_to(state, stamp))
-    return replace(state, turn=opened(state), piece=None)
+    return replace(state, open=opened(state), turns=True)
 
 
 @kept_finite
@@ -272,14 +271,12 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     explored: everything is, so of a large map landmarks all over it are known jointly too. The stamp is brought into
     the span of the odometry at hand. Raises ValueError where no turn is open.
     """
-    if state.turn is None:
+    if not state.turns:
         raise ValueError("No turn is open.")
     state = _step_to(_first_looked(state), stamp)
     if state.contradictions >= CONTRADICTIONS:
         state = find_itself(state, at_last=True)
-    turn = state.turn
-    assert turn is not None
-    return _add_view(state, turn, SPREAD if explored else 0)
+    return _add_view(state, SPREAD if explored else 0)
 
 
 @kept_finite
@@ -290,15 +287,13 @@ def close_piece(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     piece stays open, but at last. The stamp is brought into the span of the odometry at hand. Raises ValueError before
     any odometry, or where no piece is open.
     """
-    if state.piece is None or not math.isinf(state.path_keyframe_period):
+    if state.open is None or state.turns or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
     state = _step_to(state, stamp)
-    piece, suspect = state.piece, state.suspect
-    assert piece is not None
-    in_doubt = state.lost or state.contradictions >= CONTRADICTIONS
+    suspect, in_doubt = state.suspect, state.lost or state.contradictions >= CONTRADICTIONS
     if in_doubt and not at_last and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
-    return _add_view(state, piece, 0)
+    return _add_view(state, 0)
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
@@ -376,14 +371,14 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     if scan.lines:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=_NO_LINES) for frame in turn.frames)
-        landmarks, state = "tags", replace(state, landmarks="tags", turn=replace(turn, frames=frames), unread=())
+        landmarks, state = "tags", replace(state, landmarks="tags", open=replace(turn, frames=frames), unread=())
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
         state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=landmarks), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
-            if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
+            if not state.turns and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
                 state = begin_turn(state, turn.begin.stamp)
     return replace(state, look=None)
 
@@ -475,16 +470,12 @@ def _step(
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     if scan is not None:
         ranges = compared(ranges, frame, scan, state.graph.shared)
-    turn, piece = state.turn, state.piece
-    every = 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
+    seen, every = state.open, 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
     looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
-    here = points if looks and _is_elsewhere(piece if turn is None else turn, X_OB) else _NO_POINTS
+    here = points if looks and _is_elsewhere(seen, X_OB) else _NO_POINTS
     taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan, here)
-    more = (taken,) if looks or not only_scan else ()
-    if turn is not None:
-        turn = replace(turn, frames=(*turn.frames, *more))
-    elif piece is not None:
-        piece = replace(piece, frames=(*piece.frames, *more))
+    if seen is not None and (looks or not only_scan):
+        seen = replace(seen, frames=(*seen.frames, taken))
     localizer, known, ignored = step_localizer(
         state.localizer,
         state.noise.now.walks,
@@ -521,18 +512,15 @@ def _step(
         X_OB=X_OB,
         localizer=localizer,
         contradictions=contradictions,
-        turn=turn,
-        piece=piece,
+        open=seen,
         looked=stamp if looks else state.looked,
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
         state = find_itself(state)
     state = looked_for(state)
-    piece = state.piece
-    if piece is not None and state.path_keyframe_period and stamp - piece.begin.stamp >= state.path_keyframe_period:
-        state = _end_piece(state)
-    return state
+    seen, period = state.open, state.path_keyframe_period
+    return _end_piece(state) if seen is not None and period and stamp - seen.begin.stamp >= period else state
 
 
 def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
@@ -579,11 +567,13 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
 
 
 def _end_piece(state: EstimatorState) -> EstimatorState:
-    """The state with the open piece of the way solved and put to the others, unless the robot was kidnapped, and
-    the next one open."""
-    piece = state.piece
-    if piece is None or state.map is None or state.stamp <= piece.begin.stamp:
-        return replace(state, piece=opened(state)) if piece is not None else state
+    """The state with the open piece of the way, if it is one, solved and put to the others, unless the robot was
+    kidnapped, and the next one open."""
+    piece = state.open
+    if piece is None or state.turns:
+        return state
+    if state.map is None or state.stamp <= piece.begin.stamp:
+        return replace(state, open=opened(state))
     if state.kidnapped:
         X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
         way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma),)
@@ -595,7 +585,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         if not state.path_keyframe_period:
             seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
         way = (*state.way, (seen, source))
-    return replace(state, piece=opened(state), way=way)
+    return replace(state, open=opened(state), way=way)
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -646,27 +636,30 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
     return replace(state, ranges=replace(state.ranges, reported=True))
 
 
-def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> EstimatorState:
-    """The state with a turn or piece added to the map as a view, and the localiser at its end. spread: see `solve`."""
-    solution = reduced_now(state, turn)
-    source = Source(turn, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
+def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
+    """The state with the open turn or piece added to the map as a view, and the localiser at its end. spread: see
+    `solve`."""
+    seen = state.open
+    assert seen is not None
+    solution = reduced_now(state, seen)
+    source = Source(seen, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
     state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
     keyframe = solution.keyframe
     way, view = state.way, Sighted(keyframe, solution.sightings)
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
-    if state.kidnapped and state.turn is None and state.map is not None:
-        turn = _found_meanwhile(state, turn)
-        way = (unknown_way(se2.between(state.map.X_MD, turn.X_MB), turn.sigma),)
+    if state.kidnapped and not state.turns and state.map is not None:
+        seen = _found_meanwhile(state, seen)
+        way = (unknown_way(se2.between(state.map.X_MD, seen.X_MB), seen.sigma),)
     before, known, way = found_again(state, way, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources: tuple[Source | None, ...] = state.sources
     walls = state.walls
-    for seen, of in (*way, (view, source)):
-        is_view = seen is view
+    for one, of in (*way, (view, source)):
+        is_view = one is view
         if of is not None:
-            seen, of, walls = _with_names(seen, of, walls, graph, estimate)
+            one, of, walls = _with_names(one, of, walls, graph, estimate)
         sources = (*sources, of)[-UNFUSED:]
-        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, seen, is_view=is_view)
+        graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, one, is_view=is_view)
         if len(anew):
             _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
             moved = True
@@ -698,34 +691,24 @@ def _add_view(state: EstimatorState, turn: OpenObservation, spread: int) -> Esti
     loops, closed, estimate = with_loops_closed(state.loops, graph, estimate, observation)
     if closed is not graph:
         graph = solved = closed
-    whole = with_doubts(replace(estimate, frame_worth=min(state.noise.now.frame_worth, 1.0)), evidence, graph)
     later = state.offset - float(graph.shared.mean[CLOCK])
     state = replace(
         state,
         offset=float(graph.shared.mean[CLOCK]),
         pending=tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending),
-        turn=None,
-        piece=None,
         way=(),
         kidnapped=False,
         placed=math.inf if math.isnan(state.placed) else state.placed,
         contradictions=0,
         suspect=None,
         lost=False,
-        graph=graph,
-        solved=solved,
-        map=whole,
         walls=walls,
-        published=whole.of_tags,
-        localizer=start_localizer(of_tied(estimate, graph), walls),
         evidence=evidence,
-        watch=renewed(state.watch, estimate.ids[is_tag(estimate.ids)]),
         rejected=rejected,
         sources=sources,
         loops=loops,
-        deviation=deviation_of(estimate) if solved is graph else state.deviation,
     )
-    return joined(replace(state, piece=opened(state)))
+    return joined(with_map(state, graph, estimate, solved))
 
 
 def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:

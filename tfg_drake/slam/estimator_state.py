@@ -20,12 +20,13 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch
+from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, renewed, with_doubts
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import Keyframe, way
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, of_tied
 from tfg_drake.slam.localizer import Localizer, localized_pose, start_localizer
 from tfg_drake.slam.loop_search import LoopSearch
+from tfg_drake.slam.map_update import deviation_of
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
@@ -130,16 +131,16 @@ class EstimatorState:
     does. lost: where the robot is since then is a guess. kidnapped: the robot was moved since the last view by
     something else than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in
     which it may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has
-    mapped on without. turn, piece: the open turn and piece of the way, way: those before it since the last view. map:
-    what has become of the solved graph since, None before the first view. rejected: (r,) ids of known tags left out of
-    the newest view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
-    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
-    odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by something else than its
-    wheels. published: the map without its walls, which all others get. straight: (2,) m of straight walls and of all
-    surfaces that the scans of the last minutes have seen, nan once it was told that too little is straight. loops: the
-    search for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session
-    began with, until it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in
-    it that may be, none where that is anywhere or nowhere.
+    mapped on without. open: the turn or piece of the way under way, turns: whether it is a turn, way: the pieces before
+    it since the last view. map: what has become of the solved graph since, None before the first view. rejected: (r,)
+    ids of known tags left out of the newest view. look: the first look, None once it is over. sources: of the newest
+    keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`.
+    unread: scans that wait for odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by
+    something else than its wheels. published: the map without its walls, which all others get. straight: (2,) m of
+    straight walls and of all surfaces that the scans of the last minutes have seen, nan once it was told that too
+    little is straight. loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad.
+    known: the map that the session began with, until it is part of this one for good; at: where in it that is, once it
+    is known; hypotheses: where in it that may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -164,8 +165,8 @@ class EstimatorState:
     lost: bool = False
     kidnapped: bool = False
     placed: float = -np.inf
-    turn: OpenObservation | None = None
-    piece: OpenObservation | None = None
+    open: OpenObservation | None = None
+    turns: bool = False
     way: tuple[tuple[Sighted, Source | None], ...] = ()
     map: MapEstimate | None = None
     rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -183,6 +184,11 @@ class EstimatorState:
     known: KnownMap | None = None
     at: Placed | None = None
     hypotheses: Hypotheses = dataclasses.field(default_factory=lambda: empty(Hypotheses))
+
+    @property
+    def turn(self) -> OpenObservation | None:
+        """The open turn, None while the way is mapped."""
+        return self.open if self.turns else None
 
 
 def initial_state(
@@ -235,6 +241,26 @@ def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
     X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
     return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
+
+
+def with_map(
+    state: EstimatorState, graph: KeyframeGraph, estimate: MapEstimate, solved: KeyframeGraph
+) -> EstimatorState:
+    """The state after a view, with the graph and the map of all that it has seen, from where the way goes on. solved:
+    the graph at its last solve."""
+    worth = min(state.noise.now.frame_worth, 1.0)
+    whole = with_doubts(replace(estimate, frame_worth=worth), state.evidence, graph)
+    state = replace(
+        state,
+        graph=graph,
+        solved=solved,
+        map=whole,
+        published=whole.of_tags,
+        watch=renewed(state.watch, whole.of_tags.ids),
+        localizer=start_localizer(of_tied(estimate, graph), state.walls),
+        deviation=deviation_of(estimate) if solved is graph else state.deviation,
+    )
+    return replace(state, open=opened(state), turns=False)
 
 
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:

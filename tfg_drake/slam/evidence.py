@@ -145,7 +145,7 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     new = np.ones(len(once), dtype=bool)
     new[tag[same & ~joins]] = False
     p_AL, variance = _places_and_variance(seen, graph)
-    p_AL = se2.transform(se2.between(_of_views(graph, newest), X_MA)[0], p_AL[new])
+    p_AL = se2.transform(se2.between(graph.X_MA[newest], X_MA)[0], p_AL[new])
     view, frames = np.where(agrees[new], MAPPED, newest), np.minimum(gain[new], MOST)
     return concat(old, Evidence(seen.keyframe.ids[new], view, p_AL, variance[new], frames))
 
@@ -231,14 +231,9 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
     return tag, same
 
 
-def _of_views(graph: KeyframeGraph, views: IntArray) -> FloatArray:
-    """(m, 3) arrival poses of some views (m,)."""
-    return se2.compose(graph.X_MN[graph.view_keyframe[views]], graph.X_AV[views])
-
-
 def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
     """(h, 2) m in M, of places that the map does not have."""
-    return se2.transform(_of_views(graph, evidence.view), evidence.p_AL)
+    return se2.transform(graph.X_MA[evidence.view], evidence.p_AL)
 
 
 def _places_and_variance(seen: Sighted, graph: KeyframeGraph) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Concatenate, ParamSpec
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -12,20 +12,16 @@ from tfg_drake.bad_input import EstimateLost
 from tfg_drake.messages import FloatArray
 from tfg_drake.slam.estimator_state import EstimatorState
 
-P = ParamSpec("P")
+Step = TypeVar("Step", bound=Callable[..., EstimatorState])
 
 
-def kept_finite(
-    step: Callable[Concatenate[EstimatorState, P], EstimatorState],
-) -> Callable[Concatenate[EstimatorState, P], EstimatorState]:
+def kept_finite(step: Step) -> Step:
     """A step of the estimator that raises EstimateLost where its result is not finite, or none is found."""
 
     @functools.wraps(step)
-    def checked(state: EstimatorState, /, *args: P.args, **kwargs: P.kwargs) -> EstimatorState:
+    def checked(state: EstimatorState, /, *args: Any, **kwargs: Any) -> EstimatorState:
         try:
             after = step(state, *args, **kwargs)
-        except EstimateLost:
-            raise
         except np.linalg.LinAlgError as error:
             raise EstimateLost(_line(state, str(error))) from error
         if after.localizer is not state.localizer:
@@ -34,7 +30,7 @@ def kept_finite(
             _check(after, "map", after.map.p_ML, after.map.X_MD, after.map.covariance, after.map.shared)
         return after
 
-    return checked
+    return cast(Step, checked)
 
 
 def _check(state: EstimatorState, what: str, *values: FloatArray) -> None:

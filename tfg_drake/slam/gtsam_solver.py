@@ -18,7 +18,7 @@ from tfg_drake.slam.keyframe import Keyframe, residual
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import LEAST_DAMPING, Values, factors_of
-from tfg_drake.slam.surfaces import add_pieces
+from tfg_drake.slam.surfaces import Pieces, add_pieces
 
 # Directions of which a keyframe says less than this share of what its diagonal would allow are none.
 LEAST_SHARE = 1e-13
@@ -82,7 +82,7 @@ def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bo
         p_ML = np.array([values.atVector(key) for key in keys[:n]]).reshape(n, 2)
         D, shared = values.atVector(keys[n]), values.atVector(keys[-1])
         A = np.zeros(3) if from_origin else values.atVector(keys[n + 1])
-        e, on, by_landmark = residual(p_ML, p_MC, *one.measured, A, D, shared)
+        e, on, by_landmark = residual(p_ML, p_MC, one.measured, A, D, shared)
         if jacobians is not None:
             for i in range(n):
                 jacobians[i] = R[:, 2 * i : 2 * i + 2] @ by_landmark[i]
@@ -99,6 +99,7 @@ def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.
     """A piece of surface, see `surfaces.Pieces`: a square root of the Hessian H on the poses that it ties, its offset
     and slope eliminated, and r with H^(1/2) r = g, the gradient; what the cost has beyond |r|^2 is one more error."""
     free, m = keyframe > 0, len(keyframe)
+    piece = Pieces(frame[None], np.array([0, m]), np.arange(m), moments)
     keys = [X(k) for k in keyframe[free].tolist()]
     node_at = np.where(free, 3 * (np.cumsum(free) - 1), -1)
     size = 3 * len(keys)
@@ -106,9 +107,7 @@ def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None) -> FloatArray:
         X_MN, H, g = np.zeros((m, 3)), np.zeros((size, size)), np.zeros(size)
         X_MN[free] = [values.atVector(key) for key in keys]
-        cost = add_pieces(
-            np.zeros(1, np.int64), frame[None], np.array([0, m]), np.arange(m), moments, X_MN, node_at, H, g
-        )
+        cost = add_pieces(np.zeros(1, np.int64), piece, X_MN, node_at, H, g)
         value, direction = np.linalg.eigh(H)
         some = value > LEAST_SHARE * value[-1]
         root = np.sqrt(value[some])

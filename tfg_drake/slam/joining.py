@@ -11,13 +11,11 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import FloatArray, is_tag, replace
-from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, opened, unknown_way
-from tfg_drake.slam.evidence import TagWatch, renewed, with_doubts
+from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, unknown_way, with_map
+from tfg_drake.slam.evidence import TagWatch
 from tfg_drake.slam.keyframe import Keyframe, joined_reach, placed, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
-from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import known_jointly, solve
-from tfg_drake.slam.map_update import deviation_of
 from tfg_drake.slam.walls import named, renamed
 from tfg_drake.table import concat, take
 
@@ -28,8 +26,8 @@ OF_KNOWN = 1
 def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
     """The state of a session that lies so in the map that it began with as one map, in the frame of that. Where no tags
     say so this may be taken back."""
-    graph = state.graph
-    assert state.map is not None
+    graph, before = state.graph, state.map
+    assert before is not None
     told = solve(graph, state.stamp, no_observation(), joint=known_jointly(graph))[1]
     one = without_tags(known.keyframe, at.moved)
     names, walls = renamed(one, state.walls, told, se2.inverse(at.X), at.covariance)
@@ -42,10 +40,11 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
         walls=walls,
         evidence=concat(state.evidence, others),
         watch=_turned(state.watch, at.X),
-        known=None if at.tags else replace(known, since=state.map.stage),
+        known=None if at.tags else replace(known, since=before.stage),
         at=None if at.tags else Placed(np.zeros(3), np.zeros((3, 3))),
     )
-    state = _mapped(state, both)
+    both, estimate = solve(both, state.stamp, before.observation)
+    state = with_map(state, both, estimate, both)
     return replace(state, watch=_with_facing(state.watch, known))
 
 
@@ -58,8 +57,9 @@ def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
     graph = replace(graph, p_ML=state.map.p_ML)
     own = _moved(graph, X_SM, (), graph.keyframes[begin:], graph.X_MN[begin:])
     evidence = take(state.evidence, np.isin(state.evidence.ids, own.ids))
-    watch = _turned(state.watch, X_SM)
-    return _mapped(replace(state, evidence=evidence, watch=watch, known=replace(known, since=0)), own)
+    own, estimate = solve(own, state.stamp, state.map.observation)
+    state = replace(state, evidence=evidence, watch=_turned(state.watch, X_SM), known=replace(known, since=0))
+    return with_map(state, own, estimate, own)
 
 
 def _moved(
@@ -93,24 +93,6 @@ def _moved(
         tag_error=graph.tag_error,
         unevenness=graph.unevenness,
     )
-
-
-def _mapped(state: EstimatorState, graph: KeyframeGraph) -> EstimatorState:
-    """The state after a view with another graph of all that it has seen, solved."""
-    assert state.map is not None
-    graph, estimate = solve(graph, state.stamp, state.map.observation)
-    whole = with_doubts(replace(estimate, frame_worth=state.map.frame_worth), state.evidence, graph)
-    state = replace(
-        state,
-        graph=graph,
-        solved=graph,
-        map=whole,
-        published=whole.of_tags,
-        watch=renewed(state.watch, whole.of_tags.ids),
-        localizer=start_localizer(estimate, state.walls),
-        deviation=deviation_of(estimate),
-    )
-    return replace(state, piece=opened(state))
 
 
 def _turned(watch: TagWatch, X_FM: FloatArray) -> TagWatch:

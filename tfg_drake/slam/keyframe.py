@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,6 +26,21 @@ SMALL_STEP = 1e-6
 MOST_STEPS = 5
 # A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
 OPEN_HEADING = 1.0
+
+
+class Measured(NamedTuple):
+    """Landmarks as a keyframe has them: how many are walls, which come first, y_AL (n, 2), the anchors (n, 2) of the
+    walls, y_AD (3,) and the unit of lengths, see Keyframe."""
+
+    walls: int
+    y_AL: FloatArray
+    p_AC: FloatArray
+    y_AD: FloatArray
+    unit: int
+
+
+# The error of a keyframe and its Jacobians, see `residual`.
+Linear = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @message
@@ -61,9 +76,9 @@ class Keyframe:
         return int(np.searchsorted(self.ids, WALLS_BELOW))
 
     @property
-    def measured(self) -> tuple[int, FloatArray, FloatArray, FloatArray, int]:
-        """The arguments of `residual` that it has: walls, y_AL, anchor, y_AD and unit."""
-        return self.walls, self.y_AL, self.anchor, self.y_AD, self.unit
+    def measured(self) -> Measured:
+        """What it has of landmarks and D."""
+        return Measured(self.walls, self.y_AL, self.anchor, self.y_AD, self.unit)
 
     @property
     def without_errors(self) -> FloatArray:
@@ -279,14 +294,14 @@ def linearised(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Hessian, gradient and twice the cost of a keyframe, as of `gradient_of`; errors: (2n,) of the tags, if these are
     parameters. Further arguments as of `residual`."""
-    error, on, by_landmark = residual(p_ML, p_MC, *one.measured, A, D, shared)
+    linear = residual(p_ML, p_MC, one.measured, A, D, shared)
     vector, parameters, information = one.vector, shared, one.without_errors
     if errors is not None:
-        error, on = with_errors(error, on, errors)
+        linear = with_errors(linear, errors)
         vector, parameters = np.append(vector, one.pull), np.append(shared, errors)
         information = one.with_errors()
-    g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
-    return hessian(on, by_landmark, information), g, cost
+    g, cost = gradient_of(linear, information, vector, parameters)
+    return hessian(linear, information), g, cost
 
 
 @njit(cache=True)
@@ -305,23 +320,14 @@ def wall_off(
 
 @njit(cache=True)
 def residual(
-    p_ML: FloatArray,
-    p_MC: FloatArray,
-    walls: int,
-    y_AL: FloatArray,
-    p_AC: FloatArray,
-    y_AD: FloatArray,
-    unit: int,
-    A: FloatArray,
-    D: FloatArray,
-    shared: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The error (2n + 16,) of a keyframe, see Keyframe, its Jacobian (2n + 16, 16) on A and the parameters, and the
-    Jacobians (n + 1, 2, 2) on its landmarks and on D's position.
+    p_ML: FloatArray, p_MC: FloatArray, measured: Measured, A: FloatArray, D: FloatArray, shared: FloatArray
+) -> Linear:
+    """The error (2n + 16,) of a keyframe, see Keyframe, its Jacobian `on` (2n + 16, 16) A and the parameters, and the
+    Jacobians `by_landmark` (n + 1, 2, 2) on its landmarks and on D's position.
 
-    p_ML: (n, 2) its landmarks, so many of which, the first, are walls, p_MC: (n, 2) their anchors. y_AL, p_AC: what the
-    keyframe has of both. unit: of its lengths.
+    p_ML: (n, 2) its landmarks, p_MC: (n, 2) the anchors of those that are walls.
     """
+    walls, y_AL, p_AC, y_AD, unit = measured
     n, scale = len(p_ML), scale_of(unit, shared)
     c, s = math.cos(A[2]), math.sin(A[2])
     m = 2 * n + 3
@@ -356,29 +362,26 @@ def residual(
 
 
 @njit(cache=True)
-def with_errors(error: FloatArray, on: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Error and Jacobian `on` of `residual` with the tags' errors (2n,) among the parameters, behind the others."""
+def with_errors(linear: Linear, errors: FloatArray) -> Linear:
+    """A keyframe's error with the tags' errors (2n,) among the parameters, behind the others."""
+    error, on, by_landmark = linear
     m, k = len(error), len(errors)
     whole, wide = np.empty(m + k), np.zeros((m + k, on.shape[1] + k))
     whole[:m], whole[m:], wide[:m, : on.shape[1]] = error, errors, on
     for i in range(k):
         wide[m + i, on.shape[1] + i] = 1.0
-    return whole, wide
+    return whole, wide, by_landmark
 
 
 @njit(cache=True)
 def gradient_of(
-    error: FloatArray,
-    on: FloatArray,
-    by_landmark: FloatArray,
-    information: FloatArray,
-    vector: FloatArray,
-    parameters: FloatArray,
+    linear: Linear, information: FloatArray, vector: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, float]:
     """Gradient (u,) of a keyframe's cost, in the order of landmarks, D, A and parameters (p,), and twice the cost.
 
-    error, on, by_landmark: of `residual`. vector: (p,) as of Keyframe.
+    vector: (p,) as of Keyframe.
     """
+    error, on, by_landmark = linear
     weighted, m, p = information @ error, len(error) - len(parameters), len(parameters)
     g = np.empty((m + 3 + p, 1))
     for i in range(0, m - 1, 2):
@@ -393,8 +396,9 @@ def gradient_of(
 
 
 @njit(cache=True)
-def hessian(on: FloatArray, by_landmark: FloatArray, information: FloatArray) -> FloatArray:
+def hessian(linear: Linear, information: FloatArray) -> FloatArray:
     """Hessian (u, u) of a keyframe's cost, as `gradient_of`."""
+    _, on, by_landmark = linear
     m, size = 2 * len(by_landmark) + 1, 2 * len(by_landmark) + 1 + on.shape[1]
     weighted_on = information @ on
     H, half = np.empty((size, size)), np.empty((m, m))

@@ -22,7 +22,7 @@ from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
-from tfg_drake.slam.walls import FLOOR, Walls, no_walls
+from tfg_drake.slam.walls import FLOOR, Walls, WallSet, no_walls
 from tfg_drake.table import empty, take
 
 # Local tags kept at most; the longest unseen go first.
@@ -38,8 +38,8 @@ class Localizer:
     map: what it considers, D is its X_MD. mean: (2k + 3,) pose and local tags, covariance: (2k + 3, 2k + 3). seen: (s,)
     rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (2s + 13, 2s + 13)
     covariance of the parameters and of these in D, with_D: (2s + 13, 3) with X_MD. sensitivity: (2k + 3, 2s + 13), W.
-    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: (w, 2) of map.local,
-    the first in it, and p_DC: (w, 2) their anchors, both in D; reach: (w, 2). floor: as of `walls.Walls`.
+    local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: of map.local, the
+    first in it, in D. floor: as of `walls.Walls`.
     """
 
     map: MapEstimate
@@ -53,9 +53,7 @@ class Localizer:
     local_ids: Annotated[IntArray, "k"]
     last_seen: Annotated[FloatArray, "k"]
     local_frames: Annotated[IntArray, "k"]
-    walls: Annotated[FloatArray, "w", 2]
-    p_DC: Annotated[FloatArray, "w", 2]
-    reach: Annotated[FloatArray, "w", 2]
+    walls: WallSet
     floor: float
 
     @property
@@ -73,7 +71,6 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
     """The localiser at the departure pose of the newest map, and its walls."""
     walls = walls or no_walls()
     of_walls = estimate.local[~is_tag(estimate.ids[estimate.local])]
-    in_D, p_DC = _in_departure(estimate, of_walls)
     considered, with_D, p_DL = _considered(estimate, np.zeros(0, dtype=np.int64), walls.floor)
     return empty(
         Localizer,
@@ -81,9 +78,7 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
         p_DL=p_DL,
         considered=considered,
         with_D=with_D,
-        walls=in_D,
-        p_DC=p_DC,
-        reach=estimate.reach[of_walls],
+        walls=WallSet(*_in_departure(estimate, of_walls), estimate.reach[of_walls]),
         floor=walls.floor,
     )
 
@@ -166,7 +161,7 @@ def corrected_by_walls(
     twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
     """
     now, shared = localizer, localizer.map.shared
-    wall, through = walls_seen(now.mean[:POSE], shared, twist, lines, now.walls, now.p_DC, now.reach)
+    wall, through = walls_seen(now.mean[:POSE], shared, twist, lines, now.walls)
     found = wall >= 0
     if not found.any():
         return now, through, through
@@ -177,8 +172,8 @@ def corrected_by_walls(
         now = _with_seen(now, np.append(now.seen, np.unique(new)))
     column = SHARED + 2 * np.argmax(now.seen == wall[:, None], axis=1)
     state = now.mean.copy(), now.covariance.copy(), now.sensitivity.copy()
-    at = now.walls[wall], now.p_DC[wall]
-    fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, *at)
+    of_lines = WallSet(*(of[wall] for of in now.walls))
+    fits = correct_by_walls(state, (shared, now.considered), (twist, variance), lines, column, of_lines)
     mean, covariance, sensitivity = state
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
     return now, len(lines) + through, int(np.count_nonzero(~fits)) + through

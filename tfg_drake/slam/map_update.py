@@ -15,7 +15,7 @@ from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, placed, residual, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, Measured, placed, residual, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import wall_ends
@@ -272,11 +272,9 @@ def _iterated(
     i = np.arange(m)
     for _ in range(ITERATIONS if m else 1):
         X_MA, shared = x[2 * m : 2 * m + 3], x[2 * m + 3 :]
-        measured = (y + by_shared @ shared).reshape(-1, 2)
         # In the keyframe's unit, in which x is.
-        error, on, by_landmark = residual(
-            x[: 2 * m].reshape(-1, 2), p_MC, walls, measured, p_AC, X_MA, METRES, X_MA, X_MA, shared
-        )
+        measured = Measured(walls, (y + by_shared @ shared).reshape(-1, 2), p_AC, X_MA, METRES)
+        error, on, by_landmark = residual(x[: 2 * m].reshape(-1, 2), p_MC, measured, X_MA, X_MA, shared)
         H[: 2 * m, : 2 * m].reshape(m, 2, m, 2)[i, :, i, :] = by_landmark[:m]
         H[: 2 * m, 2 * m : 2 * m + 3] = on[: 2 * m, :3]
         off = np.append(-error[: 2 * m], told.told - told.of_shared.T @ shared)

@@ -216,12 +216,12 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
 def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
     """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
     if state.turn is None:
-        return replace(state, kidnapped=True, way=(), piece=begun)
+        return replace(state, kidnapped=True, way=(), open=begun)
     assert state.map is not None
     if begun.begin.stamp < state.turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
     way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
-    return replace(state, kidnapped=True, way=(way,), turn=begun)
+    return replace(state, kidnapped=True, way=(way,), open=begun)
 
 
 def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[KeyframeGraph, MapEstimate, Ways]:

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.slam.keyframe import gradient_of, hessian, is_unknown, residual, rows_of, with_errors
+from tfg_drake.slam.keyframe import Linear, Measured, gradient_of, hessian, is_unknown, residual, rows_of, with_errors
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of
+from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of, scatter
 
 # Where no step can be made, every unknown is held to its place by this information, and more if need be: it holds what
 # hangs on nothing by 100 m, or rad.
@@ -128,28 +128,19 @@ def factors_of(graph: KeyframeGraph) -> Factors:
 @njit(cache=True)
 def _keyframe(
     k: int, keyframes: Keyframes, values: Values, unknowns: Unknowns
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[IntArray, Linear, FloatArray, FloatArray, FloatArray]:
     """The unknowns (u,) of keyframe k, negative where one has none: of its landmarks, D, A, the parameters and the
     tags' errors, if these are unknowns. And the arguments of `gradient_of`."""
     some = slice(keyframes.offsets[k], keyframes.offsets[k + 1])
-    rows = keyframes.rows[some]
-    error, on, by_landmark = residual(
-        values.p_ML[rows],
-        keyframes.p_MC[some],
-        keyframes.walls[k],
-        keyframes.y_AL[some],
-        keyframes.anchor[some],
-        keyframes.y_AD[k],
-        keyframes.unit[k],
-        values.X_MN[k],
-        values.X_MN[k + 1],
-        values.shared,
-    )
+    rows, walls, unit = keyframes.rows[some], keyframes.walls[k], keyframes.unit[k]
+    measured = Measured(walls, keyframes.y_AL[some], keyframes.anchor[some], keyframes.y_AD[k], unit)
+    A_to_D = values.X_MN[k], values.X_MN[k + 1]
+    linear = residual(values.p_ML[rows], keyframes.p_MC[some], measured, *A_to_D, values.shared)
     n, vector, parameters = len(rows), keyframes.vector[k].copy(), values.shared.copy()
     has_errors = n > 0 and unknowns.error_at[rows[0]] >= 0
     if has_errors:
         errors = values.errors[rows].copy().reshape(2 * n)
-        error, on = with_errors(error, on, errors)
+        linear = with_errors(linear, errors)
         vector = np.append(vector, keyframes.pull[some].copy().reshape(2 * n))
         parameters = np.append(parameters, errors)
     at = np.empty(2 * n + 6 + len(parameters), dtype=np.int64)
@@ -165,8 +156,9 @@ def _keyframe(
         at[2 * n + 3 + i] = A + i if A >= 0 else -1
     for i in range(SHARED):
         at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
-    information = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(len(error), len(error))
-    return at, error, on, by_landmark, information, vector, parameters
+    size = len(linear[0])
+    information = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(size, size)
+    return at, linear, information, vector, parameters
 
 
 @njit(cache=True)
@@ -179,38 +171,19 @@ def assemble(
     gradient: FloatArray,
     places: FloatArray,
 ) -> float:
-    """Add the Hessians and gradients of some of k keyframes, which (q,), to a block (u, u) and gradient (u,) of
-    unknowns, and set the Hessian and the gradient on each of their tags among places (., 2, 3). Returns twice the cost.
+    """Add the Hessians and gradients of some of k keyframes, which (q,), to a block (u, u), if it has rows, and
+    gradient (u,) of unknowns, and set the Hessian and the gradient on each of their tags among places (., 2, 3), if it
+    has rows. Returns twice the cost.
     """
     total = 0.0
     for k in which:
-        at, error, on, by_landmark, information, vector, parameters = _keyframe(k, keyframes, values, unknowns)
-        g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
-        H = hessian(on, by_landmark, information)
+        at, linear, information, vector, parameters = _keyframe(k, keyframes, values, unknowns)
+        g, cost = gradient_of(linear, information, vector, parameters)
+        H = hessian(linear, information) if len(block) else block
+        scatter(H, g, at, block, gradient)
         total += cost
         begin = keyframes.offsets[k]
-        for i in range(keyframes.offsets[k + 1] - begin):
+        for i in range(keyframes.offsets[k + 1] - begin if len(places) else 0):
             places[begin + i, :, :2] = H[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             places[begin + i, :, 2] = g[2 * i : 2 * i + 2]
-        for i in range(len(at)):
-            if at[i] >= 0:
-                gradient[at[i]] += g[i]
-                row = block[at[i]]
-                for j in range(len(at)):
-                    if at[j] >= 0:
-                        row[at[j]] += H[i, j]
-    return total
-
-
-@njit(cache=True)
-def batch_gradient(keyframes: Keyframes, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
-    """Add the gradient of the cost of k keyframes, and return twice that cost."""
-    total = 0.0
-    for k in range(len(keyframes.y_AD)):
-        at, error, on, by_landmark, information, vector, parameters = _keyframe(k, keyframes, values, unknowns)
-        g, cost = gradient_of(error, on, by_landmark, information, vector, parameters)
-        total += cost
-        for i in range(len(at)):
-            if at[i] >= 0:
-                gradient[at[i]] += g[i]
     return total

@@ -18,6 +18,7 @@ from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import moved_points, moves_of_origin
+from tfg_drake.slam.odometry_model import wrap
 
 # Side of a cell, m. Points of one look the same way where their normals, by direction, follow each other within this,
 # rad, and their mean is no shorter than this.
@@ -101,7 +102,7 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     kept = (np.diff(looks) > 1) & (length > COMMON)
     some, worth, floor = np.repeat(kept, np.diff(looks)), np.where(kind > 0, EDGE, 1.0), FLOOR**2 + unevenness**2
     placed = p_MP[rows], points.p_AP[rows], worth[rows]
-    moments = _weighed(np.flatnonzero(kept), mean, looks, begin, *placed, floor)[some]
+    moments = _weighed(np.flatnonzero(kept), mean, looks, begin, placed, floor)[some]
     normal, keyframe = np.repeat(mean[:, 2:], np.diff(looks), axis=0)[some], keyframe[some]
     moments *= _worth(keyframe, normal, moments, X_MN, points.scatter)[:, None]
     return Pieces(mean[kept], np.append(0, np.cumsum(np.diff(looks)[kept])), keyframe, moments)
@@ -127,6 +128,10 @@ def _order(keys: IntArray) -> IntArray:
     return np.asarray(np.argsort(keys * len(keys) + np.arange(len(keys))))
 
 
+# p_MP (p, 4) and p_AP (p, 4) of some points, and what each is worth (p,).
+Placed = tuple[FloatArray, FloatArray, FloatArray]
+
+
 class Ties(NamedTuple):
     """t pairs of keyframes, first and second (t,), the second at X_AB (t, 3) of the first, by information (t, 3, 3)."""
 
@@ -143,58 +148,48 @@ def no_ties() -> Ties:
 
 
 @njit(cache=True)
+def scatter(H: FloatArray, g: FloatArray, at: IntArray, block: FloatArray, gradient: FloatArray) -> None:
+    """Add a Hessian (k, k) to the block, if it has rows, and a gradient (k,), each unknown where it is, at (k,),
+    negative for none."""
+    for i in range(len(at)):
+        if at[i] >= 0:
+            gradient[at[i]] += g[i]
+            for j in range(len(at) if len(block) else 0):
+                if at[j] >= 0:
+                    block[at[i], at[j]] += H[i, j]
+
+
+@njit(cache=True)
 def add_ties(
-    which: IntArray,
-    first: IntArray,
-    second: IntArray,
-    X_AB: FloatArray,
-    information: FloatArray,
-    X_MN: FloatArray,
-    node_at: IntArray,
-    block: FloatArray,
-    gradient: FloatArray,
+    which: IntArray, ties: Ties, X_MN: FloatArray, node_at: IntArray, block: FloatArray, gradient: FloatArray
 ) -> float:
     """As add_pieces, of some ties, which (q,)."""
     total, J, e, at = 0.0, np.zeros((3, 6)), np.empty(3), np.empty(6, dtype=np.int64)
     for t in which:
-        A, B = X_MN[first[t]], X_MN[second[t]]
+        first, second, X_AB, information = ties.first[t], ties.second[t], ties.X_AB[t], ties.information[t]
+        A, B = X_MN[first], X_MN[second]
         c, s, dx, dy = math.cos(A[2]), math.sin(A[2]), B[0] - A[0], B[1] - A[1]
         x, y = c * dx + s * dy, -s * dx + c * dy
-        e[0], e[1] = x - X_AB[t, 0], y - X_AB[t, 1]
-        turn = B[2] - A[2] - X_AB[t, 2]
-        e[2] = turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+        e[0], e[1], e[2] = x - X_AB[0], y - X_AB[1], wrap(B[2] - A[2] - X_AB[2])
         J[0, 0], J[0, 1], J[0, 2], J[0, 3], J[0, 4] = -c, -s, y, c, s
         J[1, 0], J[1, 1], J[1, 2], J[1, 3], J[1, 4] = s, -c, -x, -s, c
         J[2, 2], J[2, 5] = -1.0, 1.0
-        weighted = information[t] @ e
+        weighted = information @ e
         total += float(e @ weighted)
-        g, H = J.T @ weighted, J.T @ information[t] @ J
         for a in range(3):
-            at[a] = node_at[first[t]] + a if node_at[first[t]] >= 0 else -1
-            at[3 + a] = node_at[second[t]] + a if node_at[second[t]] >= 0 else -1
-        for a in range(6):
-            if at[a] >= 0:
-                gradient[at[a]] += g[a]
-                for b in range(6 if len(block) else 0):
-                    if at[b] >= 0:
-                        block[at[a], at[b]] += H[a, b]
+            at[a] = node_at[first] + a if node_at[first] >= 0 else -1
+            at[3 + a] = node_at[second] + a if node_at[second] >= 0 else -1
+        scatter(J.T @ information @ J, J.T @ weighted, at, block, gradient)
     return total
 
 
 @njit(cache=True)
 def _weighed(
-    which: IntArray,
-    frame: FloatArray,
-    looks: IntArray,
-    begin: IntArray,
-    p_MP: FloatArray,
-    p_AP: FloatArray,
-    worth: FloatArray,
-    floor: float,
+    which: IntArray, frame: FloatArray, looks: IntArray, begin: IntArray, placed: Placed, floor: float
 ) -> FloatArray:
-    """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1], worth (p,). floor: m^2,
-    the variance that they have in common."""
-    moments = np.zeros((looks[-1], 6))
+    """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1]. floor: m^2, the
+    variance that they have in common."""
+    moments, (p_MP, p_AP, worth) = np.zeros((looks[-1], 6)), placed
     for g in which:
         first, last = begin[looks[g]], begin[looks[g + 1]]
         m_x, m_y, n_x, n_y = frame[g]
@@ -223,21 +218,13 @@ def _weighed(
 
 @njit(cache=True)
 def add_pieces(
-    which: IntArray,
-    frame: FloatArray,
-    looks: IntArray,
-    keyframe: IntArray,
-    moments: FloatArray,
-    X_MN: FloatArray,
-    node_at: IntArray,
-    block: FloatArray,
-    gradient: FloatArray,
+    which: IntArray, pieces: Pieces, X_MN: FloatArray, node_at: IntArray, block: FloatArray, gradient: FloatArray
 ) -> float:
     """Add Hessian and gradient of some pieces of surface, which (q,), to a block (u, u), if it has rows, and gradient
     (u,) of unknowns, of which those of the pose of keyframe k are the first at node_at[k], negative for none. Returns
-    twice the cost. frame to moments: as of Pieces.
+    twice the cost.
     """
-    total = 0.0
+    total, own, (frame, looks, keyframe, moments) = 0.0, np.empty((3, 3)), pieces
     for g in which:
         first, m = looks[g], looks[g + 1] - looks[g]
         m_x, m_y, n_x, n_y = frame[g]
@@ -285,15 +272,10 @@ def add_pieces(
             gradient[at + 2] += h_x * e_x + h_y * e_y
             if len(block):
                 turn = h_x * h_x * M[3] + 2.0 * h_x * h_y * M[4] + h_y * h_y * M[5]
-                block[at, at] += q_x * q_x * M[0]
-                block[at, at + 1] += q_x * q_y * M[0]
-                block[at + 1, at] += q_x * q_y * M[0]
-                block[at + 1, at + 1] += q_y * q_y * M[0]
-                block[at, at + 2] += q_x * lever
-                block[at + 2, at] += q_x * lever
-                block[at + 1, at + 2] += q_y * lever
-                block[at + 2, at + 1] += q_y * lever
-                block[at + 2, at + 2] += turn
+                own[0] = q_x * q_x * M[0], q_x * q_y * M[0], q_x * lever
+                own[1] = q_x * q_y * M[0], q_y * q_y * M[0], q_y * lever
+                own[2] = q_x * lever, q_y * lever, turn
+                block[at : at + 3, at : at + 3] += own
         for k in range(m if len(block) else 0):
             at = node_at[keyframe[first + k]]
             for q in range(m if at >= 0 else 0):
@@ -322,8 +304,8 @@ def put_together(
         for step in range(STEPS):
             pieces = pieces_of(points, X, step, unevenness)
             H, g = np.zeros((3 * m - 3, 3 * m - 3)), np.zeros(3 * m - 3)
-            add_pieces(np.arange(len(pieces.frame)), *pieces, X, node_at, H, g)
-            add_ties(np.arange(m - 1), *ties, X, node_at, H, g)
+            add_pieces(np.arange(len(pieces.frame)), pieces, X, node_at, H, g)
+            add_ties(np.arange(m - 1), ties, X, node_at, H, g)
             covariance[3:, 3:] = np.linalg.inv(H)
             X[1:] -= (covariance[3:, 3:] @ g).reshape(-1, 3)
         on_A = moves_of_origin(X)

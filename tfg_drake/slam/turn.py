@@ -74,6 +74,10 @@ ROUNDING = 1e-9
 LEAST_PIVOT = 1e-30
 
 
+# Increments and covariances of odometry; or the chain's and the rest's normal equations.
+Pair = tuple[FloatArray, FloatArray]
+
+
 class _Problem(NamedTuple):
     """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 8) of each of the sightings (m,)."""
 
@@ -439,16 +443,15 @@ def solved_chain(
     Returns the information (16 + 2n + 2w, 16 + 2n + 2w) of the frames alone on (D, parameters, tags, walls), the
     gradient there, and the squared errors of the sightings and of the looks, in sigmas.
     """
-    size, (increments, covariance) = 3 + len(border), _motions(ties)
-    prior, of_prior = ties.prior, ties.of_prior
-    chain, rest = _normal_equations(len(X), size)
+    size, motions, prior, of_prior = 3 + len(border), _motions(ties), ties.prior, ties.of_prior
+    chain, rest = equations = _normal_equations(len(X), size)
     squared, step_X, step = np.empty(len(ties.node) + len(ties.looks.node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
         chain.fill(0.0)
         rest.fill(0.0)
-        new_cost = _add_odometry(ties, X, border, increments, covariance, chain, rest)
-        new_cost += _add_measurements(ties, X, border, huber, chain, rest, squared)
+        new_cost = _add_odometry(ties, X, border, motions, equations)
+        new_cost += _add_measurements(ties, X, border, huber, equations, squared)
         for a in range(SHARED):
             for b in range(SHARED):
                 new_cost += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -478,13 +481,13 @@ def solved_chain(
 def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
     """The negative logarithm of the likelihood of odometry and sightings, linearised at X and border, of which it is
     the marginal; without what only the sightings' own deviations say. Arguments: as of `solved_chain`."""
-    (increments, covariance), prior, of_prior = _motions(ties), ties.prior, ties.of_prior
-    chain, rest = _normal_equations(len(X), 3 + len(border))
-    misfit = _add_odometry(ties, X, border, increments, covariance, chain, rest)
-    for one in covariance:
+    motions, prior, of_prior = _motions(ties), ties.prior, ties.of_prior
+    chain, rest = equations = _normal_equations(len(X), 3 + len(border))
+    misfit = _add_odometry(ties, X, border, motions, equations)
+    for one in motions[1]:
         misfit += 0.5 * math.log(np.linalg.det(one))
     squared = np.empty(len(ties.node) + len(ties.looks.node))
-    misfit += _add_measurements(ties, X, border, math.inf, chain, rest, squared)
+    misfit += _add_measurements(ties, X, border, math.inf, equations, squared)
     for a in range(SHARED):
         for b in range(SHARED):
             misfit += 0.5 * of_prior[a, b] * (border[a] - prior[a]) * (border[b] - prior[b])
@@ -500,7 +503,7 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
 
 
 @njit(cache=True)
-def _motions(ties: _Ties) -> tuple[FloatArray, FloatArray]:
+def _motions(ties: _Ties) -> Pair:
     """Increments (t - 1, 3) of `arc` between odometry's poses, and the covariance (t - 1, 3, 3) of each."""
     X_OB, dt = ties.X_OB, ties.dt
     increments, covariance = np.empty((len(dt), 3)), np.empty((len(dt), 3, 3))
@@ -511,10 +514,24 @@ def _motions(ties: _Ties) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _normal_equations(poses: int, size: int) -> tuple[FloatArray, FloatArray]:
+def _normal_equations(poses: int, size: int) -> Pair:
     """None yet: three rows a pose of the chain, with columns for itself, the next pose, the border and the gradient, of
     which the upper triangle counts; and the rest, D and the border."""
     return np.zeros((poses, 3, 7 + size - 3)), np.zeros((size, size + 1))
+
+
+@njit(cache=True)
+def _add(rows: FloatArray, first: int, at: IntArray, equations: Pair) -> None:
+    """Add the products of rows' columns from the first on with each other and with the last, the error. at: (c,) which
+    unknown each but the last is, ascending: three a pose, D's the last of these, then the border's."""
+    (chain, rest), d = equations, 3 * len(equations[0]) - 3
+    for a in range(first, len(at)):
+        i = at[a] // 3
+        # Where the poses' columns begin in its row, and the border's, which follow the next pose's there.
+        row, poses, border = (chain[i, at[a] - 3 * i], 3 * i, d - 3) if at[a] < d else (rest[at[a] - d], d, d)
+        for b in range(a, len(at)):
+            row[at[b] - (poses if at[b] < d + 3 else border)] += _dot(rows, a, b)
+        row[-1] += _dot(rows, a, len(at))
 
 
 @njit(cache=True)
@@ -526,22 +543,12 @@ def _add_prior(rest: FloatArray, border: FloatArray, prior: FloatArray, of_prior
 
 
 @njit(cache=True)
-def _add_odometry(
-    ties: _Ties,
-    X: FloatArray,
-    border: FloatArray,
-    increments: FloatArray,
-    covariance: FloatArray,
-    chain: FloatArray,
-    rest: FloatArray,
-) -> float:
-    """Add the normal equations of the odometry between poses (t, 3); returns the cost.
-
-    increments, covariance: of `_motions`.
-    """
-    cost = 0.0
+def _add_odometry(ties: _Ties, X: FloatArray, border: FloatArray, motions: Pair, equations: Pair) -> float:
+    """Add the normal equations of the odometry between poses (t, 3); returns the cost. motions: of `_motions`."""
+    cost, (increments, covariance) = 0.0, motions
     # The covariance, to whiten by, beside the Jacobians on both poses and the calibration, and the error.
-    rows, last = np.empty((3, 13)), 12
+    rows, last, at = np.empty((3, 13)), 12, np.arange(12)
+    at[9:] = 3 * len(X) + np.arange(3)
     for i in range(len(X) - 1):
         ahead, on_calibration, _ = predict_increment(increments[i], ties.dt[i], border[:3], ties.walks)
         c, s = math.cos(X[i, 2]), math.sin(X[i, 2])
@@ -563,39 +570,15 @@ def _add_odometry(
                 rows[a, b] *= scale
             rows[a, 9 if a < 2 else 11] += by_scale
         _factor(rows)
-        # D is among the rest, and the first pose is fixed.
-        of_next = i + 2 == len(X)
-        for a in range(3):
-            for b in range(3):
-                chain[i, a, b] += _dot(rows, 3 + a, 3 + b)
-                chain[i, a, 3 + b] += _dot(rows, 3 + a, 6 + b)
-                chain[i, a, 6 + b] += _dot(rows, 3 + a, 9 + b)
-                rest[CALIBRATION + a, CALIBRATION + b] += _dot(rows, 9 + a, 9 + b)
-                if of_next:
-                    rest[a, b] += _dot(rows, 6 + a, 6 + b)
-                    rest[a, CALIBRATION + b] += _dot(rows, 6 + a, 9 + b)
-                else:
-                    chain[i + 1, a, b] += _dot(rows, 6 + a, 6 + b)
-                    chain[i + 1, a, 6 + b] += _dot(rows, 6 + a, 9 + b)
-            chain[i, a, -1] += _dot(rows, 3 + a, last)
-            rest[CALIBRATION + a, -1] += _dot(rows, 9 + a, last)
-            if of_next:
-                rest[a, -1] += _dot(rows, 6 + a, last)
-            else:
-                chain[i + 1, a, -1] += _dot(rows, 6 + a, last)
+        at[3:9] = 3 * i + np.arange(6)
+        _add(rows, 3, at, equations)
         cost += 0.5 * _dot(rows, last, last)
     return cost
 
 
 @njit(cache=True)
 def _add_measurements(
-    ties: _Ties,
-    X: FloatArray,
-    border: FloatArray,
-    huber: float,
-    chain: FloatArray,
-    rest: FloatArray,
-    squared: FloatArray,
+    ties: _Ties, X: FloatArray, border: FloatArray, huber: float, equations: Pair, squared: FloatArray
 ) -> float:
     """Add the normal equations of m sightings and q looks at walls and set their squared errors (m + q,), in sigmas;
     returns the cost.
@@ -607,6 +590,7 @@ def _add_measurements(
     first_wall = len(border) - 2 * len(looks.anchor)
     # Rows of every measurement; and, with the pose before in front, of what the sighting before does not tell yet.
     every, fresh, last = np.zeros((len(squared), 2, COLUMNS)), np.zeros((2, 3 + OF_TWIST)), 3 + ERROR
+    at = np.empty(last, dtype=np.int64)
     for j in range(len(squared)):
         rows, before = every[j], -1
         if j < sightings:
@@ -621,6 +605,9 @@ def _add_measurements(
             mount = border[of_sensor : of_sensor + OF_SENSOR]
             linearise_wall(rows, X[i], mount, seen[9:], seen[:7], border[k : k + 2], looks.anchor[wall])
             squared[j], more = _whiten(rows, seen[7], seen[8], huber)
+        at[:6] = 3 * i - 3 + np.arange(6)
+        at[6 : 6 + OF_SENSOR] = 3 * len(X) + of_sensor + np.arange(OF_SENSOR)
+        at[6 + OF_SENSOR :] = 3 * len(X) + k + np.arange(2)
         fresh[:, :3], fresh[:, 3:] = 0.0, rows[:, :OF_TWIST]
         if before >= 0:
             left, rows_before = ties.left[j], every[before]
@@ -629,12 +616,7 @@ def _add_measurements(
             fresh[:, 3:6] = whitener * rows[:, :3]
             fresh[:, 6:] = whitener * (rows[:, 3:OF_TWIST] - left * rows_before[:, 3:OF_TWIST])
         cost += more + 0.5 * _dot(fresh, last, last)
-        _add_measured(fresh, 3, i, 3 + of_sensor, k, chain, rest)
-        for a in range(3 if before >= 0 else 0):
-            for b in range(3):
-                chain[i - 1, a, b] += _dot(fresh, a, b)
-                chain[i - 1, a, 3 + b] += _dot(fresh, a, 3 + b)
-            _add_border(chain[i - 1, a], 3, fresh, a, 3, 3 + of_sensor, k)
+        _add(fresh, 0 if before >= 0 else 3, at, equations)
     return cost
 
 
@@ -651,38 +633,6 @@ def _whiten(rows: FloatArray, sigma_first: float, sigma_second: float, huber: fl
         rows[0, b] *= weight / sigma_first
         rows[1, b] *= weight / sigma_second
     return squared, more
-
-
-@njit(cache=True)
-def _add_measured(
-    rows: FloatArray, first: int, i: int, of_sensor: int, k: int, chain: FloatArray, rest: FloatArray
-) -> None:
-    """Add rows of what pose i measured of the landmark at k in the border. Their columns from `first` on: pose,
-    parameters of the sensor, which are in the rest from of_sensor on, landmark and error."""
-    # D's rows are the rest's first; the border's columns follow D's there, and itself and the next in the chain.
-    of_pose, shift = (rest[:3], 0) if i == len(chain) - 1 else (chain[i], 3)
-    for a in range(3):
-        for b in range(3):
-            of_pose[a, b] += _dot(rows, first + a, first + b)
-        _add_border(of_pose[a], shift, rows, first + a, first, of_sensor, k)
-    for a in range(OF_SENSOR):
-        _add_border(rest[of_sensor + a], 0, rows, first + 3 + a, first, of_sensor, k)
-    landmark = first + 3 + OF_SENSOR
-    for a in range(2):
-        for b in range(2):
-            rest[3 + k + a, 3 + k + b] += _dot(rows, landmark + a, landmark + b)
-        rest[3 + k + a, -1] += _dot(rows, landmark + a, landmark + 2)
-
-
-@njit(cache=True)
-def _add_border(row: FloatArray, shift: int, rows: FloatArray, column: int, first: int, of_sensor: int, k: int) -> None:
-    """Add a column's products with parameters, landmark and error to a row whose border is so far behind the
-    rest's."""
-    for b in range(OF_SENSOR):
-        row[shift + of_sensor + b] += _dot(rows, column, first + 3 + b)
-    for b in range(2):
-        row[shift + 3 + k + b] += _dot(rows, column, first + 3 + OF_SENSOR + b)
-    row[-1] += _dot(rows, column, first + 5 + OF_SENSOR)
 
 
 @njit(cache=True)

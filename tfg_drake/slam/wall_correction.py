@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.slam.localizer_kernels import POSE, State, update
+from tfg_drake.slam.localizer_kernels import POSE, Considered, State, update
 from tfg_drake.slam.measurement import (
     COLUMNS,
     ERROR,
@@ -22,25 +22,22 @@ from tfg_drake.slam.measurement import (
     sensor_pose,
 )
 from tfg_drake.slam.scan_lines import bearing_of
-from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR
+from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR, WallSet
+
+# The robot's speed and turn rate (2,), m/s and rad/s, and their variances (2,).
+Twist = tuple[FloatArray, FloatArray]
 
 
 @njit(cache=True)
 def walls_seen(
-    X_DB: FloatArray,
-    shared: FloatArray,
-    twist: FloatArray,
-    lines: FloatArray,
-    walls: FloatArray,
-    p_DC: FloatArray,
-    reach: FloatArray,
+    X_DB: FloatArray, shared: FloatArray, twist: FloatArray, lines: FloatArray, in_D: WallSet
 ) -> tuple[IntArray, int]:
     """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it; and the
     number of those without one that lie behind a wall where that has been seen.
 
-    X_DB: (3,) and twist (2,): the robot's. walls, p_DC, reach: (w, 2) walls, anchors and reaches in D.
+    X_DB: (3,) and twist (2,): the robot's. in_D: walls in D.
     """
-    found, through = np.full(len(lines), -1), 0
+    found, through, (walls, p_DC, reach) = np.full(len(lines), -1), 0, in_D
     for j in range(len(lines)):
         s_x, s_y, c, s, m_x, m_y = _line_from(X_DB, shared, twist, lines[j])
         least, is_behind = min(OVERLAP, 0.5 * (lines[j, 3] - lines[j, 2])), False
@@ -77,20 +74,13 @@ def _line_from(
 
 @njit(cache=True)
 def correct_by_walls(
-    state: State,
-    considered: tuple[FloatArray, FloatArray],
-    twist: tuple[FloatArray, FloatArray],
-    lines: FloatArray,
-    column: IntArray,
-    walls: FloatArray,
-    p_DC: FloatArray,
+    state: State, considered: Considered, twist: Twist, lines: FloatArray, column: IntArray, in_D: WallSet
 ) -> BoolArray:
     """Correct the state, in place, by lines (k, 11) of a scan; which of them are inside their gate, (k,), and are used.
 
-    column: (k,) where what is considered has each one's wall. walls, p_DC: (k, 2) it and its anchor in D. twist: (2,)
-    and its variances (2,).
+    column: (k,) where what is considered has each one's wall, in_D: that wall in D.
     """
-    (mean, _, _), (shared, C), m = state, considered, 2 * len(lines)
+    (mean, _, _), (shared, C), m, (walls, p_DC, _) = state, considered, 2 * len(lines), in_D
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)
     rows, look = np.empty((2, COLUMNS)), np.empty(7)
     for j in range(len(lines)):

@@ -55,6 +55,17 @@ LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
 SAME_WALL = 0.3
 
 
+_NONE = np.empty((0, 2))
+
+
+class WallSet(NamedTuple):
+    """w walls as they lie in some frame: angle and distance (w, 2), anchors (w, 2), m, and reaches (w, 2), m."""
+
+    wall: FloatArray = _NONE
+    anchor: FloatArray = _NONE
+    reach: FloatArray = _NONE
+
+
 class Looks(NamedTuple):
     """q looks of a turn at w walls.
 
@@ -306,18 +317,9 @@ def identified(
     y_AL, _, R = one.given(estimate.shared)
     w, known = one.walls, np.flatnonzero(~is_tag(estimate.ids) & estimate.is_local)
     entry, length = estimate.local_entry[known], one.reach[:w, 1] - one.reach[:w, 0]
-    squared, off, overlap = compared(
-        y_AL[:w],
-        one.anchor[:w],
-        one.reach[:w],
-        R,
-        estimate.p_ML[known],
-        estimate.anchor[known],
-        estimate.reach[known],
-        entry,
-        estimate.X_MD,
-        estimate.covariance,
-    )
+    seen = WallSet(y_AL[:w], one.anchor[:w], one.reach[:w])
+    mapped = WallSet(estimate.p_ML[known], estimate.anchor[known], estimate.reach[known])
+    squared, off, overlap = compared(seen, R, mapped, entry, estimate.X_MD, estimate.covariance)
     provisional, ids, again = [], [], []
     taken, next_id = np.zeros(len(known), dtype=bool), int(estimate.ids.min(initial=WALLS_BELOW)) - 1
     # The longest first: of two pieces of one wall it is the wall.
@@ -338,8 +340,8 @@ def identified(
     if again:
         k, best = np.array(again).T
         rows = (2 * k[:, None] + [0, 1]).ravel()
-        seen = y_AL[k], one.anchor[k], R[np.ix_(rows, rows)]
-        walls = walls.seen_again(*_off(*seen, known[best], entry[best], estimate), floor)
+        of_these = y_AL[k], one.anchor[k], R[np.ix_(rows, rows)]
+        walls = walls.seen_again(*_off(*of_these, known[best], entry[best], estimate), floor)
     return Names(np.array(provisional, dtype=np.int64), np.array(ids, dtype=np.int64)), walls
 
 
@@ -362,23 +364,14 @@ def renamed(
 
 @njit(cache=True)
 def compared(
-    seen: FloatArray,
-    p_AC: FloatArray,
-    seen_reach: FloatArray,
-    R: FloatArray,
-    wall: FloatArray,
-    p_MC: FloatArray,
-    reach: FloatArray,
-    entry: IntArray,
-    X_MD: FloatArray,
-    covariance: FloatArray,
+    from_A: WallSet, R: FloatArray, mapped: WallSet, entry: IntArray, X_MD: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Squared errors (s, k) in deviations, distances (s, k) m, both infinite where walls look another way or hardly
-    overlap, and overlaps (s, k) m, of s walls seen (s, 2) from the newest pose and k walls (k, 2) of the map.
+    overlap, and overlaps (s, k) m, of s walls seen from the newest pose and k walls of the map.
 
-    p_AC, p_MC, seen_reach, reach: of both. R: covariance of those seen, which come first in it. entry: (k,) among the
-    landmarks known jointly.
+    R: covariance of those seen, which come first in it. entry: (k,) among the landmarks known jointly.
     """
+    (seen, p_AC, seen_reach), (wall, p_MC, reach) = from_A, mapped
     s, k, D = len(seen), len(wall), len(covariance) - 3
     squared, far, overlap = np.full((s, k), np.inf), np.full((s, k), np.inf), np.full((s, k), -np.inf)
     at = np.empty(5, dtype=np.int64)
