@@ -175,19 +175,18 @@ def recorded(shared_data):
     folder = shared_data("tagslam") / "test_11"
     setup = tagslam._Setup(folder)
     stamps, R_WR, p_WR = tagslam._rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3), [])
-    names, table, _ = tagslam._read_csv(
-        tagslam.find_file(folder, "tag_corners.csv"),
-        ("stamp_s", "tag_id", "hamming", *tagslam._CORNERS), tagslam._TAG_COLUMNS, "camera",
-    )  # fmt: skip
+    file = tagslam.find_file(folder, "tag_corners.csv")
+    table, _ = tagslam.read_table(file, tagslam._TAG_COLUMNS, names={"camera": setup.named})
+    cameras = list(setup.cameras.values())
     places = dict(zip(setup.surveyed_ids.tolist(), setup.p_WT, strict=True))
     inside = (table[:, 0] >= stamps[0]) & (table[:, 0] <= stamps[-1])
     every_third = np.searchsorted(np.unique(table[:, 0]), table[:, 0]) % 3 == 0
     rotations, rows = Slerp(stamps, Rotation.from_matrix(R_WR)), []
     for row in np.flatnonzero(inside & every_third):
-        name, (t, tag, _, *corners) = names[row], table[row]
+        t, camera, tag, _, *corners = table[row]
         if int(tag) not in places:
             continue
-        one = setup.camera(name)
+        one = cameras[int(camera)]
         camera = replace(one["calibration"], width=1280, height=1024)
         R, p = rotations(t).as_matrix(), np.array([np.interp(t, stamps, p_WR[:, k]) for k in range(3)])
         # A body that is level and looks along W's x axis at the rig.

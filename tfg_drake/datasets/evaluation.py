@@ -156,18 +156,13 @@ def _consensus(p_W: FloatArray, p_M: FloatArray) -> BoolArray:
 
 def _describe(ids: IntArray, p_estimated: FloatArray, p_W: FloatArray) -> tuple[str, ...]:
     """A sentence for every two landmarks that have changed places and one for every other misfit."""
+    # How far each is from where another should be.
+    apart = np.linalg.norm(p_estimated[:, None] - p_W, axis=2)
+    swapped = (apart < MISFIT) & (apart.T < MISFIT)
     notes, left = [], list(range(len(ids)))
     while left:
         i = left.pop(0)
-        off = float(np.linalg.norm(p_estimated[i] - p_W[i]))
-        other = next(
-            (
-                j
-                for j in left
-                if np.linalg.norm(p_estimated[i] - p_W[j]) < MISFIT and np.linalg.norm(p_estimated[j] - p_W[i]) < MISFIT
-            ),
-            None,
-        )
+        off, other = apart[i, i], next((j for j in left if swapped[i, j]), None)
         if other is None:
             notes.append(f"landmark {ids[i]} lies {off:.1f} m from the given truth")
         else:

@@ -81,15 +81,9 @@ def load_mrclam(folder: Path, robot: int) -> Recording:
     stamps = sightings[:, 0] * UNITS[unit]
     kept = np.isin(subject, LANDMARKS) & (stamps >= messages[0].stamp) & (stamps <= messages[-1].stamp)
     kept &= sightings[:, 2] > 0.0
-    ones = np.ones(int(kept.sum()))
-    frames = make_frames(
-        stamps[kept],
-        subject[kept],
-        sightings[kept, 2],
-        sightings[kept, 3],
-        SIGMA_RANGE * ones,
-        SIGMA_BEARING * ones,
-    )
+    distance, bearing = sightings[kept, 2:].T
+    sigma_range, sigma_bearing = (np.full(len(distance), sigma) for sigma in (SIGMA_RANGE, SIGMA_BEARING))
+    frames = make_frames(stamps[kept], subject[kept], distance, bearing, sigma_range, sigma_bearing)
     truth, told = _truth(folder, robot, UNITS[unit])
     notes += told
     return Recording(

@@ -46,7 +46,7 @@ def run_online(
     """
     report = on_progress or (lambda _share: None)
     state = initial_state(recording.model, path_keyframe_period=math.inf)
-    stamps, X_MB, noted_seen = [], [], []
+    noted: list[tuple[float, FloatArray, bool]] = []
     frames = iter(recording.detections)
     frame = next(frames, None)
     length, unnoted, seen = 0.0, 0.0, False
@@ -69,9 +69,7 @@ def run_online(
         if fresh or unnoted >= LONGEST_GAP:
             unnoted = 0.0
             pose = estimator.pose_estimate(state)
-            stamps.append(pose.stamp)
-            X_MB.append(pose.X_MB)
-            noted_seen.append(sighted)
+            noted.append((pose.stamp, pose.X_MB, sighted))
         if seen and (length >= piece_length or odometry.stamp - opened >= recording.piece_time):
             state = estimator.close_piece(state, odometry.stamp)
             length, seen, opened = 0.0, False, odometry.stamp
@@ -80,9 +78,5 @@ def run_online(
     if seen and last is not None:
         state = estimator.close_piece(state, last.stamp)
     report(1.0)
-    return OnlineRun(
-        np.array(stamps),
-        np.array(X_MB).reshape(-1, 3),
-        np.array(noted_seen, dtype=bool),
-        state,
-    )
+    stamps, X_MB, just_seen = zip(*noted, strict=True) if noted else ((), (), ())
+    return OnlineRun(np.array(stamps), np.array(X_MB).reshape(-1, 3), np.array(just_seen, dtype=bool), state)

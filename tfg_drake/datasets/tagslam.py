@@ -10,6 +10,8 @@ Frames: R the rig, V the odometry's world (z up), C a camera, T a tag, W the sur
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -76,24 +78,18 @@ class _Setup:
     """The rig and the tags as the three YAML files describe them."""
 
     def __init__(self, folder: Path) -> None:
-        self.files = {name: folder / f"{name}.yaml" for name in ("cameras", "camera_poses", "tagslam")}
-        cameras, poses, world = (_read_yaml(file) for file in self.files.values())
         self.cameras: dict[str, dict[str, Any]] = {}
         # The rows of the cameras by all that a table may call them.
         self.named: dict[str, int] = {}
-        try:
+        with _tree(folder / "cameras.yaml") as cameras:
             for row, (name, camera) in enumerate(cameras.items()):
                 self.cameras[name] = {"calibration": calibration_of(camera)}
                 for other in (name, *filter(None, str(camera.get("tagtopic", "")).split("/"))):
                     self.named.setdefault(other, row)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise _incomplete(self.files["cameras"], error) from error
-        try:
+        with _tree(folder / "camera_poses.yaml") as poses:
             for name, camera in self.cameras.items():
                 camera["R_RC"], camera["p_RC"] = _pose(poses[name]["pose"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise _incomplete(self.files["camera_poses"], error) from error
-        try:
+        with _tree(folder / "tagslam.yaml") as world:
             bodies = {name: body for one in world["bodies"] for name, body in one.items()}
             static = bodies[world["default_body"]]
             rig = next(body for body in bodies.values() if not body["is_static"])
@@ -106,8 +102,6 @@ class _Setup:
             surveyed = sorted((int(tag["id"]), _pose(tag["pose"])[1]) for tag in tags if "pose" in tag)
             R_WB, p_WB = _pose(static["pose"]) if "pose" in static else (np.eye(3), np.zeros(3))
             self.surveyed_ids: IntArray = np.array([tag for tag, _ in surveyed], dtype=np.int64)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, StopIteration) as error:
-            raise _incomplete(self.files["tagslam"], error) from error
         self.p_WT: FloatArray = np.array([p for _, p in surveyed]).reshape(-1, 3) @ R_WB.T + p_WB
 
 
@@ -218,23 +212,15 @@ def _heading(R_VR: FloatArray) -> FloatArray:
 
 def _pose(node: Any) -> tuple[FloatArray, FloatArray]:
     """Rotation matrix and position of a pose in TagSLAM's YAML: position and rotation vector, each with x, y, z."""
-    position, rotation = (_numbers([node[part][axis] for axis in "xyz"], 3) for part in ("position", "rotation"))
+    position, rotation = np.array([[float(node[part][axis]) for axis in "xyz"] for part in ("position", "rotation")])
+    if not (np.abs([position, rotation]) < GREATEST).all():
+        raise ValueError(f"3 finite numbers below {GREATEST:g} expected")
     return Rotation.from_rotvec(rotation).as_matrix(), position
 
 
-def _numbers(values: Any, count: int) -> FloatArray:
-    array = np.array([float(value) for value in values])
-    if len(array) != count or not (np.abs(array) < GREATEST).all():
-        raise ValueError(f"{count} finite numbers below {GREATEST:g} expected")
-    return array
-
-
-def _incomplete(file: Path, error: Exception) -> DatasetError:
-    what = f"no {error.args[0]!r}" if isinstance(error, KeyError) else str(error) or "the moving body is missing"
-    return DatasetError(f"{file}: not as TagSLAM writes it: {what}")
-
-
-def _read_yaml(file: Path) -> dict[str, Any]:
+@contextlib.contextmanager
+def _tree(file: Path) -> Iterator[dict[str, Any]]:
+    """The keys of a YAML file. Raises DatasetError where they are not as who reads them expects."""
     text = read_text(file)
     try:
         tree = parse_yaml(text)
@@ -242,4 +228,8 @@ def _read_yaml(file: Path) -> dict[str, Any]:
         raise DatasetError(f"{file}: {error}; mend it") from error
     if not isinstance(tree, dict):
         raise DatasetError(f"{file}: not as TagSLAM writes it: no keys in it")
-    return tree
+    try:
+        yield tree
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, StopIteration) as error:
+        what = f"no {error.args[0]!r}" if isinstance(error, KeyError) else str(error) or "the moving body is missing"
+        raise DatasetError(f"{file}: not as TagSLAM writes it: {what}") from error

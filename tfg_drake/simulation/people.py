@@ -93,20 +93,11 @@ def ground(world: World, robot_radius: float) -> Ground:
     """
     grid = make_grid(world)
     free = free_cells(grid, world.walls, RADIUS + MARGIN) & reachable_cells(grid, world, robot_radius)
-    places = _largest_part(free)
-    if not len(places):
+    if not free.any():
         raise WorldError("reality.people: nowhere in this world is there room for people; set it to 0")
-    connected = np.zeros(free.shape, dtype=np.bool_)
-    connected.ravel()[places] = True
-    return Ground(grid, connected, places, world.walls)
-
-
-def _largest_part(free: BoolArray) -> IntArray:
-    """Flat indices of the largest part of the free cells whose cells hang together by their sides."""
     labels, _ = ndimage.label(free)
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    return np.flatnonzero(labels.ravel() == np.argmax(sizes)) if sizes.any() else np.zeros(0, dtype=np.int64)
+    connected = labels == np.argmax(np.bincount(labels[free]))
+    return Ground(grid, connected, np.flatnonzero(connected), world.walls)
 
 
 def nobody() -> People:

@@ -224,14 +224,12 @@ def rgb(image: Image) -> Image:
 def _video(source: str, is_file: bool) -> Iterator[Frame]:
     capture = open_capture(source)
     try:
-        count = 0
-        while True:
+        for count in itertools.count():
             found, image = capture.read()
             if not found:
                 break
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC) if is_file else time.time()
             yield Frame(stamp, str(count), rgb(image))
-            count += 1
     finally:
         capture.release()
     if not count:
