@@ -46,7 +46,7 @@ def test_the_linearisation_is_that_of_its_cost():
 
     def at(x):
         p_ML, A, D, shared = parts(x)
-        return linearised(one, p_ML, np.zeros((4, 2)), A, D, shared)
+        return linearised(one, (p_ML, np.zeros((4, 2))), (A, D), shared)
 
     def errors(x):
         p_ML, A, D, shared = parts(x)
@@ -86,12 +86,12 @@ def test_with_the_tags_errors_the_linearisation_is_that_of_its_cost(fused):
         error[:8] += np.einsum("nij,nj->ni", one.on_error, errors.reshape(-1, 2)).ravel()
         return error @ one.information @ error + 2.0 * one.vector @ shared
 
-    H, g, cost = linearised(one, x[:8].reshape(-1, 2), np.zeros((4, 2)), x[11:14], x[8:11], x[14:27], x[27:])
+    H, g, cost = linearised(one, (x[:8].reshape(-1, 2), np.zeros((4, 2))), (x[11:14], x[8:11]), x[14:27], x[27:])
     assert cost == pytest.approx(twice(x), rel=1e-9)
     steps = 1e-6 * np.eye(len(x))
     np.testing.assert_allclose(g, [(twice(x + h) - twice(x - h)) / 4e-6 for h in steps], rtol=1e-4, atol=1e-2)
     np.testing.assert_array_equal(H[27:, 27:], one.with_errors()[24:, 24:])
-    few, few_g, few_cost = linearised(one, x[:8].reshape(-1, 2), np.zeros((4, 2)), x[11:14], x[8:11], x[14:27])
+    few, few_g, few_cost = linearised(one, (x[:8].reshape(-1, 2), np.zeros((4, 2))), (x[11:14], x[8:11]), x[14:27])
     np.testing.assert_allclose(H[:27, :27], few, rtol=1e-12, atol=1e-9 * np.abs(few).max())
     assert (few_cost != cost, len(few_g)) == (True, 27)
 
@@ -116,7 +116,7 @@ def test_a_cost_known_where_parameters_are_off_is_kept_where_they_are_zero():
     root = rng.normal(size=(24, 24))
     W, g, y, shared = root @ root.T, rng.normal(size=24), rng.normal(size=11), TRUTH
     none = np.zeros((4, 2))
-    one = keyframe(np.arange(4), y, none, none, shared, RANGE_SCALE, W, g, np.zeros((4, 2, 2)))
+    one = keyframe((np.arange(4), none, none, np.zeros((4, 2, 2))), y, shared, RANGE_SCALE, W, g)
 
     def by_keyframe(x):
         error = x - np.concatenate([one.y_AL.ravel(), one.y_AD, np.zeros(SHARED)])

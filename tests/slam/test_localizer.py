@@ -167,7 +167,7 @@ def differences(function, x):
 
 def look(localizer, frame):
     """One frame without motion."""
-    return step_localizer(localizer, WALKS, np.zeros(3), 0.0, frame, STANDING, 0.0)[0]
+    return step_localizer(localizer, (np.zeros(3), 0.0, WALKS), frame, (STANDING, 0.0))[0]
 
 
 def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
@@ -182,7 +182,7 @@ def test_it_is_the_joint_gaussian_with_zero_gain_for_map_and_parameters():
         frame = sight(ids, there, X_MB, stamp, rng, truth, twist)
         joint.predict(increment, 0.1)
         joint.look(frame, twist, offset)
-        localizer, known, ignored = step_localizer(localizer, WALKS, increment, 0.1, frame, twist, offset)
+        localizer, known, ignored = step_localizer(localizer, (increment, 0.1, WALKS), frame, (twist, offset))
         assert (known, ignored) == (5 if stamp else 3, 0)
         size = 3 + 2 * len(joint.local)
         np.testing.assert_allclose(localizer.mean, joint.x[:size], atol=1e-8)
@@ -211,7 +211,7 @@ def test_what_it_considers_it_never_learns():
     frame = sight(np.arange(4), points, X_MB, 0.0)
     localizer = placed_localizer(estimate, no_walls_yet(), X_MB, np.array([1.0, 1.0, 0.5]))
     for k in range(300):
-        localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.0, frame, STANDING, 0.0)
+        localizer, _, _ = step_localizer(localizer, (np.zeros(3), 0.0, WALKS), frame, (STANDING, 0.0))
         if k == 100:
             after = localized_pose(localizer, WALKS, np.zeros(3), 0.0)[1]
     covariance = localized_pose(localizer, WALKS, np.zeros(3), 0.0)[1]
@@ -241,7 +241,7 @@ def test_consistent_over_many_sightings_of_the_same_map(nees):
         localizer = start_localizer(estimate)
         for i in range(60):
             frame = sight(np.arange(10), points, X_MB, 0.1 * i, rng)
-            localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, frame, STANDING, 0.0)
+            localizer, _, _ = step_localizer(localizer, (np.zeros(3), 0.1, WALKS), frame, (STANDING, 0.0))
         pose, covariance = localized_pose(localizer, WALKS, np.zeros(3), 0.0)
         error = pose - X_MB
         error[2] = se2.wrap_angle(error[2])
@@ -274,7 +274,7 @@ def test_consistent_where_the_whole_map_is_uncertain_and_far_from_its_origin(nee
             X_MB = se2.compose(X_MB, predict_increment(increment, 0.1, np.zeros(3), np.zeros(3))[0])
             frame = sight(np.arange(12), points, X_MB, 0.1 * i, rng)
             noisy = increment + [0.0045, 0.0, 0.0016] * rng.normal(size=3)
-            localizer, _, _ = step_localizer(localizer, WALKS, noisy, 0.1, frame, STANDING, 0.0)
+            localizer, _, _ = step_localizer(localizer, (noisy, 0.1, WALKS), frame, (STANDING, 0.0))
         # Turned as one, far from the origin, no error in M is Gaussian; what the filter holds in D is.
         error = localizer.mean[:3] - se2.between(X_WD, X_MB)
         error[2] = se2.wrap_angle(error[2])
@@ -300,7 +300,7 @@ def test_of_many_new_tags_the_filter_keeps_the_latest():
     localizer = start_localizer(estimate)
     for k, tag in enumerate(range(50, 100)):
         frame = sight([tag], np.array([[2.0, tag - 75.0]]), X_MB, 0.1 * k)
-        localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, frame, STANDING, 0.0)
+        localizer, _, _ = step_localizer(localizer, (np.zeros(3), 0.1, WALKS), frame, (STANDING, 0.0))
     np.testing.assert_array_equal(localizer.local_ids, np.arange(100 - MOST_LOCAL, 100))
     p_MU = se2.transform(localizer.map.X_MD, localizer.mean[3:].reshape(-1, 2))
     np.testing.assert_allclose(p_MU[:, 1], np.arange(100 - MOST_LOCAL, 100) - 75.0, atol=0.5)
@@ -335,7 +335,7 @@ def test_nobody_looks_for_what_one_frame_saw():
         localizer = start_localizer(estimate)
         for stamp, place in enumerate(places):
             seen = sight([50], place[None], X_MB, 0.1 * stamp)
-            localizer, _, _ = step_localizer(localizer, WALKS, np.zeros(3), 0.1, seen, STANDING, 0.0)
+            localizer, _, _ = step_localizer(localizer, (np.zeros(3), 0.1, WALKS), seen, (STANDING, 0.0))
         ids, p_MU = new_tags(localizer, none)
         return [] if not len(ids) else [there, elsewhere][int(np.hypot(*(p_MU[0] - there)) > 1.5)].tolist()
 
@@ -361,7 +361,7 @@ def test_consistent_on_drives_with_all_parameters_off(nees):
                 for frame in pieces[1]:
                     increment, dt = arc(last.X_OB, frame.X_OB), frame.clock - last.clock
                     localizer, _, ignored = step_localizer(
-                        localizer, WALKS, increment, dt, frame.detections, twist, 0.0
+                        localizer, (increment, dt, WALKS), frame.detections, (twist, 0.0)
                     )
                     outside += ignored
                     last = frame

@@ -18,7 +18,6 @@ from tfg_drake.slam.scan_matching import (
     Watch,
     bridged,
     compare,
-    contradictions,
     corrected,
     judged,
     match,
@@ -194,7 +193,7 @@ def test_a_good_drive_is_left_as_it_is(mount_known, degrees):
     verdict = judged(found)
     assert vars(verdict) == vars(Verdict())
     assert (found.turn, found.travel) == (pytest.approx(1 / 1.005, abs=0.01), pytest.approx(1 / 1.01, abs=0.02))
-    assert not len(contradictions(found))
+    assert not len(found.contradicts)
     # The same messages.
     after = corrected(odometry, scans, verdict)
     assert all(one is other for one, other in zip(after[0] + after[1], odometry + scans, strict=True))
@@ -284,7 +283,7 @@ def test_where_little_is_told_nothing_is_claimed():
         for mount_known in (True, False):
             found = compare(told, seen, mount_known)
             assert vars(judged(found)) == vars(Verdict())
-            assert not len(contradictions(found))
+            assert not len(found.contradicts)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.4, -0.4])
@@ -313,7 +312,7 @@ def test_wheels_that_slip_contradict_the_scans_there_and_nowhere_else(jump, at):
     odometry, scans = drive(seed=3)
     found = compare(slipped(odometry, at, jump), scans, True)
     assert vars(judged(found)) == vars(Verdict())
-    ((begin, end),) = contradictions(found)
+    ((begin, end),) = found.contradicts
     assert begin < at + DT
     assert end > at
     assert end - begin < 1.0
@@ -324,7 +323,7 @@ def test_a_way_that_is_unknown_is_held_against_nothing():
     told = slipped(odometry, 6.0, [1.5, 0.0, 0.0])
     first = next(k for k, one in enumerate(told) if one.stamp > 6.0)
     told[first:] = [replace(one, breaks=1) for one in told[first:]]
-    assert not len(contradictions(compare(told, scans, True)))
+    assert not len(compare(told, scans, True).contradicts)
 
 
 @pytest.mark.parametrize(("begin", "end"), [(5.03, 7.4), (10.0, 16.01), (3.5, 3.9)])
@@ -417,4 +416,4 @@ def test_recordings(name, mount_known, expected):
     assert verdict.against == expected.get("against", False)
     assert verdict.yaw == pytest.approx(expected.get("yaw", 0.0), abs=0.01)
     assert dataclasses.replace(verdict, yaw=0.0, notes=(), refusal="", against=False).turn == 1.0
-    assert len(contradictions(found)) == ("slip" in name)
+    assert len(found.contradicts) == ("slip" in name)

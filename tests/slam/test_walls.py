@@ -254,7 +254,7 @@ def test_a_wall_is_told_along_its_normal_only():
 
         def cost(move, alone=alone):
             A, D = np.append(move, 0.0), alone.y_AD + np.append(move, 0.0)
-            return linearised(alone, alone.y_AL, alone.anchor, A, D, np.zeros(SHARED))[2]
+            return linearised(alone, (alone.y_AL, alone.anchor), (A, D), np.zeros(SHARED))[2]
 
         for far in (-7.0, 0.5, 30.0):
             assert cost(far * along) == pytest.approx(cost(np.zeros(2)), abs=1e-6)

@@ -22,7 +22,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, message, replace
 from tfg_drake.notes import Note
 from tfg_drake.slam.odometry_rules import SILENCE, WatchedOdometry, velocity, watch
-from tfg_drake.slam.scan_matching import bridged, compare, contradictions, corrected, judged
+from tfg_drake.slam.scan_matching import bridged, compare, corrected, judged
 
 # Odometry that comes seldom is silent after so many of its periods.
 PERIODS = 5.0
@@ -84,7 +84,7 @@ def believed(recording: Recording) -> Recording:
             told_stamps = told_stamps - [0.0, verdict.lag]
         if often:
             odometry, doubts = watched(odometry, silence)
-        doubts += _contradicted(odometry, contradictions(found) - found.lag)
+        doubts += _contradicted(odometry, found.contradicts - found.lag)
         doubts.sort(key=lambda one: one.begin)
     if _often(doubts, odometry):
         jumps = f"odometry jumps {len(doubts)} times, first at {doubts[0].note.time_s:.2f} s"

@@ -78,7 +78,6 @@ from tfg_drake.slam.map_update import finished, is_looser, jointly_known, needs_
 from tfg_drake.slam.odometry_model import (
     BREAK,
     BREAK_RATE,
-    DeadReckoning,
     arc,
     first_reckoning,
     interpolate,
@@ -142,8 +141,9 @@ MOST_KEPT = 5000
 # with an apse 0.55, of a round room none.
 FORGET, ENOUGH_SEEN, LEAST_STRAIGHT = 1.0 - 1.0 / 600.0, 500.0, 0.4
 
-_NO_LINES = no_lines()
-_NO_POINTS = np.empty((0, 4))
+# Lines and points of a scan.
+Scanned = tuple[FloatArray, FloatArray]
+NO_SCAN: Scanned = no_lines(), np.empty((0, 4))
 
 _log = logging.getLogger("tfg_drake.slam")
 # What somebody can mend is told on the screen, too.
@@ -192,7 +192,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
     state = _process_pending(state)
     before = state.odometry[-2].stamp
     if before - state.stamp > LONGEST_STEP:
-        state = _step(state, no_detections(before), state.pending)
+        state = _step(state, no_detections(before))
     return state
 
 
@@ -370,7 +370,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     landmarks = state.landmarks
     if scan.lines:
         # Walls of such a scanner would bend the map.
-        frames = tuple(replace(frame, lines=_NO_LINES) for frame in turn.frames)
+        frames = tuple(replace(frame, lines=NO_SCAN[0]) for frame in turn.frames)
         landmarks, state = "tags", replace(state, landmarks="tags", open=replace(turn, frames=frames), unread=())
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
@@ -405,20 +405,17 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
         frame = state.pending[0].stamp if state.pending else math.inf
         if not min(scan, frame) < state.odometry[-1].stamp:
             break
-        first, pending = no_detections(scan), state.pending
+        first, scanned = no_detections(scan), NO_SCAN
         if frame <= scan + SAME_INSTANT:
-            first, pending = pending[0], pending[1:]
-        lines, points = no_lines(), np.empty((0, 4))
+            first, state = state.pending[0], replace(state, pending=state.pending[1:])
         if scan <= frame + SAME_INSTANT:
-            lines, points = scan_lines(state.unread[0]), scan_points(state.unread[0])
-            unevenness = unevenness_after(state.unread[0], lines, state.graph.unevenness)
-            state = replace(state, graph=replace(state.graph, unevenness=unevenness))
-            state = _with_straightness(state, state.unread[0], lines)
-            state = replace(state, unread=state.unread[1:])
+            newest = state.unread[0]
+            lines, _ = scanned = scan_lines(newest), scan_points(newest)
+            unevenness = unevenness_after(newest, lines, state.graph.unevenness)
+            state = replace(state, unread=state.unread[1:], graph=replace(state.graph, unevenness=unevenness))
+            state = _with_straightness(state, newest, lines)
         if first.stamp >= state.stamp:
-            state = _step(state, first, pending, lines, points, only_scan=scan < frame - SAME_INSTANT)
-        else:
-            state = replace(state, pending=pending)
+            state = _step(state, first, scanned, only_scan=scan < frame - SAME_INSTANT)
     return state
 
 
@@ -433,61 +430,39 @@ def _with_straightness(state: EstimatorState, scan: LaserScan, lines: FloatArray
     return replace(state, straight=straight)
 
 
-def _twist(before: DeadReckoning, after: DeadReckoning) -> FloatArray:
-    """Forward speed (m/s) and turn rate (rad/s), (2,), between two messages."""
-    span = after.stamp - before.stamp
-    return arc(before.X_OB, after.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
-
-
 def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
     stamp = min(max(stamp, state.stamp), state.odometry[-1].stamp)
-    return _step(state, no_detections(stamp), state.pending) if stamp > state.stamp else state
+    return _step(state, no_detections(stamp)) if stamp > state.stamp else state
 
 
 def _step(
-    state: EstimatorState,
-    frame: TagDetections,
-    pending: tuple[TagDetections, ...],
-    lines: FloatArray = _NO_LINES,
-    points: FloatArray = _NO_POINTS,
-    *,
-    only_scan: bool = False,
+    state: EstimatorState, frame: TagDetections, scanned: Scanned = NO_SCAN, *, only_scan: bool = False
 ) -> EstimatorState:
-    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame and a scan's lines.
+    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame and a scan's lines and
+    points.
 
-    The stamp lies within the odometry at hand; `pending` are the frames that wait after it.
+    The stamp lies within the odometry at hand.
     """
-    stamp = frame.stamp
-    after = 0
-    while state.odometry[after].stamp < stamp:
-        after += 1
-    before = max(after - 1, 0)
-    X_OB = interpolate(state.odometry[before], state.odometry[after], stamp)
-    clock = interpolate_clock(state.odometry[before], state.odometry[after], stamp)
-    increment, dt = arc(state.X_OB, X_OB), clock - state.clock
-    twist = _twist(state.odometry[before], state.odometry[after])
-    ranges = state.ranges
+    stamp, (lines, points) = frame.stamp, scanned
+    after = next(k for k, reckoned in enumerate(state.odometry) if reckoned.stamp >= stamp)
+    begin = max(after - 1, 0)
+    earlier, later = state.odometry[begin], state.odometry[after]
+    X_OB, clock = interpolate(earlier, later, stamp), interpolate_clock(earlier, later, stamp)
+    increment, dt, span = arc(state.X_OB, X_OB), clock - state.clock, later.stamp - earlier.stamp
+    twist = arc(earlier.X_OB, later.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
-    if scan is not None:
-        ranges = compared(ranges, frame, scan, state.graph.shared)
+    ranges = state.ranges if scan is None else compared(state.ranges, frame, scan, state.graph.shared)
     seen, every = state.open, 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
     looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
-    here = points if looks and _is_elsewhere(seen, X_OB) else _NO_POINTS
-    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else _NO_LINES, only_scan, here)
+    here = points if looks and _is_elsewhere(seen, X_OB) else NO_SCAN[1]
+    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else NO_SCAN[0], only_scan, here)
     if seen is not None and (looks or not only_scan):
         seen = replace(seen, frames=(*seen.frames, taken))
     localizer, known, ignored = step_localizer(
-        state.localizer,
-        state.noise.now.walks,
-        increment,
-        dt,
-        one_of_many,
-        twist,
-        state.offset,
+        state.localizer, (increment, dt, state.noise.now.walks), one_of_many, (twist, state.offset)
     )
     if len(lines):
         distance, heading, _ = state.noise.now.walks
-        span = state.odometry[after].stamp - state.odometry[before].stamp
         variance = np.array([distance**2 * abs(twist[0]), heading**2]) / max(span, SAME_INSTANT)
         localizer, *of_walls = corrected_by_walls(localizer, on_uneven(lines, state.graph.unevenness), twist, variance)
         # Tags tell for themselves which they are.
@@ -504,8 +479,7 @@ def _step(
         contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
     state = replace(
         state,
-        odometry=state.odometry[before:],
-        pending=pending,
+        odometry=state.odometry[begin:],
         ranges=ranges,
         stamp=stamp,
         clock=clock,
@@ -660,16 +634,13 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
             one, of, walls = _with_names(one, of, walls, graph, estimate)
         sources = (*sources, of)[-UNFUSED:]
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, one, is_view=is_view)
-        if len(anew):
-            _log.warning("%.2f s: mapped anew, for more was seen of them elsewhere: tags %s", state.stamp, _names(anew))
-            moved = True
+        _tell("mapped anew, for more was seen of them elsewhere", state, anew)
+        moved = moved or len(anew) > 0
     rejected = rejected[is_tag(rejected)]
-    if len(rejected):
-        _log.warning("%.2f s: left out of the map, for they contradict it: tags %s", state.stamp, _names(rejected))
+    _tell("left out of the map, for they contradict it", state, rejected)
     gone = np.setdiff1d(state.watch.ids[missing(state.watch)], doubtful(evidence))
-    if len(gone):
-        _log.warning("%.2f s: not seen where the map has them: tags %s", state.stamp, _names(gone))
-        evidence = disputed(evidence, gone)
+    _tell("not seen where the map has them", state, gone)
+    evidence = disputed(evidence, gone)
     solved = state.solved
     anew_graph, sources = _reduced_anew(state, graph, sources)
     if (
@@ -768,5 +739,6 @@ def _with_keyframe(
     return graph, estimate, evidence, rejected, np.union1d(anew, others)
 
 
-def _names(ids: IntArray) -> str:
-    return ", ".join(str(int(tag)) for tag in ids)
+def _tell(what: str, state: EstimatorState, tags: IntArray) -> None:
+    if len(tags):
+        _log.warning("%.2f s: %s: tags %s", state.stamp, what, ", ".join(str(int(tag)) for tag in tags))

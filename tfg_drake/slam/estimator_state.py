@@ -150,9 +150,9 @@ class EstimatorState:
     localizer: Localizer
     graph: KeyframeGraph
     solved: KeyframeGraph
-    ranges: ScanRanges
-    evidence: Evidence
-    watch: TagWatch
+    ranges: ScanRanges = dataclasses.field(default_factory=none_compared)
+    evidence: Evidence = dataclasses.field(default_factory=lambda: empty(Evidence))
+    watch: TagWatch = dataclasses.field(default_factory=lambda: empty(TagWatch))
     newest: Odometry | None = None
     odometry: tuple[DeadReckoning, ...] = ()
     pending: tuple[TagDetections, ...] = ()
@@ -221,9 +221,6 @@ def initial_state(
         localizer=start_localizer(empty_map(prior)),
         graph=graph,
         solved=graph,
-        ranges=none_compared(),
-        evidence=empty(Evidence),
-        watch=empty(TagWatch),
         landmarks=landmarks,
         walls=walls or no_walls(),
         may_be_moved=may_be_moved,

@@ -175,12 +175,11 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
     most, found = REJECTED, None
     for j, one in enumerate(graph.keyframes):
         n = len(one.ids)
-        rows, X_MA, X_MD = rows_of(one.ids, graph.ids)[0], graph.X_MN[j], graph.X_MN[j + 1]
-        shared = graph.shared.mean
-        H, g, _ = linearised(one, graph.p_ML[rows], graph.anchor[rows], X_MA, X_MD, shared)
+        rows, ends = rows_of(one.ids, graph.ids)[0], (graph.X_MN[j], graph.X_MN[j + 1])
+        H, g, _ = linearised(one, (graph.p_ML[rows], graph.anchor[rows]), ends, graph.shared.mean)
         own, force = H[: 2 * n, : 2 * n].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)], g[: 2 * n].reshape(n, 2, 1)
         apart = np.linalg.solve(own, force)
-        spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - X_MA[:2], graph.tag_error)
+        spread = np.linalg.inv(own) + in_place(graph.p_ML[rows] - ends[0][:2], graph.tag_error)
         falls = (apart * np.linalg.solve(spread, apart)).sum(axis=(1, 2)) * is_tag(one.ids)
         if np.max(falls, initial=0.0) > most:
             most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
@@ -272,14 +271,8 @@ def watched(
     p_ML: (k, 2) of the map's tags, m in M. yaw: of the camera in the body frame, rad. A frame without a tag of the map
     says nothing: the camera may see none at all.
     """
-    seen_from, failed, widest, expected, seen = _watched(
-        (watch.ids, watch.seen_from, watch.failed, watch.widest),
-        p_ML,
-        X_MC,
-        yaw,
-        (frame.ids, frame.bearing),
-        (scan.angles, scan.ranges),
-    )
+    before, rays = (watch.ids, watch.seen_from, watch.failed, watch.widest), (scan.angles, scan.ranges)
+    seen_from, failed, widest, expected, seen = _watched(before, p_ML, X_MC, yaw, (frame.ids, frame.bearing), rays)
     return TagWatch(watch.ids, seen_from, failed, widest, watch.all_expected + expected, watch.all_seen + seen)
 
 
@@ -298,14 +291,15 @@ def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
     return replace(watch, ids=ids, seen_from=seen_from, failed=failed)
 
 
+# What a watch has first; ids and bearings of a frame; bearings and ranges of a scan.
+Watch = tuple[IntArray, FloatArray, IntArray, float]
+Frame = tuple[IntArray, FloatArray]
+Rays = tuple[FloatArray, FloatArray]
+
+
 @njit(cache=True)
 def _watched(
-    watch: tuple[IntArray, FloatArray, IntArray, float],
-    p_ML: FloatArray,
-    X_MC: FloatArray,
-    yaw: float,
-    frame: tuple[IntArray, FloatArray],
-    scan: tuple[FloatArray, FloatArray],
+    watch: Watch, p_ML: FloatArray, X_MC: FloatArray, yaw: float, frame: Frame, scan: Rays
 ) -> tuple[FloatArray, IntArray, float, int, int]:
     """What a watch (ids, seen_from, failed, widest) has as the last three after a frame (ids, bearings), by a scan
     (angles, ranges), and how many tags of the map the frame should have shown and has shown of these."""
@@ -333,14 +327,7 @@ def _watched(
 
 
 @njit(cache=True)
-def _expected(
-    p_ML: FloatArray,
-    seen_from: FloatArray,
-    X_MC: FloatArray,
-    yaw: float,
-    widest: float,
-    scan: tuple[FloatArray, FloatArray],
-) -> bool:
+def _expected(p_ML: FloatArray, seen_from: FloatArray, X_MC: FloatArray, yaw: float, widest: float, scan: Rays) -> bool:
     """Whether a frame should show a tag, at p_ML (2,) and seen from (2,)."""
     x, y = X_MC[0] - p_ML[0], X_MC[1] - p_ML[1]
     distance = math.hypot(x, y)

@@ -33,7 +33,7 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
     names, walls = renamed(one, state.walls, told, se2.inverse(at.X), at.covariance)
     way, _ = unknown_way(se2.between(known.X_KD, at.X), np.sqrt(np.diag(at.covariance)))
     first = ((named(one, names), known.X_KD), (way.keyframe, at.X))
-    both = _moved(replace(graph, p_ML=told.p_ML), at.X, first, graph.keyframes, graph.X_MN)
+    both = _moved(replace(graph, p_ML=told.p_ML), at.X, first, 0)
     others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))
     state = replace(
         state,
@@ -51,11 +51,10 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
 def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
     """The state of a session that does not lie so in the map that it began with, apart from that again, in a frame of
     its own."""
-    graph, begin = state.graph, OF_KNOWN + 1
+    begin = OF_KNOWN + 1
     assert state.map is not None
-    X_SM = se2.inverse(graph.X_MN[begin])
-    graph = replace(graph, p_ML=state.map.p_ML)
-    own = _moved(graph, X_SM, (), graph.keyframes[begin:], graph.X_MN[begin:])
+    X_SM = se2.inverse(state.graph.X_MN[begin])
+    own = _moved(replace(state.graph, p_ML=state.map.p_ML), X_SM, (), begin)
     evidence = take(state.evidence, np.isin(state.evidence.ids, own.ids))
     own, estimate = solve(own, state.stamp, state.map.observation)
     state = replace(state, evidence=evidence, watch=_turned(state.watch, X_SM), known=replace(known, since=0))
@@ -63,19 +62,15 @@ def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
 
 
 def _moved(
-    graph: KeyframeGraph,
-    X_FM: FloatArray,
-    first: tuple[tuple[Keyframe, FloatArray], ...],
-    keyframes: tuple[Keyframe, ...],
-    X_MN: FloatArray,
+    graph: KeyframeGraph, X_FM: FloatArray, first: tuple[tuple[Keyframe, FloatArray], ...], begin: int
 ) -> KeyframeGraph:
-    """The graph of its newest keyframes, k, and the poses between them (k + 1, 3), in another frame, in which M lies at
-    X_FM (3,), behind the first there, each with the pose (3,) at its end.
+    """The graph of its keyframes from one on, in another frame, in which M lies at X_FM (3,), behind the first there,
+    each with the pose (3,) at its end.
 
     Surfaces and free space hang on the views, and on the walls where those of the graph have them.
     """
     both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
-    for one, X in (*first, *zip(keyframes, se2.compose(X_FM, X_MN[1:]), strict=True)):
+    for one, X in (*first, *zip(graph.keyframes[begin:], se2.compose(X_FM, graph.X_MN[begin + 1 :]), strict=True)):
         both = extended(both, one, X, is_view=False)
     row, known = rows_of(both.ids, graph.ids)
     row, w = row[known], np.flatnonzero(known & ~is_tag(both.ids))

@@ -39,6 +39,10 @@ class Measured(NamedTuple):
     unit: int
 
 
+# ids, anchor, reach and on_error of a keyframe, see there.
+Landmarks = tuple[IntArray, FloatArray, FloatArray, FloatArray]
+# Places and anchors of landmarks, or the poses A and D.
+Pair = tuple[FloatArray, FloatArray]
 # The error of a keyframe and its Jacobians, see `residual`.
 Linear = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -120,19 +124,11 @@ class Keyframe:
 
 
 def keyframe(
-    ids: IntArray,
-    y: FloatArray,
-    anchor: FloatArray,
-    reach: FloatArray,
-    shared: FloatArray,
-    unit: int,
-    W: FloatArray,
-    g: FloatArray,
-    on_error: FloatArray,
+    landmarks: Landmarks, y: FloatArray, shared: FloatArray, unit: int, W: FloatArray, g: FloatArray
 ) -> Keyframe:
     """The keyframe of a cost that has gradient g (u,) and Hessian W (u, u) at (y, shared), y: (2n + 3,), shared: (13,),
-    and where the tags' errors are zero, if they are among the u unknowns. anchor, reach: of its walls, see Keyframe."""
-    m = len(y)
+    and where the tags' errors are zero, if they are among the u unknowns."""
+    (ids, anchor, reach, on_error), m = landmarks, len(y)
     parameters = np.append(shared, np.zeros(len(W) - m - SHARED))
     back = np.linalg.solve(W[:m, :m], W[:m, m:] @ parameters - g[:m])
     y_AL, y_AD = (y + back)[:-3].reshape(-1, 2), (y + back)[-3:]
@@ -240,9 +236,9 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
         size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
-        for one, row, place, (begin, end) in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
+        for one, row, place, ends in zip((first, second), rows, at, ((A, B), (B, D)), strict=True):
             at_zero = np.zeros(2 * len(row)) if errors else None
-            H_k, g_k, _ = linearised(replace(one, unit=METRES), y_AL[row], anchor[row], begin, end, shared, at_zero)
+            H_k, g_k, _ = linearised(replace(one, unit=METRES), (y_AL[row], anchor[row]), ends, shared, at_zero)
             place = place[: len(g_k)]
             H[np.ix_(place, place)] += H_k
             g[place] += g_k
@@ -264,7 +260,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     moved = np.linalg.solve(W[:m, :m], W[:m, e:])[: 2 * n].reshape(n, 2, n, 2)
     y = np.append(y_AL.ravel(), D)
     on_error = np.asarray(moved[i, :, i, :], dtype=float)
-    one = keyframe(ids, y, anchor, reach, shared, first.unit, W, gradient, on_error)
+    one = keyframe((ids, anchor, reach, on_error), y, shared, first.unit, W, gradient)
     y_AD = np.append(one.y_AD[:2], wrap(float(one.y_AD[2])))
     share = 1.0 / scale_of(first.unit, shared)
     deviation = share * math.sqrt(covariance[-3, -3] + covariance[-2, -2])
@@ -284,17 +280,11 @@ def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
 
 
 def linearised(
-    one: Keyframe,
-    p_ML: FloatArray,
-    p_MC: FloatArray,
-    A: FloatArray,
-    D: FloatArray,
-    shared: FloatArray,
-    errors: FloatArray | None = None,
+    one: Keyframe, landmarks: Pair, ends: Pair, shared: FloatArray, errors: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian, gradient and twice the cost of a keyframe, as of `gradient_of`; errors: (2n,) of the tags, if these are
-    parameters. Further arguments as of `residual`."""
-    linear = residual(p_ML, p_MC, one.measured, A, D, shared)
+    """Hessian, gradient and twice the cost of a keyframe, as of `gradient_of`. landmarks: p_ML and p_MC, ends: A and D,
+    as of `residual`. errors: (2n,) of the tags, if these are parameters."""
+    linear = residual(*landmarks, one.measured, *ends, shared)
     vector, parameters, information = one.vector, shared, one.without_errors
     if errors is not None:
         linear = with_errors(linear, errors)

@@ -18,7 +18,7 @@ import scipy.linalg
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, message, replace
 from tfg_drake.slam.keyframe import along_walls, placed, rows_of
-from tfg_drake.slam.localizer_kernels import POSE, State, filtered, pose_in_map
+from tfg_drake.slam.localizer_kernels import POSE, Instant, Motion, State, filtered, pose_in_map
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
@@ -90,20 +90,12 @@ def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigm
 
 
 def step_localizer(
-    localizer: Localizer,
-    noise: FloatArray,
-    increment: FloatArray,
-    dt: float,
-    detections: TagDetections,
-    twist: FloatArray,
-    offset: float,
+    localizer: Localizer, motion: Motion, detections: TagDetections, instant: Instant
 ) -> tuple[Localizer, int, int]:
-    """The localiser after an odometry increment (3,) of `odometry_model.arc` over dt seconds and the frame at its end;
-    how many of the frame's sightings were of tags it knows, and how many of those it ignored.
+    """The localiser after a motion by odometry and the frame at its end; how many of the frame's sightings were of tags
+    it knows, and how many of those it ignored.
 
-    noise: (3,) of `random_walks`. twist: (2,) forward speed (m/s) and turn rate (rad/s) at the frame, offset: s, the
-    camera's clock was taken to be so much ahead. Known tags correct the pose, all at once, unknown ones join the
-    state. A sighting outside its gate is ignored.
+    Known tags correct the pose, all at once, unknown ones join the state. A sighting outside its gate is ignored.
     """
     now, ids = localizer, detections.ids
     row, known = rows_of(ids, now.map.ids[now.map.local])
@@ -115,8 +107,8 @@ def step_localizer(
     (mean, covariance, sensitivity), accepted = filtered(
         now.state,
         (now.map.shared, now.considered),
-        (increment, dt, noise),
-        (twist, offset),
+        motion,
+        instant,
         (column, entry, now.p_DL),
         (detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range),
     )

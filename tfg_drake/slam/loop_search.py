@@ -40,14 +40,11 @@ BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 
 @message
 class Loop:
-    """A view, newest, that lies at X_AB (3,) of an old one, as it was found. rival: how well the second best place
-    does, as a share. off: m, from where the graph had it."""
+    """A view, newest, that lies at X_AB (3,) of an old one, as it was found."""
 
     old: int
     newest: int
     X_AB: FloatArray
-    rival: float
-    off: float
 
 
 @message
@@ -92,12 +89,11 @@ def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tup
         return search, ()
     rival = float(scores[1] / scores[0]) if len(scores) > 1 else 0.0
     off = math.dist(there[:2], X[newest, :2])
-    loop = Loop(int(nearest), newest, se2.between(X[nearest], there), rival, off)
+    loop = Loop(int(nearest), newest, se2.between(X[nearest], there))
     agree = tuple(other for other in search.candidates if _agree(loop, other, X, way))
     kept = tuple(other for other in search.candidates if way[other.newest] > way[newest] - ALONG)
-    if len(agree) < (2 if off > FAR or rival > RIVAL else 1):
-        return replace(search, candidates=(*kept, loop)), ()
-    return replace(search, candidates=(*kept, loop)), (*agree, loop)
+    believed = len(agree) >= (2 if off > FAR or rival > RIVAL else 1)
+    return replace(search, candidates=(*kept, loop)), (*agree, loop) if believed else ()
 
 
 def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) -> KeyframeGraph:
@@ -151,8 +147,7 @@ def with_loops_closed(
 def _is_open(graph: KeyframeGraph, loop: Loop) -> bool:
     """Whether a graph does not agree with a loop."""
     X = graph.X_MA
-    off = se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest]))
-    return bool(math.hypot(off[0], off[1]) > AGREE[0] or abs(off[2]) > AGREE[1])
+    return not _within(se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest])), AGREE)
 
 
 def _way(X: FloatArray) -> FloatArray:
@@ -167,8 +162,9 @@ def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
         return False
     there = se2.compose(one.X_AB, se2.between(X[one.newest], X[other.newest]))
     back = se2.compose(se2.between(X[one.old], X[other.old]), other.X_AB)
-    off = se2.between(back, there)
-    return bool(
-        math.hypot(off[0], off[1]) < AGREE[0] + AGREE_SHARE[0] * between
-        and abs(se2.wrap_angle(off[2])) < AGREE[1] + AGREE_SHARE[1] * between
-    )
+    return _within(se2.between(back, there), AGREE + AGREE_SHARE * between)
+
+
+def _within(X: FloatArray, most: FloatArray) -> bool:
+    """Whether a pose (3,) is no farther off than this (2,), m and rad."""
+    return bool(math.hypot(X[0], X[1]) <= most[0] and abs(X[2]) <= most[1])

@@ -40,6 +40,10 @@ PARAMETER_MOVED = 1.0
 LEAST_TOLD = 1e-9
 
 
+# Mean and covariance of the map's landmarks known jointly, its newest pose and the parameters, see `_in_unit_of`.
+Joint = tuple[FloatArray, FloatArray]
+
+
 @message
 class _Told:
     """A keyframe in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
@@ -54,10 +58,11 @@ class _Told:
 
 @message
 class _Update:
-    """An update by m tags and what is told of the parameters, linearised at its result. H: (2m + r, 2m + 16) by the
-    tags, A and the parameters. root: lower Cholesky factor of the innovation's covariance, nu: the innovation from the
-    prior mean, in units of that root."""
+    """An update by m tags, in these rows (m,) of the map's local, and what is told of the parameters, linearised at its
+    result. H: (2m + r, 2m + 16) by the tags, A and the parameters. root: lower Cholesky factor of the innovation's
+    covariance, nu: the innovation from the prior mean, in units of that root."""
 
+    local_row: IntArray
     H: FloatArray
     root: FloatArray
     nu: FloatArray
@@ -91,8 +96,8 @@ def updated(
     local_row, seen = estimate.local_entry[row[known]], np.flatnonzero(known)
     kept = np.arange(len(seen))
     while True:
-        update = _iterated(*before, local_row[kept], told, seen[kept], one, estimate.anchor[row[seen[kept]]])
-        distance = _distances(update, len(kept))
+        update = _iterated(before, local_row[kept], told, seen[kept], one, estimate.anchor[row[seen[kept]]])
+        distance = _distances(update)
         if np.max(distance, initial=0.0) <= REJECTED:
             break
         kept = np.delete(kept, np.argmax(distance))
@@ -100,10 +105,10 @@ def updated(
     if len(rejected):
         one = without_tags(one, rejected)
         told = _told(one, graph)
-    return *_joined(graph, estimate, *before, one, told, local_row[kept], update, is_view), rejected
+    return *_joined(graph, estimate, before, one, told, update, is_view), rejected
 
 
-def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> tuple[FloatArray, FloatArray]:
+def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> Joint:
     """(p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of a keyframe: there it has
     no scale in it, so that linearising one after the other tells nothing of it."""
     x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, estimate.shared])
@@ -248,17 +253,11 @@ def _entries(size: int, local_row: IntArray) -> IntArray:
 
 
 def _iterated(
-    mean: FloatArray,
-    covariance: FloatArray,
-    local_row: IntArray,
-    told: _Told,
-    seen: IntArray,
-    one: Keyframe,
-    p_MC: FloatArray,
+    joint: Joint, local_row: IntArray, told: _Told, seen: IntArray, one: Keyframe, p_MC: FloatArray
 ) -> _Update:
     """The update by m landmarks: local_row (m,) where they are in local, seen (m,) where in the keyframe, p_MC: (m, 2)
-    their anchors. mean, covariance: the map's joint, see `_in_unit_of`."""
-    m, r = len(seen), len(told.told)
+    their anchors. joint: the map's."""
+    (mean, covariance), m, r = joint, len(seen), len(told.told)
     at = _entries(len(covariance), local_row)
     P = covariance[np.ix_(at, at)]
     of_seen = (2 * seen[:, None] + [0, 1]).ravel()
@@ -281,11 +280,13 @@ def _iterated(
         innovation = off - H @ (x_0 - x)
         root = np.linalg.cholesky(H @ P @ H.T + noise)
         x = x_0 + P @ (H.T @ scipy.linalg.cho_solve((root, True), innovation, check_finite=False))
-    return _Update(H, root, scipy.linalg.solve_triangular(root, innovation, lower=True, check_finite=False))
+    nu = scipy.linalg.solve_triangular(root, innovation, lower=True, check_finite=False)
+    return _Update(local_row, H, root, nu)
 
 
-def _distances(update: _Update, m: int) -> FloatArray:
+def _distances(update: _Update) -> FloatArray:
     """(m,) squared Mahalanobis distance of each tag from what all others predict of it."""
+    m = len(update.local_row)
     if not m:
         return np.zeros(0)
     half = scipy.linalg.solve_triangular(update.root, np.eye(len(update.root), 2 * m), lower=True, check_finite=False)
@@ -295,19 +296,10 @@ def _distances(update: _Update, m: int) -> FloatArray:
 
 
 def _joined(
-    graph: KeyframeGraph,
-    estimate: MapEstimate,
-    mean: FloatArray,
-    covariance: FloatArray,
-    one: Keyframe,
-    told: _Told,
-    local_row: IntArray,
-    update: _Update,
-    is_view: bool,
+    graph: KeyframeGraph, estimate: MapEstimate, before: Joint, one: Keyframe, told: _Told, by: _Update, is_view: bool
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map with a keyframe whose known tags are all believed, local_row (m,): where they are in local.
-    mean, covariance: the map's joint, see `_in_unit_of`."""
-    _, known = rows_of(one.ids, estimate.ids)
+    """Graph and map with a keyframe whose known tags are all believed. before: the map's joint, by: their update."""
+    (mean, covariance), (_, known), local_row = before, rows_of(one.ids, estimate.ids), by.local_row
     # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
     beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=np.bool_))
     size, more, R, G = len(covariance), int(np.count_nonzero(beyond)), told.covariance, told.by_shared
@@ -318,12 +310,12 @@ def _joined(
     P[size:, size:] = R[np.ix_(beyond, beyond)] + G_b @ with_y[-SHARED:]
     y = told.mean[beyond] + G_b @ estimate.shared
     x = np.append(mean, y)
-    if len(update.nu):
-        gain = update.H @ P[_entries(size, local_row)]
+    if len(by.nu):
+        gain = by.H @ P[_entries(size, local_row)]
         gain[: 2 * len(local_row), size:] -= R[np.ix_(beyond, ~beyond)].T
-        half = scipy.linalg.solve_triangular(update.root, gain, lower=True, check_finite=False)
+        half = scipy.linalg.solve_triangular(by.root, gain, lower=True, check_finite=False)
         P -= half.T @ half
-        x += half.T @ update.nu
+        x += half.T @ by.nu
     # From (A, parameters, new tags and D in A) to (new tags, D in M, parameters).
     old, new = size - 3 - SHARED, (more - 3) // 2
     X_MA, shared, y = x[old : old + 3], x[old + 3 : size], x[size:]

@@ -181,7 +181,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
     by_surfaces = by_surfaces and tells_place(seen.points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
-    surfaces = map_points(graph, _newest_part(graph) if by_surfaces else ())
+    # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
+    surfaces = map_points(graph, range(adrift(graph) + 1, len(graph.keyframes)) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
     prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
     found, places = _where(known, surfaces, tags, seen, prior)
@@ -254,11 +255,6 @@ def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[Keyfr
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
     return *solve(graph, estimate.stamp, estimate.observation), way
-
-
-def _newest_part(graph: KeyframeGraph) -> range:
-    """The keyframes among which the newest pose is known: where the map is adrift those behind the unknown way."""
-    return range(adrift(graph) + 1, len(graph.keyframes))
 
 
 def _seen_of(

@@ -104,20 +104,17 @@ def _matched(before: FloatArray, after: FloatArray, X_guess: FloatArray) -> Matc
 class Comparison:
     """Odometry held against scans, over n pairs of scans one after the other.
 
-    begin, end: (n,) s, of the scans' clock. X: (n, 3) the way from one to the other by the scans and covariance:
-    (n, 3, 3), nan where they do not match. turn, travel: how many times as far the scans turn and travel as odometry
-    says. lag: s, how far the scans' clock is ahead of the odometry's. yaw: rad, how far to the left of where its
-    bearings say the scanner looks. deviations: (4,) of turn, travel, lag and yaw, inf where they are not told.
-    contradicts: (n,) the pairs that the odometry contradicts nevertheless. turning, travelling: (2,) each, how many
-    pairs turn or travel, by either, and how many of these are explained. stands: whether the odometry does, all along.
+    begun: s, when the first begins, by the scans' clock. turn, travel: how many times as far the scans turn and travel
+    as odometry says. lag: s, how far the scans' clock is ahead of the odometry's. yaw: rad, how far to the left of
+    where its bearings say the scanner looks. deviations: (4,) of turn, travel, lag and yaw, inf where they are not
+    told. contradicts: (k, 2) stretches of time, s by the scans' clock, in which the odometry contradicts the scans
+    nevertheless. turning, travelling: (2,) each, how many pairs turn or travel, by either, and how many of these are
+    explained. stands: whether the odometry does, all along.
     """
 
-    begin: FloatArray
-    end: FloatArray
-    X: FloatArray
-    covariance: FloatArray
-    contradicts: BoolArray
     mount_known: bool
+    begun: float
+    contradicts: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     turn: float = 1.0
     travel: float = 1.0
     lag: float = 0.0
@@ -195,7 +192,8 @@ def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
 
 @message
 class _Pairs:
-    """Pairs of scans that match (n,), as of Comparison, ready to be held against a way of odometry."""
+    """n pairs of scans, ready to be held against a way of odometry. begin, end: (n,) s, of the scans' clock. X: (n, 3)
+    the way from one to the other by the scans and covariance: (n, 3, 3), nan where they do not match."""
 
     begin: FloatArray
     end: FloatArray
@@ -249,8 +247,7 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
         if scan.stamp - chosen[-1].stamp >= APART:
             chosen.append(scan)
     every = _ways(chosen)
-    contradicts = np.zeros(len(every.begin), dtype=np.bool_)
-    nothing = Comparison(every.begin, every.end, every.X, every.covariance, contradicts, mount_known)
+    nothing = Comparison(mount_known, float(every.begin[0]) if len(every.begin) else 0.0)
     matched = every.covariance[:, 2, 2] < MOST_DEVIATION**2
     if len(odometry) < 2 or matched.sum() < PAIRS:
         return nothing
@@ -268,8 +265,11 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
     radial = np.array([[a, b], [-b, a]]) / travel
     of_travel, of_yaw = np.sqrt(np.diagonal(radial @ np.linalg.inv(of_way.information)[:2, :2] @ radial.T))
     of_scale = float(of_turn.information[0, 0]) ** -0.5
-    for k, predict in zip(told, predicted, strict=True):
-        contradicts[k] = _contradicted(chosen[k], chosen[k + 1], every.X[k], every.covariance[k], predict)
+    wrong = [
+        k
+        for k, predict in zip(told, predicted, strict=True)
+        if _contradicted(chosen[k], chosen[k + 1], every.X[k], every.covariance[k], predict)
+    ]
     chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
     sigma = np.sqrt(np.diagonal(pairs.covariance, axis1=1, axis2=2)).reshape(-1, 3)
     lengths, turns = np.hypot(pairs.X[:, 0], pairs.X[:, 1]), np.abs(pairs.X[:, 2])
@@ -282,7 +282,7 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
         lag=lag,
         yaw=-math.atan2(b, a),
         deviations=scatter * np.array([of_scale, of_travel, of_lag, of_yaw / travel]),
-        contradicts=contradicts,
+        contradicts=_stretches(every.begin[wrong], every.end[wrong]),
         turning=np.array([turning.sum(), (turning & (of_turn.off < SURELY)).sum()], dtype=float),
         travelling=np.array([travels.sum(), (travels & (of_way.off < SURELY)).sum()], dtype=float),
         stands=bool(np.abs(chord).sum() < 0.1 * lengths.sum() and np.abs(turned).sum() < 0.1 * turns.sum()),
@@ -333,7 +333,6 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
     refusal = _refusal(found)
     if refusal:
         return Verdict(refusal=refusal, against=refusal.startswith(AGAINST))
-    time = float(found.begin[0]) if len(found.begin) else 0.0
     turns, travels = found.turning[1] >= TELL, found.travelling[1] >= TELL
     sure = SURELY * found.deviations
     verdict, told = Verdict(), {}
@@ -353,7 +352,7 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
         verdict = replace(verdict, yaw=yaw)
         degrees = math.degrees(yaw)
         told["mount_yaw"] = f"the scanner looks {degrees:.1f} degrees farther to the left than was said: see its mount"
-    return replace(verdict, notes=tuple(Note(kind, time, text) for kind, text in told.items()))
+    return replace(verdict, notes=tuple(Note(kind, found.begun, text) for kind, text in told.items()))
 
 
 def _refusal(found: Comparison) -> str:
@@ -420,9 +419,8 @@ def _turned(scan: LaserScan, yaw: float) -> LaserScan:
     return replace(scan, angles=angles[order], ranges=scan.ranges[order])
 
 
-def contradictions(found: Comparison) -> FloatArray:
-    """Stretches (k, 2) of time, s by the scans' clock, in which the odometry contradicts the scans."""
-    begin, end = found.begin[found.contradicts], found.end[found.contradicts]
+def _stretches(begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Intervals (n,), s, as stretches (k, 2) of time: those that follow each other soon are one."""
     if not len(begin):
         return np.zeros((0, 2))
     apart = begin[1:] > end[:-1] + ONE_STRETCH

@@ -79,8 +79,11 @@ Pair = tuple[FloatArray, FloatArray]
 
 
 class _Problem(NamedTuple):
-    """Clock (t,) and odometry (t, 3) of the poses; pose, id and measurement (m, 8) of each of the sightings (m,)."""
+    """Noise and parameters as they are known, clock (t,) and odometry (t, 3) of the poses; pose, id and measurement
+    (m, 8) of each of the sightings (m,)."""
 
+    noise: Noise
+    shared: Shared
     clock: FloatArray
     X_OB: FloatArray
     node: IntArray
@@ -233,22 +236,21 @@ def reduced(
     of_line = np.repeat(np.array(node, dtype=np.int64), [len(one) for one in lines])
     looked = of_line, on_uneven(np.concatenate(lines), unevenness), twist[of_line]
     looks = grouped(*looked, X_AB)
-    problem = _Problem(clock, X_OB, np.repeat(node, counts), ids, z, looks)
+    problem = _Problem(noise, shared, clock, X_OB, np.repeat(node, counts), ids, z, looks)
     kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
-    solution = _solved(noise, shared, problem, X_AB, kept)
+    solution = _solved(problem, X_AB, kept)
     # By odometry a wall that was seen again after a turn round may seem to be another.
     again = grouped(*looked, solution.at.X_AB)
     if len(again.anchor) < len(looks.anchor):
         problem = problem._replace(looks=again)
-        solution = _solved(noise, shared, problem, solution.at.X_AB, kept)
-    if np.any(_outliers(solution)):
-        solution, kept = _without_outliers(noise, shared, problem, X_AB)
+        solution = _solved(problem, solution.at.X_AB, kept)
+    if np.any(solution.squared > OUTLIER_SIGMAS**2):
+        solution, kept = _without_outliers(problem, X_AB)
         unexplained = int(np.sum(~kept[: len(ids)]))
         if unexplained >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
             slipping = replace(noise, walks=np.maximum(noise.walks, SLIPPING))
-            by_time = problem._replace(clock=stamps)
-            other, other_kept = _without_outliers(slipping, shared, by_time, X_AB)
+            other, other_kept = _without_outliers(problem._replace(noise=slipping, clock=stamps), X_AB)
             left = int(np.sum(~other_kept[: len(ids)]))
             if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
                 solution, kept, slipped = other, other_kept, True
@@ -258,7 +260,7 @@ def reduced(
     scanned = [k for k, frame in enumerate(every) if len(frame.points)]
     at = np.array(node, dtype=np.int64)[scanned]
     of_scans = [in_body(every[k].points, solution.parameters, twist[node[k]]) for k in scanned]
-    points, scatter = put_together(of_scans, X_AB[at], _ways(noise, shared, problem, X_AB, at), unevenness)
+    points, scatter = put_together(of_scans, X_AB[at], _ways(problem, X_AB, at), unevenness)
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
         sightings=np.append(walls, solution.sightings),
@@ -278,13 +280,14 @@ def in_body(points: FloatArray, parameters: FloatArray, twist: FloatArray) -> Fl
     return moved_points(se2.compose(X_BB, np.array([ahead, left, yaw])), points)
 
 
-def _ways(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
+def _ways(problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
     """Ties between neighbours of some of the poses X_AB (t, 3), at (m,), by odometry's noise and scales."""
     information, heading = np.empty((max(len(at) - 1, 0), 3, 3)), np.unwrap(problem.X_OB[:, 2])
+    shared = problem.shared
     for i, (k, later) in enumerate(itertools.pairwise(at)):
         increment, dt = arc(problem.X_OB[k], problem.X_OB[later]), problem.clock[later] - problem.clock[k]
         increment[2] = heading[later] - heading[k]
-        _, on, covariance = predict_increment(increment, dt, shared.mean[:CALIBRATION], noise.walks)
+        _, on, covariance = predict_increment(increment, dt, shared.mean[:CALIBRATION], problem.noise.walks)
         covariance += on @ shared.covariance[:CALIBRATION, :CALIBRATION] @ on.T
         information[i] = np.linalg.inv(covariance)
     first = np.arange(len(information))
@@ -336,7 +339,8 @@ def _keyframe(solution: _Solution, shared: Shared, level: float) -> tuple[Keyfra
     W, g = with_floor(J.T @ solution.information @ J, J.T @ solution.gradient, w, level)
     on_error = np.concatenate([np.zeros((w, 2, 2)), _on_error(solution)])
     anchor, reach = (np.vstack([of_walls, np.zeros((n, 2))]) for of_walls in (seen.anchor, seen.reach))
-    return keyframe(np.append(seen.ids, solution.ids), y, anchor, reach, parameters, unit, W, g, on_error), seen.looks
+    landmarks = np.append(seen.ids, solution.ids), anchor, reach, on_error
+    return keyframe(landmarks, y, parameters, unit, W, g), seen.looks
 
 
 def _on_error(solution: _Solution) -> FloatArray:
@@ -367,30 +371,18 @@ def _ties(noise: Noise, frames: Sample) -> _Ties:
     return _Ties(frames.X_OB, dt, noise.walks, frames.prior, frames.of_prior, node, tag, z, before, left, looks)
 
 
-def _without_outliers(noise: Noise, shared: Shared, problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
+def _without_outliers(problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
     """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    robust = _solved(
-        noise, shared, problem, X_AB, np.ones(len(problem.ids) + len(problem.looks.node), bool), HUBER_SIGMAS
-    )
-    kept = ~_outliers(robust)
-    return _solved(noise, shared, problem, robust.at.X_AB, kept), kept
+    every = np.ones(len(problem.ids) + len(problem.looks.node), dtype=bool)
+    robust = _solved(problem, X_AB, every, HUBER_SIGMAS)
+    kept = ~(robust.squared > OUTLIER_SIGMAS**2)
+    return _solved(problem, robust.at.X_AB, kept), kept
 
 
-def _outliers(solution: _Solution) -> BoolArray:
-    """(m,) True where a detection lies too far from the solution."""
-    return solution.squared > OUTLIER_SIGMAS**2
-
-
-def _solved(
-    noise: Noise,
-    shared: Shared,
-    problem: _Problem,
-    X_AB: FloatArray,
-    kept: BoolArray,
-    huber: float = math.inf,
-) -> _Solution:
+def _solved(problem: _Problem, X_AB: FloatArray, kept: BoolArray, huber: float = math.inf) -> _Solution:
     """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
     sigmas, for which all noise is white."""
+    noise, shared = problem.noise, problem.shared
     looks, kept = problem.looks.kept(kept[len(problem.ids) :]), kept[: len(problem.ids)]
     node, z = problem.node[kept], problem.z[kept]
     ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
@@ -418,18 +410,15 @@ def _nodes(
 ) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
     """Stamps and clock (t,) and odometry (t, 3) of the poses, and the pose of each frame and of the end; coinciding
     stamps share one."""
-    stamps, clock, X_OB, node = [begin.stamp], [begin.clock], [begin.X_OB], []
+    poses, node = [begin], []
     for frame in (*frames, end):
-        if frame.stamp - stamps[-1] > SAME_INSTANT:
-            stamps.append(frame.stamp)
-            clock.append(frame.clock)
-            X_OB.append(frame.X_OB)
-        node.append(len(stamps) - 1)
-    if len(stamps) == 1:
-        stamps.append(begin.stamp + SAME_INSTANT)
-        clock.append(begin.clock + SAME_INSTANT)
-        X_OB.append(end.X_OB)
-    return np.array(stamps), np.array(clock), np.array(X_OB), node
+        if frame.stamp - poses[-1].stamp > SAME_INSTANT:
+            poses.append(frame)
+        node.append(len(poses) - 1)
+    if len(poses) == 1:
+        poses.append(replace(end, stamp=begin.stamp + SAME_INSTANT, clock=begin.clock + SAME_INSTANT))
+    stamps, clock = np.array([[one.stamp, one.clock] for one in poses]).T
+    return stamps, clock, np.array([one.X_OB for one in poses]), node
 
 
 @njit(cache=True)
@@ -521,16 +510,19 @@ def _normal_equations(poses: int, size: int) -> Pair:
 
 
 @njit(cache=True)
-def _add(rows: FloatArray, first: int, at: IntArray, equations: Pair) -> None:
+def _add(rows: FloatArray, first: int, poses: int, at: IntArray, equations: Pair) -> None:
     """Add the products of rows' columns from the first on with each other and with the last, the error. at: (c,) which
-    unknown each but the last is, ascending: three a pose, D's the last of these, then the border's."""
+    unknown each but the last is, ascending: three a pose, D's the last of these, which so many columns have, then the
+    border's."""
     (chain, rest), d = equations, 3 * len(equations[0]) - 3
     for a in range(first, len(at)):
         i = at[a] // 3
         # Where the poses' columns begin in its row, and the border's, which follow the next pose's there.
-        row, poses, border = (chain[i, at[a] - 3 * i], 3 * i, d - 3) if at[a] < d else (rest[at[a] - d], d, d)
-        for b in range(a, len(at)):
-            row[at[b] - (poses if at[b] < d + 3 else border)] += _dot(rows, a, b)
+        row, of_pose, border = (chain[i, at[a] - 3 * i], 3 * i, d - 3) if at[a] < d else (rest[at[a] - d], d, d)
+        for b in range(a, poses):
+            row[at[b] - of_pose] += _dot(rows, a, b)
+        for b in range(max(a, poses), len(at)):
+            row[at[b] - border] += _dot(rows, a, b)
         row[-1] += _dot(rows, a, len(at))
 
 
@@ -570,8 +562,9 @@ def _add_odometry(ties: _Ties, X: FloatArray, border: FloatArray, motions: Pair,
                 rows[a, b] *= scale
             rows[a, 9 if a < 2 else 11] += by_scale
         _factor(rows)
-        at[3:9] = 3 * i + np.arange(6)
-        _add(rows, 3, at, equations)
+        for a in range(6):
+            at[3 + a] = 3 * i + a
+        _add(rows, 3, 9, at, equations)
         cost += 0.5 * _dot(rows, last, last)
     return cost
 
@@ -605,9 +598,9 @@ def _add_measurements(
             mount = border[of_sensor : of_sensor + OF_SENSOR]
             linearise_wall(rows, X[i], mount, seen[9:], seen[:7], border[k : k + 2], looks.anchor[wall])
             squared[j], more = _whiten(rows, seen[7], seen[8], huber)
-        at[:6] = 3 * i - 3 + np.arange(6)
-        at[6 : 6 + OF_SENSOR] = 3 * len(X) + of_sensor + np.arange(OF_SENSOR)
-        at[6 + OF_SENSOR :] = 3 * len(X) + k + np.arange(2)
+        for a in range(6 + OF_SENSOR):
+            at[a] = 3 * i - 3 + a if a < 6 else 3 * len(X) + of_sensor + a - 6
+        at[last - 2], at[last - 1] = 3 * len(X) + k, 3 * len(X) + k + 1
         fresh[:, :3], fresh[:, 3:] = 0.0, rows[:, :OF_TWIST]
         if before >= 0:
             left, rows_before = ties.left[j], every[before]
@@ -616,7 +609,7 @@ def _add_measurements(
             fresh[:, 3:6] = whitener * rows[:, :3]
             fresh[:, 6:] = whitener * (rows[:, 3:OF_TWIST] - left * rows_before[:, 3:OF_TWIST])
         cost += more + 0.5 * _dot(fresh, last, last)
-        _add(fresh, 0 if before >= 0 else 3, at, equations)
+        _add(fresh, 0 if before >= 0 else 3, 6, at, equations)
     return cost
 
 

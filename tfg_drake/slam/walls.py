@@ -195,7 +195,7 @@ def _grouped(
     q = len(angle)
     wall, newest, reach, walls = np.empty(q, dtype=np.int64), np.empty(q, dtype=np.int64), np.empty((q, 2)), 0
     for j in range(q):
-        wall[j], nearest = -1, np.inf
+        wall[j], nearest, moved = -1, np.inf, 0.0
         for w in range(walls):
             b = newest[w]
             turned = abs(wrap(angle[j] - angle[b]))
@@ -210,18 +210,15 @@ def _grouped(
             if along + ends[j, 1] < reach[w, 0] or along + ends[j, 0] > reach[w, 1]:
                 continue
             if off < nearest:
-                nearest, wall[j] = off, w
+                nearest, wall[j], moved = off, w, along
         w = wall[j]
         if w < 0:
             wall[j], newest[walls], reach[walls] = walls, j, ends[j]
             walls += 1
             continue
-        b = newest[w]
-        c, s = math.cos(angle[b]), math.sin(angle[b])
-        along = -s * (p_AM[j, 0] - p_AM[b, 0]) + c * (p_AM[j, 1] - p_AM[b, 1])
-        reach[w, 0], reach[w, 1] = min(reach[w, 0], along + ends[j, 0]), max(reach[w, 1], along + ends[j, 1])
+        reach[w, 0], reach[w, 1] = min(reach[w, 0], moved + ends[j, 0]), max(reach[w, 1], moved + ends[j, 1])
         newest[w] = j
-        reach[w] -= along
+        reach[w] -= moved
     return wall, newest[:walls].copy()
 
 
