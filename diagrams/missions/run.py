@@ -19,8 +19,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump_typed
-
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
@@ -31,7 +29,7 @@ from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.resume import KNOWN_MAP, scenario_digest
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
-from tfg_drake.diagrams.scenario import AreasOutside, MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import AreasOutside, DumpScenario, MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
@@ -175,7 +173,7 @@ def _with_map_kept(scenario: Scenario, folder: Path) -> Scenario:
         if not (path.exists() and path.samefile(known)):
             write_atomic(path, known.read_bytes())
         kept.explorer.known_map = KNOWN_MAP
-    write_atomic(folder / "scenario.yaml", yaml_dump_typed(kept))
+    write_atomic(folder / "scenario.yaml", DumpScenario(kept))
     if scenario.explorer.known_map:
         kept.explorer.known_map = str((folder / KNOWN_MAP).resolve())
     return kept
