@@ -151,7 +151,7 @@ def open_robot(
     from tfg_drake.hardware.keyboard import HELP
 
     if name.startswith("replay:"):
-        from tfg_drake.diagrams.replay_station import ReplayRobot
+        from tfg_drake.diagrams.recorded_station import ReplayRobot
         from tfg_drake.diagrams.scenario import LoadScenario
         from tfg_drake.storage.port_recording import read_recording
 
@@ -174,7 +174,7 @@ def open_robot(
 @contextlib.contextmanager
 def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
     """The method manual with the keys of standard input and, if there is one, of the page."""
-    from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
+    from tfg_drake.diagrams.driven_explorers import MakeManualExplorer
     from tfg_drake.hardware.keyboard import Keyboard
     from tfg_drake.mission.manual_drive import HELP, KEYS
 
