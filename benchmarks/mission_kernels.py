@@ -4,8 +4,8 @@
 
 Two missions, one by tags and walls and one by walls alone, compile into an empty folder all that they call, five
 minutes. A line a kernel and types: module, name, seconds that it took without those it calls, types. First come those
-that the first look needs; of either half first those that call no others, then those that call only these, and so on,
-of each the longest first: so hardly one is compiled by two processes at a time.
+that call no others, then those that call only these, and so on, of each the longest first: so hardly one is compiled by
+two processes at a time.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def called() -> set[tuple[str, str, str]]:
 
 def main() -> None:
     """Drive the missions, and write the list."""
-    rows: dict[tuple[Any, Any], tuple[bool, float]] = {}
+    rows: dict[tuple[Any, Any], float] = {}
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NUMBA_CACHE_DIR"] = folder
         from numba.core import event
@@ -93,7 +93,7 @@ def main() -> None:
         from tfg_drake.diagrams.missions.run import run_mission
         from tfg_drake.diagrams.scenario import LoadScenario
 
-        now, inner = 0.0, [0.0]
+        inner = [0.0]
 
         class Listener(event.Listener):
             def on_start(self, event: Any) -> None:
@@ -106,28 +106,19 @@ def main() -> None:
                 # Others, numba's and those inside a kernel, are compiled anew with each that calls them.
                 if kernel in kernels_of(sys.modules[kernel.py_func.__module__]).values():
                     inner[-1] += spent
-                    rows.setdefault((kernel, event.data["args"]), (now < scenario.explorer.first_look, own))
+                    rows.setdefault((kernel, event.data["args"]), own)
                 else:
                     inner[-1] += spent - own
 
         event.register("numba:compile", Listener())
         for without_tags in MISSIONS:
-            now, scenario = 0.0, LoadScenario("house")
+            scenario = LoadScenario("house")
             if without_tags:
                 scenario.world.tags = []
-            out = Path(folder) / f"run-{without_tags}"
-
-            def note(progress: Any) -> None:
-                nonlocal now
-                now = progress.time
-
-            run_mission(scenario, max_time=UNTIL, out_dir=out, on_progress=note)
-    ordered = sorted(rows, key=lambda key: (not rows[key][0], depth(key[0]), -rows[key][1]))
-    halves = [
-        [lines(key[0], rows[key][1], key[1]) for key in ordered if rows[key][0] is first] for first in (True, False)
-    ]
-    FILE.write_text("\n\n".join("\n".join(half) for half in halves) + "\n", encoding="utf-8")
-    total = sum(cost for _, cost in rows.values())
+            run_mission(scenario, max_time=UNTIL, out_dir=Path(folder) / f"run-{without_tags}")
+    ordered = sorted(rows, key=lambda key: (depth(key[0]), -rows[key]))
+    FILE.write_text("".join(f"{lines(key[0], rows[key], key[1])}\n" for key in ordered), encoding="utf-8")
+    total = sum(rows.values())
     print(f"{len(rows)} of {len({key[0] for key in rows})} kernels, {total:.0f} s: {FILE}")
 
 

@@ -19,7 +19,7 @@ from tfg_drake.planning.paper_rules import PaperRules
 METHODS = Path("runs/paper_rules")
 METHOD = '''"""The paper's rules without one: {rule}."""
 
-from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
+from tfg_drake.diagrams.methods import MakePaperExplorer
 from tfg_drake.planning.paper_rules import PaperRules
 
 

@@ -18,7 +18,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -27,23 +27,22 @@ from tfg_drake.bad_input import BadInput, EstimateLost
 from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.camera import camera_app, video_loader
-from tfg_drake.diagrams.commands.command_line import bad_input as _bad_input
 from tfg_drake.diagrams.commands.command_line import (
+    bad_input,
     check_positive,
-    compiling_beside,
-    complaining,
     grouped_help,
     interruption,
     parse_place,
     wait_for_enter,
-    wait_for_kernels,
 )
 from tfg_drake.diagrams.commands.kobuki import kobuki_app
 from tfg_drake.diagrams.commands.map import map_app
+from tfg_drake.diagrams.commands.options import AsJson, PagePort, Settings, argument, flag, option
 from tfg_drake.diagrams.commands.ros import ros2_app
-from tfg_drake.diagrams.commands.screen import Screen, say
 from tfg_drake.diagrams.commands.tags import tags_app
+from tfg_drake.diagrams.compile_kernels import wait_for_kernels
 from tfg_drake.diagrams.missions import run_folder
+from tfg_drake.diagrams.screen import Screen, say
 from tfg_drake.mission.interruption import NAMES
 
 if TYPE_CHECKING:
@@ -61,6 +60,8 @@ EXIT_CODES = {
     "stuck": 1,
     "apart": 1,
     "fault": 3,
+    # The map or the summary could not be written.
+    "not written": 4,
     "interrupted": 130,
 }
 
@@ -72,31 +73,17 @@ LEAST_MEMORY = 2**30
 # What the parser raises for a command line it cannot read; typer has no name of its own for it.
 _UsageError: Any = typer.BadParameter.__base__
 
-# How the options of `explore` are told.
-_GROUPS = {
+# How the options of `explore` are told; (): those that are in no other group.
+_GROUPS: dict[str, tuple[str, ...]] = {
     "Arguments": ("scenario",),
-    "The mission": (
-        "method",
-        "seed",
-        "known_map",
-        "at",
-        "max_time",
-        "realtime_rate",
-        "settings",
-        "resume",
-        "out",
-        "as_json",
-        "help",
-    ),
+    "The mission": (),
     "A simulated world": ("world", "tag_spacing", "start"),
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
     "To look at it": ("headless", "host", "page_port", "meshcat"),
 }
 
 # Options of several commands.
-World = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
-]
+World = Annotated[Path | None, option("FILE", "Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")]
 
 
 def _spacing(text: str) -> float:
@@ -109,22 +96,12 @@ def _spacing(text: str) -> float:
 
 TagSpacing = Annotated[
     float | None,
-    typer.Option(
-        metavar="M|none",
-        parser=_spacing,
-        help="Place tags along every reachable surface, this far apart, or none at all.",
-    ),
+    option("M|none", "Place tags along every reachable surface, this far apart, or none at all.", parser=_spacing),
 ]
-Start = Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where to start in W, m and rad.")]
-MaxTime = Annotated[float, typer.Option(metavar="S", help="Give up after S simulated seconds.")]
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the scenario; repeatable.")
-]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
-Host = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="Where the page is served; 0.0.0.0 for other computers, too.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as the last line, on one line.")]
+Start = Annotated[str | None, option("X,Y,YAW", "Where to start in W, m and rad.")]
+MaxTime = Annotated[float, option("S", "Give up after S simulated seconds.")]
+RunArgument = Annotated[Path, argument("RUN", "The folder of a run.")]
+Host = Annotated[str, option("ADDRESS", "Where the page is served; 0.0.0.0 for other computers, too.")]
 
 app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]}, rich_markup_mode=None, pretty_exceptions_enable=False
@@ -145,9 +122,7 @@ def _print_version(asked: bool) -> None:
 @app.callback(invoke_without_command=True)
 def _commands(
     context: typer.Context,
-    _version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
-    ] = False,
+    _version: Annotated[bool, flag("--version", "Print the version.", callback=_print_version, is_eager=True)] = False,
 ) -> None:
     """Active SLAM on topological feature graphs: a robot explores and maps an unknown building on its own."""
     if context.invoked_subcommand is None:
@@ -173,61 +148,44 @@ def explore(
     tag_spacing: TagSpacing = None,
     start: Start = None,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="What explores: tfg, grid-nearest, ... or a Python file that makes one.")
+        str, option("NAME", "What explores: tfg, grid-nearest, ... or a Python file that makes one.")
     ] = "tfg",
     robot: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help="What to drive: sim, a real robot (kobuki, ros2, rosbridge) or a run: replay:RUN_DIR."
-        ),
+        str, option("NAME", "What to drive: sim, a real robot (kobuki, ros2, rosbridge) or a run: replay:RUN_DIR.")
     ] = "sim",
-    port: Annotated[str | None, typer.Option(metavar="DEVICE", help="The Kobuki's serial port.")] = None,
-    preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The robot on ROS: turtlebot2, 3, 4 or a YAML file.")
-    ] = None,
-    bridge: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="The rosbridge server.")] = None,
+    port: Annotated[str | None, option("DEVICE", "The Kobuki's serial port.")] = None,
+    preset: Annotated[str | None, option("NAME", "The robot on ROS: turtlebot2, 3, 4 or a YAML file.")] = None,
+    bridge: Annotated[str | None, option("HOST:PORT", "The rosbridge server.")] = None,
     tags: Annotated[
         str | None,
-        typer.Option(
-            metavar="SOURCE",
-            help="A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
+        option(
+            "SOURCE",
+            "A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
         ),
     ] = None,
-    scan: Annotated[
-        str | None, typer.Option(metavar="SOURCE", help="Its scans, likewise, or rplidar:DEVICE or realsense:.")
-    ] = None,
+    scan: Annotated[str | None, option("SOURCE", "Its scans, likewise, or rplidar:DEVICE or realsense:.")] = None,
     skip_checks: Annotated[
-        bool, typer.Option("--skip-checks", help="Do not check battery, sensors and clocks before it may be enabled.")
+        bool, flag("--skip-checks", "Do not check battery, sensors and clocks before it may be enabled.")
     ] = False,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Every random number comes from it.")] = None,
+    seed: Annotated[int | None, option("N", "Every random number comes from it.")] = None,
     known_map: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="MAP", help="Begin with a map of the building, a file or the folder of a run."),
+        Path | None, option("MAP", "Begin with a map of the building, a file or the folder of a run.", "--map")
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(
-            metavar="X,Y,YAW",
-            help="Where in that map the robot is, m and rad, and how sure that is, if not to 0.5 m and 0.3 rad.",
+        option(
+            "X,Y,YAW", "Where in that map the robot is, m and rad, and how sure that is, if not to 0.5 m and 0.3 rad."
         ),
     ] = None,
-    headless: Annotated[bool, typer.Option("--headless", help="No page that shows it.")] = False,
-    meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw it in Drake's Meshcat, too.")] = False,
+    headless: Annotated[bool, flag("--headless", "No page that shows it.")] = False,
+    meshcat: Annotated[bool, flag("--meshcat", "Draw it in Drake's Meshcat, too.")] = False,
     host: Host = "localhost",
-    page_port: Annotated[
-        int | None, typer.Option(metavar="N", help="The page's port [default: 7000 or the next that is free].")
-    ] = None,
-    realtime_rate: Annotated[
-        float, typer.Option(metavar="R", help="At most R simulated seconds a second; 0 for no limit.")
-    ] = 0.0,
+    page_port: PagePort = None,
+    realtime_rate: Annotated[float, option("R", "At most R simulated seconds a second; 0 for no limit.")] = 0.0,
     max_time: MaxTime = 3600.0,
     settings: Settings = None,
-    resume: Annotated[
-        Path | None, typer.Option(metavar="RUN", help="Go on with a mission that was cut short, from its folder.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<scenario>-<seed>].")
-    ] = None,
+    resume: Annotated[Path | None, option("RUN", "Go on with a mission that was cut short, from its folder.")] = None,
+    out: Annotated[Path | None, option("DIR", "The run's folder [default: runs/<time>-<scenario>-<seed>].")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Explore a building and map it, until nothing is left to gain."""
@@ -252,7 +210,7 @@ def explore(
         from tfg_drake.diagrams.scenario import PrepareScenario
 
         scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
-        name, before = explore_command.run_name(scenario, world, robot), None
+        name, before = run_folder.run_name(scenario, world, robot), None
         if resume is None:
             known = [] if known_map is None else [f"explorer.known_map={known_map.resolve()}"]
             known += [] if at is None else [f"explorer.known_at={_told_place(at)}"]
@@ -261,30 +219,25 @@ def explore(
         else:
             if out is not None and out.resolve() != resume.resolve():
                 _make_ready(out)
-            with complaining(out):
-                before = cut_short(resume, out)
+            before = cut_short(resume, out)
             loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
         if robot != "sim" and replayed is None:
             explore_command.link(loaded, robot, links)
         explorer = _find_method(method, loaded)
         if explorer.needs_keys and robot != "sim":
-            _bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
+            bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
         cockpit, real = None, robot in ROBOTS
-        opened = explore_command.open_robot(robot, loaded, explorer, interruption, checked=not skip_checks)
         if not real:
-            driven, loaded = stack.enter_context(opened)
+            driven = explore_command.unreal_robot(robot, loaded)
         if not headless:
-            from tfg_drake.diagrams.commands.page import open_page
+            from tfg_drake.diagrams.missions.page import open_page
 
             title, rate = f"{name}, seed {loaded.seed}", None if real else realtime_rate
             cockpit = page_stack.enter_context(open_page(title, host, page_port, rate=rate, preview=not real))
             show = explore_command.also_on_page(show, cockpit)
         show("loading")
         # Before this process imports the rest: it shares the machine's time and memory with those who compile.
-        warm_up = stack.enter_context(compiling_beside())
-        if warm_up is not None:
-            # A first look that takes minutes is worse to look at than the recorded mission.
-            wait_for_kernels(show, warm_up, all_of_them=real or not headless)
+        wait_for_kernels(show, interruption)
         if explorer.needs_keys:
             explorer = stack.enter_context(explore_command.keys_of_driver(explorer, cockpit))
         if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":
@@ -293,44 +246,49 @@ def explore(
         from tfg_drake.diagrams.missions import run
         from tfg_drake.diagrams.missions.mission import MissionRequest
 
-        stack.enter_context(explore_command.remarks_on_screen())
+        stack.enter_context(run_folder.remarks_on_screen())
         if real:
+            from tfg_drake.diagrams.missions.real_robot import OpenRobot
+
+            opened = OpenRobot(loaded, explorer, interruption, checked=not skip_checks)
             driven, loaded = stack.enter_context(opened)
-        with complaining(out):
-            request = MissionRequest(
-                loaded,
-                method=explorer,
-                robot=driven,
-                name=name,
-                world_name=str(world or scenario) if driven.world_known else "unknown",
-                meshcat=explore_command.open_meshcat() if meshcat else None,
-                cockpit=cockpit,
-                realtime_rate=realtime_rate,
-                max_time=max_time,
-                out_dir=out,
-                on_progress=lambda progress: show(explore_command.progress_line(progress)),
-                interrupted=interruption,
-                warm_up=None if real else warm_up,
-                before=None if before is None else before.state,
-            )
-            result = run.run_mission(request)
+        request = MissionRequest(
+            loaded,
+            method=explorer,
+            robot=driven,
+            name=name,
+            world_name=str(world or scenario) if driven.world_known else "unknown",
+            meshcat=explore_command.open_meshcat() if meshcat else None,
+            cockpit=cockpit,
+            realtime_rate=realtime_rate,
+            max_time=max_time,
+            out_dir=out,
+            on_progress=lambda progress: show(explore_command.progress_line(progress)),
+            interrupted=interruption,
+            before=None if before is None else before.state,
+        )
+        result = run.run_mission(request)
         stack.close()
         _tell(result)
         if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
             wait_for_enter()
+    outcome = "stuck" if isinstance(result.mission.failure, EstimateLost) else result.summary["outcome"]
+    _end(result.summary, outcome if explore_command.is_kept(result.unwritten) else "not written", as_json)
+
+
+def _end(summary: dict[str, Any], outcome: str, as_json: bool) -> NoReturn:
+    """Ends a command whose run has a summary."""
     if as_json:
-        print(json.dumps(result.summary), flush=True)
-    code = EXIT_CODES[result.summary["outcome"]]
-    if isinstance(result.mission.failure, EstimateLost):
-        code = EXIT_CODES["stuck"]
-    raise typer.Exit(code if explore_command.is_kept(result.unwritten) else explore_command.NOT_WRITTEN)
+        print(json.dumps(summary), flush=True)
+    raise typer.Exit(EXIT_CODES[outcome])
 
 
 def _tell(result: RunResult) -> None:
     """The closing table of a mission."""
     from tfg_drake.cockpit.page import FILE_NAME
+    from tfg_drake.diagrams.missions.summary_words import table_rows
 
-    rows = explore_command.table_rows(result.summary)
+    rows = table_rows(result.summary)
     rows += [("not whole", f"{name}: {reason}") for name, reason in result.unwritten.items()]
     rows += [("files", str(result.folder)), ("page", str(result.folder / FILE_NAME))]
     for name, value in rows:
@@ -346,9 +304,7 @@ def _tell(result: RunResult) -> None:
 def view(
     run: RunArgument,
     host: Host = "localhost",
-    port: Annotated[
-        int | None, typer.Option(metavar="N", help="The port [default: 7000 or the next that is free].")
-    ] = None,
+    port: PagePort = None,
 ) -> None:
     """Show a mission that has ended, or is under way, with a slider for the time."""
     from tfg_drake.diagrams.commands.view import serve_run
@@ -359,7 +315,7 @@ def view(
 @app.command()
 def export(
     run: RunArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write: .html, .gif, .mp4.")],
+    out: Annotated[Path, argument("OUT", "The file to write: .html, .gif, .mp4.")],
 ) -> None:
     """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
     from tfg_drake.diagrams.commands.view import export_run
@@ -374,31 +330,27 @@ def compare(
     tag_spacing: TagSpacing = None,
     start: Start = None,
     methods: Annotated[
-        str, typer.Option(metavar="NAME,...", help="What to compare; the others are compared with the first.")
+        str, option("NAME,...", "What to compare; the others are compared with the first.")
     ] = "tfg,tfg-nearest,grid-nearest",
-    seeds: Annotated[int, typer.Option(metavar="N", help="Every method runs on the seeds 0 to N - 1.")] = 10,
+    seeds: Annotated[int, option("N", "Every method runs on the seeds 0 to N - 1.")] = 10,
     max_time: MaxTime = 3600.0,
     settings: Settings = None,
-    jobs: Annotated[int | None, typer.Option(metavar="N", help="Missions at a time [default: 1].")] = None,
-    ray: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster; local starts one here.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The folder [default: runs/<time>-compare-<scenario>].")
-    ] = None,
+    jobs: Annotated[int | None, option("N", "Missions at a time [default: 1].")] = None,
+    ray: Annotated[str | None, option("ADDRESS", "Run on a Ray cluster; local starts one here.")] = None,
+    out: Annotated[Path | None, option("DIR", "The folder [default: runs/<time>-compare-<scenario>].")] = None,
 ) -> None:
     """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
     check_positive("--max-time", max_time, "s")
     _check_spacing(tag_spacing)
     if seeds < 1:
-        _bad_input(f"--seeds {seeds}: must be 1 or more")
+        bad_input(f"--seeds {seeds}: must be 1 or more")
     for setting in settings or []:
         if setting.split("=")[0].strip() == "seed":
-            _bad_input(f"--set {setting}: the seeds are 0 to one less than --seeds; leave it out")
+            bad_input(f"--set {setting}: the seeds are 0 to one less than --seeds; leave it out")
     if jobs is not None and jobs < 1:
-        _bad_input(f"--jobs {jobs}: must be 1 or more")
+        bad_input(f"--jobs {jobs}: must be 1 or more")
     if jobs is not None and ray is not None:
-        _bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
+        bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
 
     with Screen() as show:
         show("loading")
@@ -408,30 +360,26 @@ def compare(
         from tfg_drake.diagrams.missions.sweep import Task, parse_methods
         from tfg_drake.diagrams.scenario import PrepareScenario
 
-        name = explore_command.run_name(scenario, world)
-        with complaining(out):
-            place = _start(start)
-            of_seed = [
-                PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)
-            ]
-            sources = parse_methods(methods, of_seed[0])
-            names = list(sources)
-            # All methods of a seed before the next seed, so that a partial report compares like with like.
-            world_name = scenario if world is None else str(world)
-            tasks = [
-                Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names
-            ]
-            if out is not None:
-                _make_writable(out)
-            folder = run_folder.make_run_folder(out, f"compare-{name}")
-            wait_for_kernels(show)
-            spacing = "none" if tag_spacing == math.inf else tag_spacing
-            given = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
-            given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
-            command = _command_line(["compare", scenario], given)
-            with run_folder.claimed(folder):
-                runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, interruption, show)
-                comparison_report.write_comparison(runs, tasks, folder, command, show)
+        name = run_folder.run_name(scenario, world)
+        place = _start(start)
+        of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
+        sources = parse_methods(methods, of_seed[0])
+        names = list(sources)
+        # All methods of a seed before the next seed, so that a partial report compares like with like.
+        world_name = scenario if world is None else str(world)
+        tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
+        if out is not None:
+            _make_writable(out)
+        folder = run_folder.make_run_folder(out, f"compare-{name}")
+        wait_for_kernels(show, interruption)
+        spacing = "none" if tag_spacing == math.inf else tag_spacing
+        given = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
+        given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
+        words = [str(word) for option, value in given if value is not None for word in (option, value)]
+        command = shlex.join(["tfg-drake", "compare", scenario, *words])
+        with run_folder.claimed(folder):
+            runs = compare_command.run_sweep(tasks, folder, jobs or 1, ray, interruption, show)
+            comparison_report.write_comparison(runs, tasks, folder, command, show)
     for line in compare_command.closing_lines(runs, names):
         print(line)
     print(f"report: {folder / 'report.html'}")
@@ -440,36 +388,25 @@ def compare(
     raise typer.Exit(EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)
 
 
-def _command_line(words: list[str], options: list[tuple[str, Any]]) -> str:
-    """The shell command that repeats a command, with those of its options that have a value."""
-    given = [str(word) for option, value in options if value is not None for word in (option, value)]
-    return shlex.join(["tfg-drake", *words, *given])
-
-
 @app.command()
 def fork(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a simulated run.")],
-    stage: Annotated[int, typer.Option(metavar="N", help="The stage whose goal is another.")],
-    goal: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Drive there instead, in W, m, to the place next to it.")
-    ] = None,
-    candidate: Annotated[
-        int | None, typer.Option(metavar="K", help="Or to this of the stage's candidates, 1 for the most gain.")
-    ] = None,
+    run: Annotated[Path, argument("RUN", "The folder of a simulated run.")],
+    stage: Annotated[int, option("N", "The stage whose goal is another.")],
+    goal: Annotated[str | None, option("X,Y", "Drive there instead, in W, m, to the place next to it.")] = None,
+    candidate: Annotated[int | None, option("K", "Or to this of the stage's candidates, 1 for the most gain.")] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="The fork's folder [default: runs/<time>-<scenario>-fork-<seed>]."),
+        Path | None, option("DIR", "The fork's folder [default: runs/<time>-<scenario>-fork-<seed>].")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Say what a run would have done: drive it anew to a stage, on to another goal, and compare the two."""
     if goal is not None and candidate is not None:
-        _bad_input("--goal and --candidate exclude each other; name one of them")
+        bad_input("--goal and --candidate exclude each other; name one of them")
     place = None if goal is None else parse_place("--goal", goal, "X,Y")
     _make_ready(out)
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show)
+        wait_for_kernels(show, interruption)
 
         from tfg_drake.diagrams.commands import fork as fork_command
         from tfg_drake.diagrams.methods import METHODS
@@ -477,39 +414,36 @@ def fork(
         from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.run import run_mission
 
-        with complaining(out):
-            before, loaded = forks.forkable(run, stage)
-            if out is not None and out.resolve() == run.resolve():
-                _bad_input(f"--out {out}: holds the run that is forked; name another folder")
-            change, summary = forks.Fork(stage, place, candidate), before.summary
-            # A run that somebody or a limit of time ended ends there again.
-            limited = summary["outcome"] in ("time_limit", "interrupted")
-            request = MissionRequest(
-                loaded,
-                method=METHODS[summary["method"]],
-                name=f"{summary['scenario']}-fork",
-                world_name=summary["world"],
-                max_time=summary["sim_time_s"] if limited else 3600.0,
-                out_dir=out,
-                on_progress=lambda progress: show(explore_command.progress_line(progress)),
-                interrupted=interruption,
-                monitor=change.monitor,
-            )
-            result = run_mission(request)
-            if change.failure is not None:
-                if out is None:
-                    shutil.rmtree(result.folder)  # Nothing of it is of use.
-                raise change.failure
-            forks.check_same(before, result.stages, stage)
+        before, loaded = forks.forkable(run, stage)
+        if out is not None and out.resolve() == run.resolve():
+            bad_input(f"--out {out}: holds the run that is forked; name another folder")
+        change, summary = forks.Fork(stage, place, candidate), before.summary
+        # A run that somebody or a limit of time ended ends there again.
+        limited = summary["outcome"] in ("time_limit", "interrupted")
+        request = MissionRequest(
+            loaded,
+            method=METHODS[summary["method"]],
+            name=f"{summary['scenario']}-fork",
+            world_name=summary["world"],
+            max_time=summary["sim_time_s"] if limited else 3600.0,
+            out_dir=out,
+            on_progress=lambda progress: show(explore_command.progress_line(progress)),
+            interrupted=interruption,
+            monitor=change.monitor,
+        )
+        result = run_mission(request)
+        if change.failure is not None:
+            if out is None:
+                shutil.rmtree(result.folder)  # Nothing of it is of use.
+            raise change.failure
+        forks.check_same(before, result.stages, stage)
     for line in fork_command.aligned(fork_command.candidate_rows(change.candidates)):
         print(line)
     print()
     for line in fork_command.aligned(fork_command.difference_rows(dict(summary), result.summary)):
         print(line)
     print(f"files: {result.folder}")
-    if as_json:
-        print(json.dumps(result.summary), flush=True)
-    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
+    _end(result.summary, result.summary["outcome"], as_json)
 
 
 @app.command()
@@ -521,55 +455,44 @@ def slam(
             "folder, a .g2o file or, with --calibration, a video or folder of images."
         ),
     ],
-    robot: Annotated[int | None, typer.Option(metavar="N", help="The robot to map with, if there are several.")] = None,
+    robot: Annotated[int | None, option("N", "The robot to map with, if there are several.")] = None,
     calibration: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A video's camera calibration: OpenCV's YAML or ROS's camera_info."),
+        Path | None, option("FILE", "A video's camera calibration: OpenCV's YAML or ROS's camera_info.")
     ] = None,
-    tag_size: Annotated[float | None, typer.Option(metavar="M", help="Side of the tags' black square.")] = None,
+    tag_size: Annotated[float | None, option("M", "Side of the tags' black square.")] = None,
     mount: Annotated[
-        str, typer.Option(metavar="X,Y,YAW,PITCH", help="The camera on what moves, m and rad; pitch is downward.")
+        str, option("X,Y,YAW,PITCH", "The camera on what moves, m and rad; pitch is downward.")
     ] = "0,0,0,0",
     odometry: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A video's odometry: a TUM trajectory, or a CSV of time, x, y, heading."),
+        Path | None, option("FILE", "A video's odometry: a TUM trajectory, or a CSV of time, x, y, heading.")
     ] = None,
     method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="walls|grid", help="How to map a laser recording: walls as landmarks, or GMapping. [walls]"
-        ),
+        str | None, option("walls|grid", "How to map a laser recording: walls as landmarks, or GMapping. [walls]")
     ] = None,
     relations: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Relations of poses to compare a laser recording's map with."),
+        Path | None, option("FILE", "Relations of poses to compare a laser recording's map with.")
     ] = None,
     odometry_noise: Annotated[
-        float | None,
-        typer.Option(metavar="K", help="Odometry errors drawn for a corrected CARMEN log, times the usual. [1]"),
+        float | None, option("K", "Odometry errors drawn for a corrected CARMEN log, times the usual. [1]")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Seed of the drawn odometry errors and of GMapping's particles. [0]")
+        int | None, option("N", "Seed of the drawn odometry errors and of GMapping's particles. [0]")
     ] = None,
     settings: Settings = None,
-    page: Annotated[bool, typer.Option("--page", help="A page that shows how a laser recording is mapped.")] = False,
-    meshcat: Annotated[bool, typer.Option("--meshcat", help="Draw that in Drake's Meshcat, too.")] = False,
-    realtime_rate: Annotated[
-        float, typer.Option(metavar="R", help="At most R recorded seconds a second; 0 for no limit.")
-    ] = 0.0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The run's folder [default: runs/<time>-<data set>].")
-    ] = None,
+    page: Annotated[bool, flag("--page", "A page that shows how a laser recording is mapped.")] = False,
+    meshcat: Annotated[bool, flag("--meshcat", "Draw that in Drake's Meshcat, too.")] = False,
+    realtime_rate: Annotated[float, option("R", "At most R recorded seconds a second; 0 for no limit.")] = 0.0,
+    out: Annotated[Path | None, option("DIR", "The run's folder [default: runs/<time>-<data set>].")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Map what was recorded: a mission without wheels, of a laser recording, or the estimator alone on other data."""
     is_video = calibration is not None or tag_size is not None
     if is_video and (calibration is None or tag_size is None):
-        _bad_input("slam: a video needs both --calibration FILE and --tag-size M")
+        bad_input("slam: a video needs both --calibration FILE and --tag-size M")
     if odometry is not None and not is_video:
-        _bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
+        bad_input(f"--odometry {odometry}: goes with a video; give --calibration FILE and --tag-size M, too")
     if robot is not None and is_video:
-        _bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
+        bad_input(f"--robot {robot}: is for MR.CLAM; a video has one camera")
     of_lasers: dict[str, Any] = {
         "--odometry-noise": odometry_noise,
         "--seed": seed,
@@ -579,7 +502,7 @@ def slam(
     of_lasers |= {"--set": settings, "--page": page, "--meshcat": meshcat}
     for name, value in of_lasers.items():
         if is_video and value:
-            _bad_input(f"{name} {value}: is for laser recordings; leave it out")
+            bad_input(f"{name} {value}: is for laser recordings; leave it out")
     _check_rate_and_seed(realtime_rate, seed)
     check_positive("--tag-size", tag_size, "m")
     check_positive("--odometry-noise", odometry_noise, "")
@@ -592,7 +515,6 @@ def slam(
         from tfg_drake.hardware.recordings import load_recording
 
         progress = slam_command.Progress(show, interruption)
-        stack.enter_context(complaining(out))
         load: Callable[[Path], Any]
         if calibration is not None and tag_size is not None:
             load = video_loader(calibration, tag_size, mount, odometry, progress.say)
@@ -600,46 +522,29 @@ def slam(
             scanner, others = slam_command.scanner_settings(settings or [])
             load = functools.partial(load_recording, robot=robot, noise=odometry_noise, seed=seed, scanner=scanner)
             settings = others
-        shown: dict[str, Any] = {}
+        mapped: dict[str, Any] = {"seed": seed or 0, "realtime_rate": realtime_rate, "interrupted": interruption}
         if page:
-            from tfg_drake.diagrams.commands.page import open_page
+            from tfg_drake.diagrams.missions.page import open_page
 
-            shown["cockpit"] = stack.enter_context(open_page(dataset.name, "localhost", None, rate=realtime_rate))
+            mapped["cockpit"] = stack.enter_context(open_page(dataset.name, "localhost", None, rate=realtime_rate))
         if meshcat:
-            shown["meshcat"] = explore_command.open_meshcat()
-        try:
-            result = slam_command.run_slam(
-                dataset,
-                out,
-                progress,
-                load,
-                method,
-                relations,
-                settings=settings or [],
-                seed=seed or 0,
-                realtime_rate=realtime_rate,
-                interrupted=interruption,
-                **shown,
-            )
-        except slam_command.Interrupted:
-            raise typer.Exit(EXIT_CODES["interrupted"]) from None
+            mapped["meshcat"] = explore_command.open_meshcat()
+        result = slam_command.run_slam(dataset, out, progress, load, method, relations, settings or [], **mapped)
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
         print(f"{name:<14}{value}")
-    if as_json:
-        print(json.dumps(result.summary), flush=True)
-    raise typer.Exit(EXIT_CODES[result.summary["outcome"]])
+    _end(result.summary, result.summary["outcome"], as_json)
 
 
 @app.command()
 def figures(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write them.")] = Path("figures"),
+    out: Annotated[Path, option("DIR", "Where to write them.")] = Path("figures"),
 ) -> None:
     """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, maps, coverage,
     errors, a disturbance, Tables I and II, and paper.md, which sets each beside what the paper says."""
     _make_writable(out)
     with Screen() as show:
         show("loading")
-        wait_for_kernels(show)
+        wait_for_kernels(show, interruption)
 
         from tfg_drake.diagrams.commands.figures import write_figures, write_tables
 
@@ -647,7 +552,7 @@ def figures(
             show(f"the mission to draw: stage {stage}, {time:.0f} s")
             return interruption.is_set()
 
-        with complaining(out), run_folder.claimed(out):
+        with run_folder.claimed(out):
             files = write_figures(out, on_stage)
             if not interruption.is_set():
                 files.append(write_tables(out, interruption, show))
@@ -721,10 +626,10 @@ def _check_environment() -> None:
     try:
         os.getcwd()
     except OSError as error:
-        _bad_input(f"the working directory: {(error.strerror or str(error)).lower()}; change to another")
+        bad_input(f"the working directory: {(error.strerror or str(error)).lower()}; change to another")
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
-        _bad_input(f"ulimit -v: {limit / 1e6:.0f} MB of address space; raise it to {LEAST_MEMORY / 1e6:.0f} or more")
+        bad_input(f"ulimit -v: {limit / 1e6:.0f} MB of address space; raise it to {LEAST_MEMORY / 1e6:.0f} or more")
 
 
 def _complain(line: str) -> int:
@@ -760,23 +665,23 @@ def _one_line(message: str) -> str:
 
 def _check_rate_and_seed(realtime_rate: float, seed: int | None) -> None:
     if not (math.isfinite(realtime_rate) and realtime_rate >= 0.0):
-        _bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
+        bad_input(f"--realtime-rate {realtime_rate:g}: must be 0 (no limit) or more")
     if seed is not None and not 0 <= seed < 2**31:
-        _bad_input(f"--seed {seed}: must be between 0 and 2147483647")
+        bad_input(f"--seed {seed}: must be between 0 and 2147483647")
 
 
 def _check_spacing(tag_spacing: float | None) -> None:
     if tag_spacing != math.inf:
         check_positive("--tag-spacing", tag_spacing, "m")
     if tag_spacing is not None and tag_spacing < LEAST_SPACING:
-        _bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
+        bad_input(f"--tag-spacing {tag_spacing:g}: must be {LEAST_SPACING:g} m at least; tags are no smaller")
 
 
 def _make_ready(out: Path | None, replayed: Path | None = None, read: Sequence[Path] = ()) -> None:
     """Makes the folder of a run, if one is named; what is read may lie in it. Raises BadInput as `check_kept` does, and
     where it cannot be written."""
     if out is not None:
-        explore_command.check_kept(out, replayed, [file for file in read if file.is_file()])
+        run_folder.check_kept(out, replayed, [file for file in read if file.is_file()])
         _make_writable(out)
 
 
@@ -784,16 +689,16 @@ def _make_writable(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        _bad_input(f"--out {folder}: is a file; name a folder")
+        bad_input(f"--out {folder}: is a file; name a folder")
     except OSError as error:
-        _bad_input(f"--out {folder}: {(error.strerror or str(error)).lower()}; name a folder that can be written")
+        bad_input(f"--out {folder}: {(error.strerror or str(error)).lower()}; name a folder that can be written")
     if not os.access(folder, os.W_OK | os.X_OK):
-        _bad_input(f"--out {folder}: permission denied; name a folder that can be written")
+        bad_input(f"--out {folder}: permission denied; name a folder that can be written")
     try:
         with run_folder.claimed(folder):
             pass  # Better now than when the robot is connected.
     except BlockingIOError as error:
-        _bad_input(f"--out {folder}: {error.strerror}")
+        bad_input(f"--out {folder}: {error.strerror}")
 
 
 def _start(text: str | None) -> list[float] | None:
@@ -806,7 +711,7 @@ def _told_place(text: str) -> list[float]:
     form = "X,Y,YAW,SIGMA_M,SIGMA_RAD" if given > 3 else "X,Y,YAW"
     place = [*parse_place("--at", text, form), 0.5, 0.3][:5]
     if min(place[3:]) <= 0.0:
-        _bad_input(f"--at {text}: its deviations must be greater than 0")
+        bad_input(f"--at {text}: its deviations must be greater than 0")
     return place
 
 
@@ -818,7 +723,7 @@ def _find_method(name: str, scenario: Scenario) -> Method:
         method.Check(scenario)
         return method
     except MethodError as error:
-        _bad_input(f"--method {error}")
+        bad_input(f"--method {error}")
 
 
 if __name__ == "__main__":

@@ -20,19 +20,19 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, System
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams.commands.command_line import make_kernels_ready
-from tfg_drake.diagrams.commands.explore import check_kept, remarks_on_screen, run_name
-from tfg_drake.diagrams.commands.page import open_page
+from tfg_drake.diagrams.compile_kernels import make_kernels_ready
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.hardware_station import Bounded
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
+from tfg_drake.diagrams.missions.page import open_page
 from tfg_drake.diagrams.missions.real_robot import DevicesOf, Rehearse, RobotOf
 from tfg_drake.diagrams.missions.report import figure_of
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run import RunResult, run_mission
+from tfg_drake.diagrams.missions.run_folder import check_kept, remarks_on_screen, run_name
 from tfg_drake.diagrams.parts import CheckFactory, Factory, MakePart
 from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, RecordingOf, length_of
 from tfg_drake.diagrams.robots import SIMULATED, Robot
@@ -316,6 +316,7 @@ class Exploration:
             raise RuntimeError(f"{self.folder}: the run is over; only one without out=, page= or a real robot goes on")
         if not seconds >= 0.0:
             raise ValueError(f"{seconds:g} s: must be 0 or more; time does not run backwards")
+        self._mission.forgive_delay()
         self._mission.advance(self.time + seconds)
         return self
 

@@ -10,18 +10,19 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from pydrake.systems.framework import Diagram
 
-from tfg_drake.diagrams.explorer import MakeTfgExplorer
+from tfg_drake.diagrams.driven_explorers import MakeManualExplorer, MakeScriptedExplorer
+from tfg_drake.diagrams.explorer import MakeGoalSelector, MakePlanner, MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
-from tfg_drake.diagrams.manual_explorer import MakeManualExplorer
-from tfg_drake.diagrams.paper_explorer import MakePaperExplorer
 from tfg_drake.diagrams.parts import PartsOf
 from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario
-from tfg_drake.diagrams.scripted_explorer import MakeScriptedExplorer
 from tfg_drake.mission.manual_drive import DriveError, read_drive
+from tfg_drake.planning import paper_rules, roadmap
+from tfg_drake.planning.paper_rules import PaperRules
 
 
 class MethodError(ValueError):
@@ -71,6 +72,15 @@ class Method:
         if (parts := PartsOf(scenario)) and not self.takes_parts:
             raise MethodError(f"{self.name}: takes no explorer.parts.{next(iter(parts))}; take another method: tfg")
         MakeKeepOut(scenario)
+
+
+def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Diagram:
+    """The explorer of MakeTfgExplorer for a scenario, with those of the paper's rules that hold, by default all."""
+    rules = rules or PaperRules()
+    frontiers = paper_rules.frontiers_between_landmarks if rules.frontiers else None
+    cost = paper_rules.cost_of_edge if rules.path_cost else roadmap.cost_of_edge
+    selector, planner = partial(MakeGoalSelector, frontiers=frontiers), partial(MakePlanner, cost=cost)
+    return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)
 
 
 def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:

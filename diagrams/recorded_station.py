@@ -1,4 +1,4 @@
-"""A station that is a laser recording, behind the ports of any other."""
+"""Stations that play what was recorded, a laser recording or a run, behind the ports of any other but for the truth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydrake.systems.framework import System
 
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.datasets.recording import Recording
-from tfg_drake.diagrams.robots import RECORDED, Robot
+from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
 from tfg_drake.diagrams.scenario import Scenario, WorldConfig
 from tfg_drake.hardware.recordings import load_laser_recording
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
@@ -64,6 +64,15 @@ def RecordedScenario(recording: Recording, scenario: Scenario) -> Scenario:
     result.tags = dataclasses.replace(TagSensorConfig(), range=scenario.tags.range)
     result.explorer.landmarks = "walls"
     return result
+
+
+def ReplayRobot(recording: PortRecording) -> Robot:
+    """Method and robot for `run_mission` that drive through a recording once more, with the scenario of its run.
+
+    A simulated run's world is known still, the way that the robot really went is not.
+    """
+    known = recording.robot == SIMULATED.name
+    return Robot(recording.robot, lambda _scenario: PortPlayer(recording), known, recording.end_time)
 
 
 def _ports_of(recording: Recording) -> PortRecording:

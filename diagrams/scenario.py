@@ -1,31 +1,21 @@
 """The scenario: everything that defines a run, as one tree of dataclasses read from YAML.
 
-Drake's typed loader merges a file into the tree; the files are checked first, because its errors do not say where.
-This module has no `from __future__ import annotations`: the loader reads the types.
+A file is merged into the tree, and checked by the annotations of its fields on the way. This module has no `from
+__future__ import annotations`: the loader reads the types.
 """
 
+import contextlib
 import copy
 import dataclasses
-import difflib
 import importlib.resources
 import math
-import sys
-import types
 import typing
 from pathlib import Path
 
 import numpy as np
-from pydrake.common.yaml import yaml_load_typed
 
-from tfg_drake.bad_input import BadInput, not_radians
+from tfg_drake.bad_input import BadInput
 from tfg_drake.config import (
-    EYES,
-    GAINS,
-    GOAL_RULES,
-    LANDMARKS,
-    RISKS,
-    ROBOTS,
-    SOLVERS,
     CameraConfig,
     DisturbanceConfig,
     ExplorerConfig,
@@ -41,11 +31,13 @@ from tfg_drake.config import (
     TagConfig,
     TagSensorConfig,
 )
+from tfg_drake.constraints import Point, Pose, Segment
 from tfg_drake.geometry.polygon import fault, hatched
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.messages import FloatArray
+from tfg_drake.typed_tree import Misfit, annotation_of, described, read
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import LONGEST, World, WorldError, check_world, wall_distance
@@ -60,11 +52,11 @@ class WorldConfig:
     """The true world, see tfg_drake.world.world.World."""
 
     # Opaque wall segments [x0, y0, x1, y1] in W, m.
-    walls: list[list[float]] = dataclasses.field(default_factory=list)
+    walls: list[Segment] = dataclasses.field(default_factory=list)
     # Tags on the walls.
     tags: list[TagConfig] = dataclasses.field(default_factory=list)
     # Start [x, y, yaw] in W, m and rad.
-    start: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    start: Pose = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 @dataclasses.dataclass
@@ -89,7 +81,7 @@ class Scenario:
     explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
     planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
     # Where a human operator would drive and look round, [x, y] in W, m: the method "scripted".
-    drive: list[list[float]] = dataclasses.field(default_factory=list)
+    drive: list[Point] = dataclasses.field(default_factory=list)
     grid: GridConfig = dataclasses.field(default_factory=GridConfig)
     # Of a simulated robot it means nothing.
     hardware: HardwareConfig = dataclasses.field(default_factory=HardwareConfig)
@@ -103,93 +95,6 @@ class Scenario:
     def view(self) -> TagSensorConfig:
         """The tag sensor no farther than the scanner sees: what exploring counts on, as frontiers end free space."""
         return dataclasses.replace(self.tags, range=min(self.tags.range, self.scan.range))
-
-
-# Least and greatest value of every number that is bounded by more than "not negative"; a least value of 0 is excluded.
-_BOUNDS: dict[str, tuple[float, float]] = {
-    "robot.radius": (0.0, math.inf),
-    "robot.max_speed": (0.0, 5.0),  # m/s: a run
-    "robot.max_turn_rate": (0.0, 15.0),  # rad/s: more is written in degrees
-    "robot.max_acceleration": (0.0, math.inf),
-    "robot.max_turn_acceleration": (0.0, math.inf),
-    "tags.range": (0.0, math.inf),
-    "tags.field_of_view": (0.0, 2.0 * math.pi),
-    "tags.max_incidence": (0.0, 0.5 * math.pi),
-    "tags.rate": (0.0, 1000.0),
-    "tags.range_noise": (0.0, math.inf),
-    "tags.bearing_noise": (0.0, 1.0),  # rad
-    "tags.detection_probability": (0.0, 1.0),
-    "tags.range_scale": (0.0, math.inf),
-    "reality.tags.range": (0.0, math.inf),
-    "reality.tags.max_incidence": (0.0, 0.5 * math.pi),
-    "reality.tags.detection_probability": (0.0, 1.0),
-    "reality.tags.range_scale": (0.0, math.inf),
-    "scan.range": (0.0, math.inf),
-    "scan.field_of_view": (0.0, 2.0 * math.pi),
-    "scan.resolution": (1e-4, math.pi),
-    "scan.rate": (1.0, 1000.0),
-    "camera.width": (64.0, 4096.0),
-    "camera.height": (64.0, 4096.0),
-    "camera.mount_height": (0.0, math.inf),
-    "camera.tag_size": (0.0, math.inf),
-    "camera.tag_height": (0.0, math.inf),
-    "camera.wall_height": (0.0, math.inf),
-    "reality.camera.brightness": (0.0, math.inf),
-    "safety.scan_timeout": (0.0, math.inf),
-    "disturbances[].duration": (0.0, math.inf),
-    "explorer.density": (0.0, math.inf),
-    "explorer.prior_sigma": (0.0, math.inf),
-    "explorer.samples": (1.0, math.inf),
-    "explorer.frontier_attempts": (1.0, math.inf),
-    "explorer.turn_rate": (0.0, 15.0),
-    "explorer.first_turns": (1.0, math.inf),
-    "planner.collision_probability": (0.0, 0.5),
-    "hardware.max_speed": (0.0, 5.0),
-    **{f"hardware.{camera}.tag_size": (0.0, 10.0) for camera in ("camera", "more_cameras[]")},
-    **{f"hardware.{camera}.decimation": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
-    **{f"hardware.{camera}.threads": (1.0, 100.0) for camera in ("camera", "more_cameras[]")},
-    "hardware.scanner.high": (0.0, math.inf),
-    "grid.resolution": (0.01, math.inf),
-    "grid.particles": (1.0, math.inf),
-    "grid.update_period": (0.0, math.inf),
-    "grid.update_distance": (0.0, math.inf),
-    "grid.update_angle": (0.0, 2.0 * math.pi),
-}
-# Texts that must be one of a few.
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "explorer.gain": GAINS,
-    "explorer.goal": GOAL_RULES,
-    "explorer.solver": SOLVERS,
-    "explorer.landmarks": LANDMARKS,
-    "planner.risk": RISKS,
-    "station.eyes": EYES,
-    "hardware.robot": ROBOTS,
-}
-# The greatest whole number anywhere.
-_MOST = 2**31 - 1
-# Numbers that may have either sign, by where they are and by their keys.
-_SIGNED: tuple[str, ...] = ("world.", "drive", "explorer.keep_out", "explorer.known_at")
-_SIGNED += ("reality.tags.clock_offset", "reality.scan.clock_offset")
-_SIGNED += ("reality.changes[].walls", "reality.changes[].opened", "reality.changes[].tags")
-_SIGNED_KEYS = (".x", ".y", ".yaw", ".pitch", ".roll", ".ahead", ".left", ".turn")
-# Keys of angles, rad.
-_ANGLES = (".yaw", ".pitch", ".roll", ".turn", ".facing", ".yaw_deviation")
-# Keys of shares: 1 at most.
-_SHARES = ("_probability", ".range_scale_deviation")
-# A tag anywhere else is another tag: none of its keys has a default.
-_TAGS = ("world.tags[]", "reality.changes[].tags[]")
-# Lists of a fixed length, and how to write them.
-_LENGTHS = {
-    "world.walls[]": (4, "[x0, y0, x1, y1]"),
-    "world.tags[].position": (2, "[x, y]"),
-    "world.start": (3, "[x, y, yaw]"),
-    "reality.changes[].walls[]": (4, "[x0, y0, x1, y1]"),
-    "reality.changes[].opened[]": (4, "[x0, y0, x1, y1]"),
-    "reality.changes[].tags[].position": (2, "[x, y]"),
-    "drive[]": (2, "[x, y]"),
-    "explorer.keep_out[][]": (2, "[x, y]"),
-    "explorer.known_at": (5, "[] or [x, y, yaw, deviation in m, in rad]"),
-}
 
 
 def FindScenario(name_or_path: str) -> Path:
@@ -241,9 +146,8 @@ def _Load(
             raise ScenarioError(f"{source}: no scenario {scenario_name}; the file has {names}")
         tree = tree[scenario_name]
     if not isinstance(tree, dict):
-        raise ScenarioError(f"{source}: expected keys and values such as `seed: 0`, found {_Describe(tree)}")
+        raise ScenarioError(f"{source}: expected keys and values such as `seed: 0`, found {described(tree)}")
     base = tree.pop("base", None)
-    _CheckTree(tree, Scenario, "", source)
     if base is not None:
         if defaults is not None:
             raise ScenarioError(f"{source}: base: {base} cannot be combined with defaults; give one of them")
@@ -251,10 +155,7 @@ def _Load(
             raise ScenarioError(f"{source}: base: {base} leads back to this file; break the circle")
         for one in base if isinstance(base, list) and base else [base]:
             defaults = _LoadBase(one, path, source, above, defaults)
-    if isinstance(tree.get("station"), dict) and tree["station"].get("eyes") == "camera":
-        defaults = _WithCamera(defaults or Scenario(), tree.get("camera") or {})
-    scenario = yaml_load_typed(schema=Scenario, data=dump_yaml(tree), defaults=defaults)
-    assert isinstance(scenario, Scenario)
+    scenario = _Merge(tree, defaults or Scenario(), source)
     if path is not None and scenario.explorer.known_map:
         scenario.explorer.known_map = str(path.parent.resolve() / scenario.explorer.known_map)
     _CheckWorld(scenario, source)
@@ -265,7 +166,7 @@ def _LoadBase(
     base: object, path: Path | None, source: str, above: tuple[Path, ...], defaults: Scenario | None
 ) -> Scenario:
     if not isinstance(base, str):
-        raise ScenarioError(f"{source}: base: expected a scenario's name or file, found {_Describe(base)}")
+        raise ScenarioError(f"{source}: base: expected a scenario's name or file, found {described(base)}")
     beside = path.parent / base if path is not None else Path(base)
     try:
         base_path = beside if beside.is_file() else FindScenario(base)
@@ -276,8 +177,13 @@ def _LoadBase(
 
 def CheckScenario(scenario: Scenario, source: str = "scenario") -> None:
     """Raises ScenarioError where a scenario has a value that a file could not give it; source: what it is called."""
-    _CheckTree(_Tree(scenario, source), Scenario, "", source)
+    _Read(_Tree(scenario, source), source)
     _CheckWorld(scenario, source)
+
+
+def DumpScenario(scenario: Scenario) -> str:
+    """The scenario with all its values, as a file that LoadScenario reads."""
+    return dump_yaml(_Tree(scenario, "scenario"), sort_keys=False, default_flow_style=None)
 
 
 def _Tree(value: typing.Any, source: str) -> typing.Any:
@@ -286,7 +192,9 @@ def _Tree(value: typing.Any, source: str) -> typing.Any:
         return {name: _Tree(item, source) for name, item in vars(value).items()}
     if isinstance(value, dict):
         raise ScenarioError(f"{source}: {value} is a dict; give a section as its class in tfg_drake.config")
-    return [_Tree(item, source) for item in value] if isinstance(value, list) else value
+    if isinstance(value, list):
+        return [_Tree(item, source) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
@@ -299,26 +207,17 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         source = f"--set {setting}"
         if not equals or not key or not text.strip():
             raise ScenarioError(f"{source}: expected KEY=VALUE, such as explorer.stop_gain=5")
-        owner: typing.Any = result
-        schema: typing.Any = Scenario
+        tree: typing.Any = _Parse(text, source)
+        annotation: typing.Any = Scenario
         names = key.split(".")
         for depth, name in enumerate(names):
-            keys = [*_Types(schema)] if dataclasses.is_dataclass(schema) else []
-            if name not in keys:
-                raise ScenarioError(f"{source}: {_UnknownKey(name, keys, '.'.join(names[:depth]))}")
-            schema = _Types(schema)[name]
-            if depth + 1 < len(names):
-                owner = getattr(owner, name)
-        value = _Parse(text, source)
-        _CheckTree(value, schema, key, source)
-        innermost = schema
-        while typing.get_origin(innermost) is list:
-            (innermost,) = typing.get_args(innermost)
-        if dataclasses.is_dataclass(innermost):
+            with _complaining(source):
+                annotation = annotation_of(annotation, name, ".".join(names[:depth]))
+        if any(map(dataclasses.is_dataclass, (annotation, *typing.get_args(annotation)))):
             raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
-        setattr(owner, names[-1], None if value is None else _Given(schema)(value))
-        if key == "station.eyes" and value == "camera":
-            result = _WithCamera(result, {})
+        for name in reversed(names):
+            tree = {name: tree}
+        result = _Merge(tree, result, source)
     _CheckWorld(result, "--set")
     return result
 
@@ -342,14 +241,28 @@ def PrepareScenario(
     return loaded
 
 
-def _WithCamera(scenario: Scenario, camera: dict[str, typing.Any]) -> Scenario:
-    """A copy of the scenario that sees with a camera, of which some keys are given, and believes its data sheets."""
-    given = {name: type(getattr(scenario.camera, name))(value) for name, value in camera.items()}
-    camera_config = dataclasses.replace(scenario.camera, **given)
-    tags, scan = camera_sheets(camera_config, scenario.tags, scenario.scan)
-    return dataclasses.replace(
-        scenario, station=StationConfig(eyes="camera"), camera=camera_config, tags=tags, scan=scan
-    )
+def _Merge(tree: dict[str, typing.Any], defaults: Scenario, source: str) -> Scenario:
+    """A copy of a scenario with the values of a parsed file. Where that sees with a camera, tags and scan are what the
+    camera's data sheets say, before what the file says of them. Raises ScenarioError."""
+    scenario = _Read(tree, source, copy.deepcopy(defaults))
+    if tree.get("station", {}).get("eyes") == "camera":
+        scenario.tags, scenario.scan = camera_sheets(scenario.camera, defaults.tags, defaults.scan)
+        scenario = _Read(tree, source, scenario)
+    return scenario
+
+
+def _Read(tree: typing.Any, source: str, defaults: Scenario | None = None) -> Scenario:
+    with _complaining(source):
+        return typing.cast(Scenario, read(tree, Scenario, default=defaults))
+
+
+@contextlib.contextmanager
+def _complaining(source: str) -> typing.Iterator[None]:
+    """Raises ScenarioError, with where a value comes from, in place of Misfit."""
+    try:
+        yield
+    except Misfit as error:
+        raise ScenarioError(f"{source}: {error}") from None
 
 
 def MakeWorld(config: WorldConfig) -> World:
@@ -481,100 +394,6 @@ def _Parse(text: str, source: str) -> object:
         return parse_yaml(text)
     except ValueError as error:
         raise ScenarioError(f"{source}: {error}") from None
-
-
-def _Types(schema: typing.Any) -> dict[str, typing.Any]:
-    return {field.name: field.type for field in dataclasses.fields(schema)}
-
-
-def _Given(schema: typing.Any) -> typing.Any:
-    """The type of a value that is given, where it may be left out."""
-    return typing.get_args(schema)[0] if isinstance(schema, types.UnionType) else schema
-
-
-def _UnknownKey(name: object, keys: list[str], place: str) -> str:
-    """The complaint about an unknown key, with the valid ones that look like it, and all of them otherwise."""
-    near = difflib.get_close_matches(str(name), keys, cutoff=0.5)
-    full = f"{place}.{name}" if place else str(name)
-    if not keys:
-        return f"{full}: unknown key; {place} is a value, not a section"
-    where = f"the keys of {place}" if place else "the sections"
-    return (
-        f"{full}: unknown key; did you mean {' or '.join(near)}?"
-        if near
-        else (f"{full}: unknown key; {where} are {', '.join(keys)}")
-    )
-
-
-def _Describe(value: object) -> str:
-    names = {dict: "a section", list: "a list", str: "text", bool: "a yes/no value", type(None): "nothing"}
-    kind = names.get(type(value), type(value).__name__)
-    return f"{kind} ({value!r})" if isinstance(value, str | bool | int | float) else kind
-
-
-def _CheckTree(value: object, schema: typing.Any, place: str, source: str) -> None:
-    """Refuses a parsed YAML value that does not fit the schema, naming its place."""
-    if value is None and schema is not _Given(schema):
-        return
-    schema = _Given(schema)
-    if dataclasses.is_dataclass(schema):
-        if not isinstance(value, dict):
-            raise ScenarioError(f"{source}: {place}: expected a section of keys, found {_Describe(value)}")
-        known = _Types(schema)
-        for key, item in value.items():
-            if key not in known:
-                raise ScenarioError(f"{source}: {_UnknownKey(key, list(known), place)}")
-            _CheckTree(item, known[key], f"{place}.{key}" if place else key, source)
-        missing = [key for key in known if key not in value] if _General(place) in _TAGS else []
-        if missing:
-            example = "write a tag as {id: 7, position: [x, y], facing: 0.0}, m and rad"
-            raise ScenarioError(f"{source}: {place}.{missing[0]}: missing; {example}")
-    elif typing.get_origin(schema) is list:
-        if not isinstance(value, list):
-            raise ScenarioError(f"{source}: {place}: expected a list, found {_Describe(value)}")
-        length, form = _LENGTHS.get(_General(place), (len(value), ""))
-        if len(value) != length and not (not value and place == "explorer.known_at"):
-            raise ScenarioError(f"{source}: {place}: expected {length} numbers {form}, found {len(value)}")
-        (item_schema,) = typing.get_args(schema)
-        for i, item in enumerate(value):
-            _CheckTree(item, item_schema, f"{place}[{i}]", source)
-    elif schema in (int, float):
-        _CheckNumber(value, schema, place, source)
-    elif type(value) is not schema:
-        kind = {str: "text", bool: "true or false"}[schema]
-        raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
-    elif value not in _CHOICES.get(place, (value,)):
-        raise ScenarioError(f"{source}: {place}: must be one of {', '.join(_CHOICES[place])}, is {value}")
-
-
-def _General(place: str) -> str:
-    """world.tags[3].id -> world.tags[].id."""
-    return "[]".join(part.split("]")[-1] if i else part for i, part in enumerate(place.split("[")))
-
-
-def _CheckNumber(value: object, schema: typing.Any, place: str, source: str) -> None:
-    kind = "a whole number" if schema is int else "a number"
-    if isinstance(value, bool) or not isinstance(value, int if schema is int else int | float):
-        raise ScenarioError(f"{source}: {place}: expected {kind}, found {_Describe(value)}")
-    if not abs(value) <= sys.float_info.max:
-        found = value if isinstance(value, float) else "too large"
-        raise ScenarioError(f"{source}: {place}: must be finite, is {found}")
-    if schema is int and not 0 <= value <= _MOST:
-        raise ScenarioError(f"{source}: {place}: must be between 0 and {_MOST}, is {value}")
-    general = _General(place)
-    if general.endswith(_ANGLES) and (told := not_radians(value)):
-        raise ScenarioError(f"{source}: {place}: {told}")
-    if general.startswith(_SIGNED) or general.endswith(_SIGNED_KEYS):
-        return
-    unbounded = 1.0 if general.endswith(_SHARES) else math.inf
-    least, greatest = _BOUNDS.get(general, (-math.inf, unbounded))
-    if general not in _BOUNDS and value < 0:
-        raise ScenarioError(f"{source}: {place}: must not be negative, is {value:g}")
-    if value < least or (value == least == 0.0):
-        relation = "greater than 0" if least == 0.0 else f"at least {least:g}"
-        raise ScenarioError(f"{source}: {place}: must be {relation}, is {value:g}")
-    if value > greatest:
-        raise ScenarioError(f"{source}: {place}: must be at most {greatest:.6g}, is {value:g}")
 
 
 # What of the section reality is rendered, too; the rest says what ideal sensors do.

@@ -19,7 +19,7 @@ import pytest
 
 from tfg_drake import kernels
 from tfg_drake.cockpit.browser import BrowserMissing, open_browser
-from tfg_drake.diagrams.warm_up import MODULE
+from tfg_drake.diagrams.compile_kernels import MODULE
 from tfg_drake.messages import WALLS_BELOW
 
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
@@ -67,8 +67,7 @@ def shared_data():
 def call(capsys, monkeypatch):
     """tfg-drake with some arguments: its exit code, standard output and standard error, in which nothing that takes
     long on a busy machine is said meanwhile."""
-    from tfg_drake.diagrams import cli
-    from tfg_drake.diagrams.commands import screen
+    from tfg_drake.diagrams import cli, screen
 
     monkeypatch.setattr(screen, "INTERVAL", 1e6)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tfg_drake import kernels
-from tfg_drake.diagrams.warm_up import MODULE
+from tfg_drake.diagrams.compile_kernels import MODULE
 
 PACKAGE = Path(kernels.__file__).parent
 

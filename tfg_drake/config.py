@@ -1,10 +1,28 @@
 """The parameters of every component, in SI units and radians, with the defaults of the `paper` scenario.
 
-Plain mutable dataclasses of plain types, so that a scenario file can be read straight into them.
+Plain mutable dataclasses of plain types, so that a scenario file can be read straight into them; the annotations say
+which values are possible (constraints.py).
 """
 
 import dataclasses
-from typing import Any, TypeVar
+import math
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from tfg_drake.constraints import (
+    Angle,
+    AtLeastOne,
+    Bounds,
+    KnownPose,
+    NotNegative,
+    OneOf,
+    Point,
+    Positive,
+    Radians,
+    Segment,
+    Share,
+    Signed,
+    Whole,
+)
 
 S = TypeVar("S")
 
@@ -26,6 +44,8 @@ ROBOTS = ("kobuki", "ros2", "rosbridge")
 EYES = ("ideal", "camera")
 # What a planned path's collision probability is bounded of.
 RISKS = ("point", "path")
+# What no robot of this kind does: m/s, a run, and rad/s; more is written in degrees.
+FASTEST, FASTEST_TURN = 5.0, 15.0
 
 
 @dataclasses.dataclass
@@ -33,15 +53,15 @@ class RobotConfig:
     """The differential-drive base."""
 
     # Radius of the round base, m.
-    radius: float = 0.18
+    radius: Positive = 0.18
     # Speed limit, m/s.
-    max_speed: float = 0.5
+    max_speed: Annotated[float, Bounds(0.0, FASTEST)] = 0.5
     # Turn-rate limit, rad/s.
-    max_turn_rate: float = 1.5
+    max_turn_rate: Annotated[float, Bounds(0.0, FASTEST_TURN)] = 1.5
     # Acceleration limit, m/s^2.
-    max_acceleration: float = 0.5
+    max_acceleration: Positive = 0.5
     # Turn acceleration limit, rad/s^2.
-    max_turn_acceleration: float = 3.5
+    max_turn_acceleration: Positive = 3.5
 
 
 @dataclasses.dataclass
@@ -68,32 +88,32 @@ class TagSensorConfig:
     """An ideal feature sensor: range and bearing of coded landmarks. Range, field of view and rate are the paper's."""
 
     # Greatest range, m.
-    range: float = 10.0
+    range: Positive = 10.0
     # Horizontal field of view, rad (124 degrees).
-    field_of_view: float = 2.164208272472129
+    field_of_view: Annotated[float, Bounds(0.0, 2.0 * math.pi)] = 2.164208272472129
     # Greatest angle between the line of sight and the tag's normal, rad (75 degrees).
-    max_incidence: float = 1.3089969389957472
+    max_incidence: Annotated[float, Bounds(0.0, 0.5 * math.pi)] = 1.3089969389957472
     # Frames per second, Hz.
-    rate: float = 10.0
+    rate: Annotated[float, Bounds(0.0, 1000.0)] = 10.0
     # Range noise: sigma_r = range_noise + range_noise_per_metre * r, m.
-    range_noise: float = 0.02
+    range_noise: Positive = 0.02
     range_noise_per_metre: float = 0.01
     # Bearing noise, rad.
-    bearing_noise: float = 0.01
+    bearing_noise: Annotated[float, Bounds(0.0, 1.0)] = 0.01
     # Probability that a visible tag is detected in a frame.
-    detection_probability: float = 1.0
+    detection_probability: Annotated[float, Bounds(0.0, 1.0)] = 1.0
     # Probability that a detection is a gross error in range and bearing, or bears another tag's id. Not told either.
-    outlier_probability: float = 0.0
-    wrong_id_probability: float = 0.0
+    outlier_probability: Share = 0.0
+    wrong_id_probability: Share = 0.0
     # Ratio of measured to true range (1: none). The estimator is not told.
-    range_scale: float = 1.0
+    range_scale: Positive = 1.0
     # How far the camera may look aside, rad, and its clock be off the base's, s, as standard deviations. Both are
     # learnt with the map; 0 where they are known.
-    yaw_deviation: float = 0.0175
+    yaw_deviation: Annotated[float, NotNegative(), Radians()] = 0.0175
     clock_deviation: float = 0.05
     # How far from its place it may sit, ahead and to the side, m, and its ranges be too long, as a share. Likewise.
     mount_deviation: float = 0.005
-    range_scale_deviation: float = 0.01
+    range_scale_deviation: Share = 0.01
 
 
 @dataclasses.dataclass
@@ -101,19 +121,19 @@ class ScanConfig:
     """The planar laser scanner."""
 
     # Greatest range, m, and the least: nearer it sees nothing, as a depth camera within some 0.45 m.
-    range: float = 10.0
+    range: Positive = 10.0
     least_range: float = 0.0
     # Field of view, rad (124 degrees).
-    field_of_view: float = 2.164208272472129
+    field_of_view: Annotated[float, Bounds(0.0, 2.0 * math.pi)] = 2.164208272472129
     # Angle between rays, rad (0.5 degrees).
-    resolution: float = 0.008726646259971648
+    resolution: Annotated[float, Bounds(1e-4, math.pi)] = 0.008726646259971648
     # Scans per second, Hz.
-    rate: float = 10.0
+    rate: Annotated[float, Bounds(1.0, 1000.0)] = 10.0
     # Range noise, m.
     noise: float = 0.015
     # How far it may look aside, rad, sit from its place, ahead and to the side, m, its clock be off the base's, s, and
     # its rays be taken one after the other, s/rad, as standard deviations. All are learnt with the map.
-    yaw_deviation: float = 0.01
+    yaw_deviation: Annotated[float, NotNegative(), Radians()] = 0.01
     mount_deviation: float = 0.005
     clock_deviation: float = 0.02
     sweep_deviation: float = 0.02
@@ -127,7 +147,7 @@ class StationConfig:
 
     # What it sees with, one of EYES. Saying `camera` also sets in the sections tags and scan what such a camera's data
     # sheet says; what is set after that holds.
-    eyes: str = "ideal"
+    eyes: Annotated[str, OneOf(EYES)] = "ideal"
 
 
 @dataclasses.dataclass
@@ -138,14 +158,14 @@ class CameraConfig:
     """
 
     # Pixels.
-    width: int = 640
-    height: int = 480
+    width: Annotated[int, Whole(), Bounds(64.0, 4096.0)] = 640
+    height: Annotated[int, Whole(), Bounds(64.0, 4096.0)] = 480
     # The lens above the floor, m.
-    mount_height: float = 0.3
+    mount_height: Positive = 0.3
     # Sides of the tags' black squares, their centres above the floor, and the walls' height, m.
-    tag_size: float = 0.16
-    tag_height: float = 0.3
-    wall_height: float = 2.5
+    tag_size: Positive = 0.16
+    tag_height: Positive = 0.3
+    wall_height: Positive = 2.5
 
 
 @dataclasses.dataclass
@@ -153,7 +173,7 @@ class SafetyConfig:
     """The filter between any controller and the base."""
 
     # Without a scan younger than this there is no forward speed, s.
-    scan_timeout: float = 0.6
+    scan_timeout: Positive = 0.6
     # Nothing nearer to the robot's outline than this in its direction of travel, m, by the scan.
     stop_distance: float = 0.04
     # How long the base backs away after a bumper hit, s, and how fast, m/s.
@@ -172,20 +192,20 @@ class RobotCameraConfig:
     # The calibration's file, OpenCV's YAML or ROS's camera_info.
     calibration: str = ""
     # Side of the tags' black square, m, and their family.
-    tag_size: float = 0.16
+    tag_size: Annotated[float, Bounds(0.0, 10.0)] = 0.16
     family: str = "tag36h11"
     # Where it sits in the body frame, m and rad; pitch is downward, roll clockwise as it looks.
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
+    x: Signed = 0.0
+    y: Signed = 0.0
+    yaw: Angle = 0.0
+    pitch: Angle = 0.0
+    roll: Angle = 0.0
     # How old an image is when it arrives, s, where neither camera nor stream says when it was taken.
     latency: float = 0.0
     # Tags are looked for in an image so many times smaller; 1 sees smaller ones in four times the time.
-    decimation: float = 2.0
+    decimation: Annotated[float, Bounds(1.0, 100.0)] = 2.0
     # Threads of the detector.
-    threads: int = 1
+    threads: Annotated[int, Whole(), Bounds(1.0, 100.0)] = 1
 
 
 @dataclasses.dataclass
@@ -193,11 +213,11 @@ class RobotScannerConfig:
     """The scanner of `--scan rplidar:` or the depth camera of `--scan realsense:`."""
 
     # Where it sits in the body frame, m and rad: x ahead, z above the floor; pitch is downward.
-    x: float = 0.0
-    y: float = 0.0
+    x: Signed = 0.0
+    y: Signed = 0.0
     z: float = 0.3
-    yaw: float = 0.0
-    pitch: float = 0.0
+    yaw: Angle = 0.0
+    pitch: Angle = 0.0
     # Whether it is mounted upside down: what it has on its left is on the robot's right.
     flip: bool = False
     # Whether it counts its rays clockwise as seen from above it.
@@ -208,7 +228,7 @@ class RobotScannerConfig:
     clock_offset: float = 0.0
     # A depth camera's scan is of what stands in this band of heights above the floor, m.
     low: float = 0.05
-    high: float = 0.5
+    high: Positive = 0.5
 
 
 @dataclasses.dataclass
@@ -216,9 +236,9 @@ class HardwareConfig:
     """The real robot, where the station is one."""
 
     # How the base is reached, one of ROBOTS.
-    robot: str = "kobuki"
+    robot: Annotated[str, OneOf(ROBOTS)] = "kobuki"
     # Speed limit of a real robot, m/s, if no other is lower.
-    max_speed: float = 0.3
+    max_speed: Annotated[float, Bounds(0.0, FASTEST)] = 0.3
     # kobuki: the serial port.
     port: str = "/dev/kobuki"
     # A shipped preset or a YAML file that says what the robot's topics are and where its sensors sit; empty: that of a
@@ -244,11 +264,11 @@ class DisturbanceConfig:
 
     # When it begins and how long it takes, s.
     time: float = 0.0
-    duration: float = 1.0
+    duration: Positive = 1.0
     # How far the base is moved in all, ahead and to its left, m, and how far it is turned, rad.
-    ahead: float = 0.0
-    left: float = 0.0
-    turn: float = 0.0
+    ahead: Signed = 0.0
+    left: Signed = 0.0
+    turn: Angle = 0.0
     # Whether the gyro feels that turn.
     gyro_feels: bool = True
 
@@ -257,12 +277,15 @@ class DisturbanceConfig:
 class TagConfig:
     """One tag on a wall."""
 
+    # How one is written.
+    example: ClassVar[str] = "a tag as {id: 7, position: [x, y], facing: 0.0}, m and rad"
+
     # The tag's code, unique in the world.
-    id: int = 0
+    id: int
     # Centre (x, y) in W, on the wall's surface, m.
-    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0])
+    position: Point
     # Heading of the outward normal, rad.
-    facing: float = 0.0
+    facing: Angle
 
 
 @dataclasses.dataclass
@@ -272,8 +295,8 @@ class ChangeConfig:
     # When, s; what would come right beside the robot waits until that has gone, and all later changes with it.
     time: float = 0.0
     # Surfaces that come and surfaces that go, [x0, y0, x1, y1] in W, m; what goes may be a piece of a wall.
-    walls: list[list[float]] = dataclasses.field(default_factory=list)
-    opened: list[list[float]] = dataclasses.field(default_factory=list)
+    walls: list[Segment] = dataclasses.field(default_factory=list)
+    opened: list[Segment] = dataclasses.field(default_factory=list)
     # Tags that are moved, where they are then, and ids of tags that fall off.
     tags: list[TagConfig] = dataclasses.field(default_factory=list)
     fallen: list[int] = dataclasses.field(default_factory=list)
@@ -283,15 +306,15 @@ class ChangeConfig:
 class TagRealityConfig:
     """The simulated tag sensor where it differs from its data sheet, TagSensorConfig; None: as that says."""
 
-    range: float | None = None
-    max_incidence: float | None = None
+    range: Positive | None = None
+    max_incidence: Annotated[float, Bounds(0.0, 0.5 * math.pi)] | None = None
     range_noise: float | None = None
     range_noise_per_metre: float | None = None
     bearing_noise: float | None = None
-    detection_probability: float | None = None
-    outlier_probability: float | None = None
-    wrong_id_probability: float | None = None
-    range_scale: float | None = None
+    detection_probability: Annotated[float, Bounds(0.0, 1.0)] | None = None
+    outlier_probability: Share | None = None
+    wrong_id_probability: Share | None = None
+    range_scale: Positive | None = None
     # From so far, m, half of the tags that are looked at straight are detected, from half as far again none, and from
     # half of it all; what is looked at aslant counts as that much farther off as it seems narrower. 0: as the data
     # sheet says.
@@ -304,15 +327,15 @@ class TagRealityConfig:
     tag_range_error: float = 0.0
     tag_bearing_error: float = 0.0
     # The camera's clock less the base's, s: a frame's stamp is so much too late.
-    clock_offset: float = 0.0
+    clock_offset: Signed = 0.0
     # Standard deviation of a stamp's own error, s, and probability that a frame is lost.
     clock_jitter: float = 0.0
-    frame_loss_probability: float = 0.0
+    frame_loss_probability: Share = 0.0
     # The camera's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
     # is believed to sit there and to look ahead.
-    yaw: float = 0.0
-    ahead: float = 0.0
-    left: float = 0.0
+    yaw: Angle = 0.0
+    ahead: Signed = 0.0
+    left: Signed = 0.0
     # No tag is detected while the robot turns faster than this, rad/s: the image is blurred; 0: never.
     blurring_turn_rate: float = 0.0
 
@@ -341,19 +364,19 @@ class ScanRealityConfig:
     correlation_angle: float = 0.0
     # Probability that a ray meets nothing (glass, black walls), and that it tells a range between the surface that it
     # passes the edge of and the one behind.
-    dropout_probability: float = 0.0
-    mixed_probability: float = 0.0
+    dropout_probability: Share = 0.0
+    mixed_probability: Share = 0.0
     # The scanner's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
     # is believed to sit there and to look ahead.
-    yaw: float = 0.0
-    ahead: float = 0.0
-    left: float = 0.0
+    yaw: Angle = 0.0
+    ahead: Signed = 0.0
+    left: Signed = 0.0
     # Whether it is mounted upside down; it is believed not to be.
     flip: bool = False
     # From the first ray to the last, s, while the robot moves on; a scan is stamped with the first. 0: all at once.
     sweep_time: float = 0.0
     # The scanner's clock less the base's, s.
-    clock_offset: float = 0.0
+    clock_offset: Signed = 0.0
 
 
 @dataclasses.dataclass
@@ -363,7 +386,7 @@ class CameraRealityConfig:
     # How long a frame is exposed, s: meanwhile the robot turns, and the image is blurred by so much.
     exposure_time: float = 0.0
     # Grey levels are so many times those of a good exposure: below 1 it is dark, above 1 there is glare.
-    brightness: float = 1.0
+    brightness: Positive = 1.0
     # Standard deviation of a pixel's white noise, grey levels.
     noise: float = 2.0
     # Standard deviation of depth at 1 m, m; it grows with the square of the depth. Stereo with a baseline of 5.5 cm and
@@ -411,7 +434,7 @@ class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 
     # The rule by which the next goal is picked, one of GOAL_RULES.
-    goal: str = "tour"
+    goal: Annotated[str, OneOf(GOAL_RULES)] = "tour"
     # Seconds and metres that the mission may take, 0: as many as it needs; and whether the robot comes home at the end.
     budget_time: float = 0.0
     budget_distance: float = 0.0
@@ -420,30 +443,30 @@ class ExplorerConfig:
     # mission grows longer (tour only).
     revisit: bool = True
     # Landmarks expected per metre of unexplored surface, until the building has shown how many there are.
-    density: float = 1.0
+    density: Positive = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.
-    prior_sigma: float = 10.0
+    prior_sigma: Positive = 10.0
     # Roadmap nodes whose information gain is evaluated each stage.
-    samples: int = 400
+    samples: AtLeastOne = 400
     # The mission is complete when no candidate sees enough frontier or promises more than this, nats.
     stop_gain: float = 20.0
     # Attempts at one frontier point before it is given up.
-    frontier_attempts: int = 3
+    frontier_attempts: AtLeastOne = 3
     # Turn rate while observing at a goal, rad/s.
-    turn_rate: float = 1.2
+    turn_rate: Annotated[float, Bounds(0.0, FASTEST_TURN)] = 1.2
     # The robot stands and looks this long before it first moves, s, and then turns round so many times, half of them
     # back. The map's heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every
     # turn; the turns tell where among the landmarks the robot stood.
     first_look: float = 5.0
-    first_turns: int = 1
+    first_turns: AtLeastOne = 1
     # Areas that the robot must not enter, each the corners [x, y] of a polygon in W, m: of a robot in a building that
     # is not known in the frame of its start.
-    keep_out: list[list[list[float]]] = dataclasses.field(default_factory=list)
+    keep_out: list[list[Point]] = dataclasses.field(default_factory=list)
 
     # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
 
     # The formula of the information gain, one of GAINS.
-    gain: str = "exact"
+    gain: Annotated[str, OneOf(GAINS)] = "exact"
     # Whether goals are preferred by their gain less the price of arriving with an uncertain pose, and how many known
     # tags a goal should have in view.
     pose_price: bool = True
@@ -453,14 +476,14 @@ class ExplorerConfig:
     # The way between views is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
     # What solves the estimator's keyframe graph, one of SOLVERS. GTSAM is slower and knows no constant errors of tags.
-    solver: str = "dissection"
+    solver: Annotated[str, OneOf(SOLVERS)] = "dissection"
     # What the map is made of, one of LANDMARKS: tags, walls as the scan sees them, or both.
-    landmarks: str = "both"
+    landmarks: Annotated[str, OneOf(LANDMARKS)] = "both"
     # The file of a map of the building, or the folder of a run, that the mission begins with; "": none.
     known_map: str = ""
     # Where in W the robot is thought to be at the beginning, x, y (m), yaw (rad), and the deviations of the place (m)
     # and of the yaw (rad): what it sees counts for more. Empty: anywhere in that map.
-    known_at: list[float] = dataclasses.field(default_factory=list)
+    known_at: KnownPose = dataclasses.field(default_factory=list)
     parts: PartsConfig = dataclasses.field(default_factory=PartsConfig)
 
 
@@ -469,9 +492,9 @@ class PlannerConfig:
     """The roadmap's chance constraint (the paper's Sec. III-E)."""
 
     # Largest probability of a collision.
-    collision_probability: float = 0.01
+    collision_probability: Annotated[float, Bounds(0.0, 0.5)] = 0.01
     # What it is the probability of: of any point of a path by itself, or of the whole path; one of RISKS.
-    risk: str = "point"
+    risk: Annotated[str, OneOf(RISKS)] = "point"
 
 
 @dataclasses.dataclass
@@ -479,13 +502,13 @@ class GridConfig:
     """The grid baseline: GMapping and the choice of frontiers on its map."""
 
     # Side of a cell, m.
-    resolution: float = 0.05
+    resolution: Annotated[float, Bounds(0.01)] = 0.05
     # Particles of the filter, each with a map of its own.
-    particles: int = 100
+    particles: AtLeastOne = 100
     # A scan goes into the map after this much time (s), way (m) or turn (rad), whatever comes first.
-    update_period: float = 3.0
-    update_distance: float = 1.0
-    update_angle: float = 0.5
+    update_period: Positive = 3.0
+    update_distance: Positive = 1.0
+    update_angle: Annotated[float, Bounds(0.0, 2.0 * math.pi)] = 0.5
     # Weights of the weighted sum (the paper's eq. 1): per nat of the grid's entropy, of which a square metre of unknown
     # cells has log(2) / resolution^2, and per nat of the pose's.
     weight_map: float = 0.01

@@ -13,9 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, parse_place, writing
+from tfg_drake.diagrams.commands.options import argument, flag, option
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -31,8 +30,7 @@ PICTURE_EVERY = 0.5
 LIVE_VIEWS, LIVE_EVERY = 25, 0.5
 
 Source = Annotated[
-    str,
-    typer.Argument(metavar="SOURCE", help="A folder of images, an image, a video, a stream's address or a camera (0)."),
+    str, argument("SOURCE", "A folder of images, an image, a video, a stream's address or a camera (0).")
 ]
 
 camera_app = command_group("A camera's tags, and its calibration.")
@@ -41,25 +39,20 @@ camera_app = command_group("A camera's tags, and its calibration.")
 @camera_app.command()
 def check(
     source: Source,
-    calibration: Annotated[
-        Path, typer.Option(metavar="FILE", help="The camera's calibration, OpenCV's YAML or ROS's camera_info.")
-    ],
-    tag_size: Annotated[float, typer.Option(metavar="M", help="Side of the tags' black square.")],
-    family: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Repeatable [default: tag36h11].")] = None,
+    calibration: Annotated[Path, option("FILE", "The camera's calibration, OpenCV's YAML or ROS's camera_info.")],
+    tag_size: Annotated[float, option("M", "Side of the tags' black square.")],
+    family: Annotated[list[str] | None, option("NAME", "Repeatable [default: tag36h11].")] = None,
     mount: Annotated[
-        str, typer.Option(metavar="X,Y,YAW,PITCH", help="The camera on the robot, m and rad; pitch is downward.")
+        str, option("X,Y,YAW,PITCH", "The camera on the robot, m and rad; pitch is downward.")
     ] = "0,0,0,0",
-    margin: Annotated[float, typer.Option(metavar="G", help="Decision margin below which no tag is believed.")] = 30.0,
-    decimation: Annotated[float, typer.Option(metavar="N", help="1 sees smaller tags, in four times the time.")] = 2.0,
-    threads: Annotated[int, typer.Option(metavar="N", help="Of the detector.")] = 1,
-    frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after so many.")] = None,
+    margin: Annotated[float, option("G", "Decision margin below which no tag is believed.")] = 30.0,
+    decimation: Annotated[float, option("N", "1 sees smaller tags, in four times the time.")] = 2.0,
+    threads: Annotated[int, option("N", "Of the detector.")] = 1,
+    frames: Annotated[int | None, option("N", "Stop after so many.", min=1)] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw the newest frame there; in a folder: a picture of each frame."),
+        Path | None, option("FILE", "Draw the newest frame there; in a folder: a picture of each frame.")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="One line of JSON a frame on standard output, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, flag("--json", "One line of JSON a frame on standard output, nothing else.")] = False,
 ) -> None:
     """Say which tags a camera sees, where and how exactly, and what is wrong."""
     _need_packages()
@@ -109,9 +102,9 @@ def check(
 @camera_app.command()
 def calibrate(
     source: Source,
-    board: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard, along and down.")],
-    square: Annotated[float, typer.Option(metavar="M", help="Side of a square.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The calibration, as ROS's camera_info YAML.")],
+    board: Annotated[str, option("CxR", "Inner corners of the chessboard, along and down.")],
+    square: Annotated[float, option("M", "Side of a square.")],
+    out: Annotated[Path, option("FILE", "The calibration, as ROS's camera_info YAML.")],
 ) -> None:
     """Calibrate a camera by views of a chessboard; show it tilted, near and at the edges."""
     _need_packages()

@@ -1,25 +1,20 @@
-"""Shared by the commands: how bad input ends one, how one waits for the user, and for the kernels."""
+"""Shared by the commands: how bad input ends one, and how one waits for the user."""
 
 from __future__ import annotations
 
 import contextlib
-import functools
+import itertools
 import math
-import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any, NoReturn
 
 import typer
 import typer.core
 
-from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput, not_radians
-from tfg_drake.diagrams.commands.screen import Screen, say
-from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.mission.interruption import Interruption
 
 # The signals that end a command.
@@ -59,26 +54,17 @@ def command_group(told: str) -> typer.Typer:
 
 
 def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
-    """A command whose help tells its options in groups, by their names here."""
+    """A command whose help tells its options in groups, by their names; a group of none has those of no other."""
 
     class Grouped(typer.core.TyperCommand):
         def format_options(self, ctx: Any, formatter: Any) -> None:
             told = {one.name or "": one.get_help_record(ctx) or ("", "") for one in self.get_params(ctx)}
+            rest = [name for name in told if name not in itertools.chain(*groups.values())]
             for group, names in groups.items():
                 with formatter.section(group):
-                    formatter.write_dl([told[name] for name in names])
+                    formatter.write_dl([told[name] for name in names or rest])
 
     return Grouped
-
-
-@contextlib.contextmanager
-def complaining(out: Path | None) -> Iterator[None]:
-    """While a run is made whose files go to a folder, None for one in `runs`. Raises BadInput where a file cannot be
-    written."""
-    try:
-        yield
-    except OSError as error:
-        bad_input(f"{error.filename or out or 'runs'}: cannot be written: {error.strerror or error}")
 
 
 @contextlib.contextmanager
@@ -104,43 +90,3 @@ def wait_for_enter() -> None:
                 time.sleep(0.1)
     except (EOFError, KeyboardInterrupt):
         print()
-
-
-@contextlib.contextmanager
-def compiling_beside() -> Iterator[WarmUp | None]:
-    """The processes that compile the missing kernels while the command goes on, None where none is missing.
-
-    Raises BadInput where there is no folder to keep them in.
-    """
-    warm_up: Any = contextlib.nullcontext()
-    try:
-        if not kernels.are_compiled():
-            say(f"compiling kernels, once per installation, into {kernels.folder()}")
-            warm_up = contextlib.closing(WarmUp())
-    except ChildProcessError as error:
-        bad_input(f"{error.filename}: cannot be started to compile kernels: {(error.strerror or str(error)).lower()}")
-    except OSError as error:
-        given = "NUMBA_CACHE_DIR=" if os.environ.get("NUMBA_CACHE_DIR") else ""
-        bad_input(f"{given}{error.filename}: cannot be written; name a folder that can be in NUMBA_CACHE_DIR")
-    with warm_up as beside:
-        yield beside
-
-
-def wait_for_kernels(show: Callable[[str], object], warm_up: WarmUp | None = None, *, all_of_them: bool = True) -> None:
-    """Until all is compiled that a mission needs, or what it begins with. warm_up: who compiles already; by default it
-    is begun here. Raises KeyboardInterrupt where somebody interrupts it: the mission would compile by itself."""
-    with compiling_beside() if warm_up is None else contextlib.nullcontext(warm_up) as at_work:
-        while at_work is not None and not (at_work.ended if all_of_them else at_work.ready):
-            if interruption.is_set():
-                raise KeyboardInterrupt
-            show(at_work.word)
-            time.sleep(0.1)
-
-
-@functools.cache
-def make_kernels_ready() -> None:
-    """For a program of somebody's own, which may wait for them: compiles what is missing, and tells so on standard
-    error; silent where nothing is. Raises BadInput as `compiling_beside` does."""
-    if not kernels.are_compiled():
-        with contextlib.redirect_stdout(sys.stderr), Screen() as show:
-            wait_for_kernels(show)

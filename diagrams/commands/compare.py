@@ -13,36 +13,8 @@ from pathlib import Path
 from tfg_drake.comparison.measures import MOVING, TIME
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
-from tfg_drake.diagrams.commands.screen import say
 from tfg_drake.diagrams.missions.sweep import Task, open_sweep, run_local
-
-
-class Progress:
-    """How far a sweep has come: shown, and without a terminal a line a run."""
-
-    def __init__(self, planned: int, there: int, show: Callable[[str], object]) -> None:
-        """planned: runs in all; there: of an earlier sweep."""
-        self._planned, self._there, self._done, self._since = planned, there, 0, time.monotonic()
-        self._show = show
-        if there:
-            say(f"{there} of {planned} runs are there already")
-        show(self.line())
-
-    def __call__(self, run: Run) -> None:
-        """Take note of a run that has ended."""
-        self._done += 1
-        self._show(self.line())
-        if not sys.stdout.isatty():
-            say(f"{run.method}, seed {run.seed}: {run.outcome}; {self.line()}")
-
-    def line(self) -> str:
-        """How many runs are done, and how long the rest will take at the speed so far."""
-        done, left = self._there + self._done, self._planned - self._there - self._done
-        if not self._done or not left:
-            return f"{done} of {self._planned} runs"
-        seconds = left * (time.monotonic() - self._since) / self._done
-        remaining = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
-        return f"{done} of {self._planned} runs, about {remaining} left"
+from tfg_drake.diagrams.screen import say
 
 
 def run_sweep(
@@ -63,7 +35,20 @@ def run_sweep(
     """
     runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
     missing = [task for task in tasks if (task.method, task.seed) not in runs]
-    note = Progress(len(tasks), len(runs), show)
+    there, since = len(runs), time.monotonic()
+
+    def progress() -> str:
+        """How many runs are done, and how long the rest will take at the speed so far."""
+        done, left = len(runs) - there, len(tasks) - len(runs)
+        if not done or not left:
+            return f"{len(runs)} of {len(tasks)} runs"
+        seconds = left * (time.monotonic() - since) / done
+        remaining = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+        return f"{len(runs)} of {len(tasks)} runs, about {remaining} left"
+
+    if there:
+        say(f"{there} of {len(tasks)} runs are there already")
+    show(progress())
     if address is None or not missing:
         ended = run_local(missing, out, jobs, interrupted)
     else:
@@ -72,7 +57,9 @@ def run_sweep(
         ended = run_on_ray(missing, out, address, interrupted)
     for run in ended:
         runs[run.method, run.seed] = run
-        note(run)
+        show(progress())
+        if not sys.stdout.isatty():
+            say(f"{run.method}, seed {run.seed}: {run.outcome}; {progress()}")
     keys = [(task.method, task.seed) for task in tasks]
     return [runs[key] for key in keys if key in runs]
 

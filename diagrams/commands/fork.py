@@ -1,12 +1,25 @@
-"""`tfg-drake fork`: a run's other future, and how it differs from the one that was."""
+"""`tfg-drake fork`: a run's other future, and how it differs from the one that was.
+
+The forks that a run's page asks for are processes of this command, one at a time.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+import shutil
+import subprocess
+import sys
+import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tfg_drake.bad_input import BadInput
+from tfg_drake.diagrams.missions.fork import forkable
+from tfg_drake.io.files import FileError, read_object
 from tfg_drake.percent import percent
+from tfg_drake.storage.timeline import FILE_NAME
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.fork import Candidate
@@ -62,10 +75,95 @@ def candidate_rows(candidates: Sequence[Candidate]) -> list[tuple[str, ...]]:
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table: the first column to the left, numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        ).rstrip()
-        for row in rows
-    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
+
+
+def can_fork(run: Path) -> bool:
+    """True if a folder holds a run that can be forked at its first stage; see `forkable`."""
+    try:
+        forkable(run, 1)
+        return True
+    except BadInput:
+        return False
+
+
+def _begun(number: int, stage: int, folder: Path, line: str) -> dict[str, Any]:
+    """A fork as the page has it; the rows of the comparison, or why there are none, come into it later."""
+    return {"number": number, "stage": stage, "folder": str(folder), "line": line, "rows": [], "failure": ""}
+
+
+class PageForks:
+    """See `tfg_drake.cockpit.server.Forks`. Each fork is in a folder beside its run's, <run>-fork-<number>."""
+
+    def __init__(self, run: Path) -> None:
+        self._run = run.resolve()
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._newest = _begun(0, 0, self._run, "")
+
+    @property
+    def timeline(self) -> Path:
+        """The newest fork's, which may not be there yet."""
+        return Path(self._newest["folder"], FILE_NAME)
+
+    @property
+    def is_running(self) -> bool:
+        """True while the newest fork runs."""
+        return self._process is not None
+
+    def start(self, stage: int, goal: tuple[float, float]) -> bool:
+        """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
+        with self._lock:
+            if self._process is not None:
+                return False
+            number = self._newest["number"] + 1
+            while (folder := self._run.with_name(f"{self._run.name}-fork-{number}")).exists():
+                number += 1
+            x, y = goal
+            command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "fork", str(self._run), "--stage", str(stage)]
+            command += [f"--goal={x:.4f},{y:.4f}", "--out", str(folder)]
+            self._newest = _begun(number, stage, folder, "beginning")
+            try:
+                self._process = process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    env=os.environ | {"PYTHONUNBUFFERED": "1"},
+                )
+            except OSError as error:
+                reason = f"the fork cannot be started: {error.strerror}; end other programs, and ask again"
+                self._newest["failure"] = reason
+                return True
+        threading.Thread(target=self._follow, args=(process,), daemon=True).start()
+        return True
+
+    def state(self) -> dict[str, Any]:
+        """The newest fork's number, stage and folder, whether it is running, what it says, and in the end the
+        rows of the comparison or why there are none; number 0 before the first."""
+        with self._lock:
+            return {**self._newest, "running": self.is_running}
+
+    def close(self) -> None:
+        """End what is under way; what there is of it stays."""
+        process = self._process
+        if process is not None:
+            process.kill()
+            process.wait()
+
+    def _follow(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if self._process is process and line.strip():
+                self._newest["line"] = line.strip()
+        process.wait()
+        with self._lock:
+            try:
+                before, after = (read_object(Path(one, "summary.json")) for one in (self._run, self._newest["folder"]))
+                self._newest["rows"] = list(difference_rows(before, after))
+            except FileError:
+                self._newest["failure"] = self._newest["line"].removeprefix("tfg-drake: ")
+                shutil.rmtree(self._newest["folder"], ignore_errors=True)  # Nothing of it is of use.
+            self._process = None

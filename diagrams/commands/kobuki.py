@@ -11,12 +11,12 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from tfg_drake.diagrams.commands.command_line import bad_input, command_group
+from tfg_drake.diagrams.commands.options import flag, option
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
+    from tfg_drake.diagrams.scenario import Scenario
     from tfg_drake.hardware.device import BaseState, Device
     from tfg_drake.hardware.emulation.emulator import Emulator
     from tfg_drake.messages import Hazards, Odometry
@@ -32,8 +32,8 @@ kobuki_app = command_group("The Kobuki base on its serial port, or an emulated o
 
 @kobuki_app.command()
 def check(
-    port: Annotated[str, typer.Option(metavar="DEV", help="The base's serial port.")] = "/dev/kobuki",
-    drive: Annotated[bool, typer.Option("--drive", help="Drive 20 cm ahead; make room for it.")] = False,
+    port: Annotated[str, option("DEV", "The base's serial port.")] = "/dev/kobuki",
+    drive: Annotated[bool, flag("--drive", "Drive 20 cm ahead; make room for it.")] = False,
 ) -> None:
     """Say how a base is: its versions, battery and sensors."""
     from tfg_drake.hardware.kobuki.driver import connect
@@ -101,11 +101,9 @@ def _drive_ahead(device: Device) -> str:
 
 @kobuki_app.command()
 def emulate(
-    world: Annotated[
-        str, typer.Option(metavar="none|SCENARIO", help="Where it stands: on an empty plane, or in a scenario.")
-    ] = "none",
+    world: Annotated[str, option("none|SCENARIO", "Where it stands: on an empty plane, or in a scenario.")] = "none",
     sensors: Annotated[
-        bool, typer.Option("--sensors", help="With an RPLidar on a device of its own, and a camera in the network.")
+        bool, flag("--sensors", "With an RPLidar on a device of its own, and a camera in the network.")
     ] = False,
 ) -> None:
     """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans.
@@ -115,15 +113,17 @@ def emulate(
 
     Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
     """
-    from tfg_drake.hardware.emulation.emulator import order
+    from tfg_drake.hardware.emulation.emulator import Emulator, order
 
+    of, walls = _place(world)
+    emulated = Emulator(walls, of.robot, of.tags, of.scan, of.seed)
     # In the background of a terminal its input ends, or the whole program would be stopped.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    with contextlib.suppress(KeyboardInterrupt), _emulator(world) as emulator, contextlib.ExitStack() as stack:
+    with contextlib.suppress(KeyboardInterrupt), emulated as emulator, contextlib.ExitStack() as stack:
         try:
             print(emulator.device, flush=True)
             print("{}:{}".format(*emulator.sensors), flush=True)
-            own = stack.enter_context(_own_sensors(emulator, world)) if sensors else {}
+            own = stack.enter_context(_own_sensors(emulator, world, walls)) if sensors else {}
             with contextlib.suppress(OSError):
                 for line in sys.stdin or ():
                     try:
@@ -141,9 +141,8 @@ def emulate(
 
 
 @contextlib.contextmanager
-def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[], None]]]:
+def _own_sensors(emulator: Emulator, name: str, world: World) -> Iterator[dict[str, Callable[[], None]]]:
     """An RPLidar and a camera on the base, told; what may be ordered of them, by the order's words."""
-    from tfg_drake.hardware.emulation.emulator import empty_plane
     from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
     from tfg_drake.world.world import WorldError
 
@@ -151,7 +150,6 @@ def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[
         from tfg_drake.diagrams.emulated_camera import EmulatedCamera
     except ImportError as error:
         bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
-    world = empty_plane() if name == "none" else _world(name)
     try:
         seen = EmulatedCamera(world, lambda: emulator.base.pose)
     except WorldError as error:
@@ -168,18 +166,12 @@ def _own_sensors(emulator: Emulator, name: str) -> Iterator[dict[str, Callable[[
         }
 
 
-def _emulator(world: str) -> Emulator:
-    from tfg_drake.hardware.emulation.emulator import Emulator
+def _place(name: str) -> tuple[Scenario, World]:
+    """The scenario of that name and its world; an empty plane for none."""
+    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
+    from tfg_drake.hardware.emulation.emulator import empty_plane
 
-    if world == "none":
-        return Emulator()
-    from tfg_drake.diagrams.scenario import LoadScenario
-
-    scenario = LoadScenario(world)
-    return Emulator(_world(world), scenario.robot, scenario.tags, scenario.scan, scenario.seed)
-
-
-def _world(name: str) -> World:
-    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
-
-    return MakeWorld(LoadScenario(name).world)
+    if name == "none":
+        return Scenario(), empty_plane()
+    scenario = LoadScenario(name)
+    return scenario, MakeWorld(scenario.world)

@@ -13,7 +13,8 @@ import typer
 
 from tfg_drake.config import CameraConfig
 from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, wait_for_enter, writing
-from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.options import argument, option
+from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import of_run, write_atomic
 
@@ -49,11 +50,9 @@ def _map_file(path: Path) -> Path:
     return of_run(path, "map.npz")
 
 
-MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="A map or the folder of a run.", callback=_map_file)]
-OtherMap = Annotated[
-    Path, typer.Argument(metavar="OTHER", help="Another map, or the folder of a run.", callback=_map_file)
-]
-NewMap = Annotated[Path, typer.Argument(metavar="OUT", help="The map to write, a .npz file.")]
+MapArgument = Annotated[Path, argument("MAP", "A map or the folder of a run.", callback=_map_file)]
+OtherMap = Annotated[Path, argument("OTHER", "Another map, or the folder of a run.", callback=_map_file)]
+NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.")]
 
 # What is less probable is not told.
 LIKELY = 0.001
@@ -80,7 +79,7 @@ def info(map_file: MapArgument) -> None:
 @map_app.command()
 def view(map_file: MapArgument) -> None:
     """Show a map in the browser."""
-    from tfg_drake.diagrams.commands.page import open_page
+    from tfg_drake.diagrams.missions.page import open_page
 
     saved = _load(map_file)
     with (
@@ -93,19 +92,15 @@ def view(map_file: MapArgument) -> None:
 @map_app.command()
 def export(
     map_file: MapArgument,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write; its suffix says the format.")],
+    out: Annotated[Path, argument("OUT", "The file to write; its suffix says the format.")],
     name: Annotated[
-        str | None,
-        typer.Option("--format", metavar="NAME", help=f"The format; by default the first with OUT's suffix: {_NAMED}."),
+        str | None, option("NAME", f"The format; by default the first with OUT's suffix: {_NAMED}.", "--format")
     ] = None,
     tag_height: Annotated[
-        float, typer.Option(metavar="M", help="Height of the tags' centres (tagslam, apriltag_ros, wpilib).")
+        float, option("M", "Height of the tags' centres (tagslam, apriltag_ros, wpilib).")
     ] = CameraConfig.tag_height,
     tag_size: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="Side of the tags' black squares (tagslam, apriltag_ros); by default the run's."
-        ),
+        float | None, option("M", "Side of the tags' black squares (tagslam, apriltag_ros); by default the run's.")
     ] = None,
 ) -> None:
     """Write a map in another format.
@@ -174,19 +169,26 @@ def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> No
         print("".join(f"{line}\n" for line in made.left_out(saved)), end="")
 
 
+def _beside(map_file: Path) -> Any:
+    """The scenario of a run, beside its map, as it was parsed; an empty one where there is none."""
+    from tfg_drake.io.yaml_text import parse_yaml
+
+    with contextlib.suppress(OSError, ValueError):
+        return parse_yaml(map_file.with_name("scenario.yaml").read_text())
+    return {}
+
+
 def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
     """Writes Nav2's keep-out mask beside a grid, where the scenario beside a run's map has areas to keep out of, and
     returns its files."""
     import numpy as np
 
-    from tfg_drake.io.yaml_text import parse_yaml
     from tfg_drake.mapfile.occupancy_grid import keep_out_files
 
-    try:
-        scenario: Any = parse_yaml(map_file.with_name("scenario.yaml").read_text())
-        areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in scenario["explorer"]["keep_out"]]
-    except (OSError, ValueError, LookupError, TypeError):
-        return []
+    areas: list[Any] = []
+    with contextlib.suppress(ValueError, LookupError, TypeError):
+        rings = _beside(map_file)["explorer"]["keep_out"]
+        areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in rings]
     if not areas or map_file.name != "map.npz":  # One of another name may have been moved to another frame.
         return []
     files = [out.with_name(f"{out.stem}_keepout{suffix}") for suffix in (".pgm", ".yaml")]
@@ -198,16 +200,12 @@ def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
 
 def _tag_size(map_file: Path) -> float:
     """Size of the tags of a run, m, by its scenario beside the map. Raises BadInput."""
-    from tfg_drake.io.yaml_text import parse_yaml
-
-    try:
-        scenario: Any = parse_yaml(map_file.with_name("scenario.yaml").read_text())
+    with contextlib.suppress(ValueError, LookupError, TypeError, AttributeError):
+        scenario = _beside(map_file)
         if scenario["hardware"]["tags"].startswith("camera:"):
             return float(scenario["hardware"]["camera"]["tag_size"])
         if map_file.with_name("truth.tum").exists():  # It was simulated.
             return float(scenario["camera"]["tag_size"])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        pass
     bad_input(
         f"{map_file}: nothing beside it says how large the tags are; give the side of their black squares, --tag-size M"
     )
@@ -278,8 +276,8 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
 def align(
     map_file: MapArgument,
     out: NewMap,
-    tags: Annotated[Path | None, typer.Option(help="Surveyed tags, a .csv: id,x_m,y_m.", metavar="FILE")] = None,
-    plan: Annotated[Path | None, typer.Option(help="A plan of the walls, a map_server .yaml.", metavar="FILE")] = None,
+    tags: Annotated[Path | None, option("FILE", "Surveyed tags, a .csv: id,x_m,y_m.")] = None,
+    plan: Annotated[Path | None, option("FILE", "A plan of the walls, a map_server .yaml.")] = None,
 ) -> None:
     """Put a map in the frame of surveyed tags or of a plan."""
     from tfg_drake.mapfile.survey import in_plan, in_survey, read_survey

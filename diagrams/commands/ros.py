@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tfg_drake.diagrams.commands.command_line import bad_input, command_group
+from tfg_drake.diagrams.commands.options import flag, option
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
@@ -22,10 +23,8 @@ ros2_app = command_group("A robot on a ROS 2 graph.")
 @ros2_app.command()
 def emulate(
     scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
-    seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Seed of the emulated noise [default: the scenario's].")
-    ] = None,
-    network: Annotated[bool, typer.Option("--network", help="Join the whole network, not this machine only.")] = False,
+    seed: Annotated[int | None, option("N", "Seed of the emulated noise [default: the scenario's].")] = None,
+    network: Annotated[bool, flag("--network", "Join the whole network, not this machine only.")] = False,
 ) -> None:
     """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
     for a line `report` on its standard input.

@@ -52,16 +52,9 @@ _SCANNER = "hardware.scanner."
 OnProgress = Callable[[str, float], None]
 
 
-class Interrupted(Exception):
-    """Ctrl-C came before the end; there is no result."""
-
-
 class Progress:
-    """Shows progress: call it with the part and the share done.
-
-    Raises:
-        Interrupted: by the call, once the event is set.
-    """
+    """Shows progress: call it with the part and the share done. Once the event is set, that raises KeyboardInterrupt:
+    there is no result."""
 
     def __init__(self, show: Callable[[str], object], interrupted: threading.Event) -> None:
         self._show, self._interrupted = show, interrupted
@@ -70,9 +63,9 @@ class Progress:
         self.say(f"{part} {percent(share, 0):3.0f} %")
 
     def say(self, text: str) -> None:
-        """Shows something else of the work. Raises Interrupted, likewise."""
+        """Shows something else of the work. Raises KeyboardInterrupt, likewise."""
         if self._interrupted.is_set():
-            raise Interrupted
+            raise KeyboardInterrupt
         self._show(text)
 
 
@@ -83,6 +76,7 @@ def run_slam(
     load: Callable[[Path], Recording | PoseGraph] = load_recording,
     method: str | None = None,
     relations: Path | None = None,
+    settings: Sequence[str] = (),
     **mapped: Any,
 ) -> SlamResult:
     """Run the estimator on a data set, online and then smoothed over all data, and write DIR/summary.json, figure.png,
@@ -96,6 +90,7 @@ def run_slam(
         load: reads the data set.
         method: of a laser recording, one of MAPPING_METHODS; None: the first.
         relations: of a laser recording, a file of relations between its poses, to be held against it.
+        settings: of a laser recording's scenario.
         mapped: of a laser recording, more arguments of `map_recording`.
 
     Raises:
@@ -114,9 +109,9 @@ def run_slam(
             raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
         online = lambda share: report("online", share)  # noqa: E731
         mapping = method or next(iter(MAPPING_METHODS))
-        return map_recording(loaded, dataset, out, mapping, online, relations=relations, **mapped)
-    if relations is not None or mapped.get("settings"):
-        option = f"--relations {relations}" if relations is not None else f"--set {mapped['settings'][0]}"
+        return map_recording(loaded, dataset, out, mapping, online, settings, relations=relations, **mapped)
+    if relations is not None or settings:
+        option = f"--relations {relations}" if relations is not None else f"--set {settings[0]}"
         raise DatasetError(f"{option}: is for laser recordings; leave it out")
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from tfg_drake.diagrams.commands.command_line import bad_input, command_group, parse_place, writing
-from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.options import argument, flag, option
+from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -24,9 +24,9 @@ tags_app = command_group("Tags to hang up.")
 
 @tags_app.command("print")
 def print_tags(
-    ids: Annotated[str, typer.Option(metavar="LIST", help="Of the family tag36h11, such as 0-99 or 3,5,10-12.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The PDF to write.")],
-    size: Annotated[float, typer.Option(metavar="M", help="Side of the black square.")] = 0.16,
+    ids: Annotated[str, option("LIST", "Of the family tag36h11, such as 0-99 or 3,5,10-12.")],
+    out: Annotated[Path, option("FILE", "The PDF to write.")],
+    size: Annotated[float, option("M", "Side of the black square.")] = 0.16,
 ) -> None:
     """Write tags to a PDF of A4 pages, with cut marks. Print it at 100 %, and check the size with a rule."""
     try:
@@ -50,18 +50,15 @@ def print_tags(
 @tags_app.command()
 def advise(
     run: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="The folder of a mission: tags to add to those that it mapped.")
+        Path | None, argument("RUN", "The folder of a mission: tags to add to those that it mapped.")
     ] = None,
     world: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The walls: a scenario, a map_server .yaml or a *.vectormap.txt."),
+        Path | None, option("FILE", "The walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
     ] = None,
-    start: Annotated[str | None, typer.Option(metavar="X,Y,YAW", help="Where the robot will start, m and rad.")] = None,
-    count: Annotated[int, typer.Option(metavar="N", help="How many tags to hang.")] = 40,
-    fresh: Annotated[bool, typer.Option("--fresh", help="As if none of FILE's tags hung.")] = False,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The world with the tags, for explore --world.")] = Path(
-        "advised.yaml"
-    ),
+    start: Annotated[str | None, option("X,Y,YAW", "Where the robot will start, m and rad.")] = None,
+    count: Annotated[int, option("N", "How many tags to hang.")] = 40,
+    fresh: Annotated[bool, flag("--fresh", "As if none of FILE's tags hung.")] = False,
+    out: Annotated[Path, option("FILE", "The world with the tags, for explore --world.")] = Path("advised.yaml"),
 ) -> None:
     """Say where to hang tags so that the robot knows best where it is, the most useful first."""
     from tfg_drake.io.files import write_atomic
@@ -148,12 +145,10 @@ def _advice(
 
 def _world_yaml(scenario: Scenario, ids: list[int], advice: Advice) -> str:
     """The world with the advised tags, as a scenario file."""
-    world = scenario.world
-    tags = [(tag.id, *tag.position, tag.facing) for tag in world.tags]
-    tags += [(i, *p, heading) for i, p, heading in zip(ids, advice.p_WT, advice.facing, strict=True)]
-    lines = ["# Tags as tfg-drake tags advise says, the last ones new. Metres and radians.", "world:"]
-    lines += [f"  start: [{', '.join(f'{value:.6f}' for value in world.start)}]", "  walls:"]
-    lines += [f"    - [{', '.join(f'{value:.6f}' for value in wall)}]" for wall in world.walls]
-    lines += ["  tags:"]
-    lines += [f"    - {{id: {i}, position: [{x:.4f}, {y:.4f}], facing: {heading:.4f}}}" for i, x, y, heading in tags]
-    return "\n".join([*lines, ""])
+    from tfg_drake.io.yaml_text import dump_yaml
+
+    world = dataclasses.asdict(scenario.world)
+    places = zip(ids, advice.p_WT.round(4).tolist(), advice.facing.round(4).tolist(), strict=True)
+    world["tags"] += [{"id": i, "position": p_WT, "facing": facing} for i, p_WT, facing in places]
+    text = dump_yaml({"world": world}, sort_keys=False, default_flow_style=None)
+    return f"# Tags as tfg-drake tags advise says, the last ones new. Metres and radians.\n{text}"

@@ -9,10 +9,10 @@ from typing import Any
 from tfg_drake.cockpit.browser import write_gif, write_mp4
 from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
-from tfg_drake.diagrams.commands.page import open_page
-from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
-from tfg_drake.diagrams.commands.screen import Screen
+from tfg_drake.diagrams.commands.fork import PageForks, can_fork
+from tfg_drake.diagrams.missions.page import open_page
 from tfg_drake.diagrams.missions.run_folder import claimed
+from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.files import of_run, read_bytes, reading
 from tfg_drake.storage.timeline import FILE_NAME, MAGIC
 

@@ -14,11 +14,10 @@ import numpy as np
 from tfg_drake.comparison.best_tour import BestTour, best_tour, to_see
 from tfg_drake.comparison.runs import Run
 from tfg_drake.comparison.tour_bound import tour_bound
-from tfg_drake.diagrams.missions.errors import NEARLY_ALL, counted_places, path_length
+from tfg_drake.diagrams.missions.errors import NEARLY_ALL, KnownWorld, path_length
 from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.storage.trajectory import read_tum
-from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_tags
 
 # Changes when the search does: what another one found is not taken for its own.
 SEARCH = 1
@@ -49,12 +48,10 @@ def kept_tour(scenario: Scenario, folder: Path, say: Callable[[str], object] = l
         return KeptTour(tour, float(kept["bound_s"]), float(kept["bound_m"]))
     except (FileError, KeyError, TypeError, ValueError):
         pass
-    world = MakeWorld(scenario.world)
-    grid, keep_out = make_grid(world), HatchedKeepOut(scenario)
-    reachable = reachable_cells(grid, world, scenario.robot.radius, keep_out)
-    tags = reachable_tags(world, grid, reachable, scenario.tags.range, scenario.tags.max_incidence)
-    see = to_see(counted_places(grid, reachable), world, tags, NEARLY_ALL, scenario.scan, scenario.tags)
-    tour = best_tour(world, grid.centers(reachable), see, scenario.robot, keep_out, say=say)
+    world, keep_out = MakeWorld(scenario.world), HatchedKeepOut(scenario)
+    known = KnownWorld(world, scenario)
+    see = to_see(known.counted_places(), world, known.reachable, NEARLY_ALL, scenario.scan, scenario.tags)
+    tour = best_tour(world, known.places(), see, scenario.robot, keep_out, say=say)
     say("a bound from below")
     bound = tour_bound(world.walls, world.start[:2], see, scenario.robot)
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,15 +94,5 @@ def _over_tour(run: Run, scenario: Scenario, folder: Path, say: Callable[[str], 
 
 def _asked(scenario: Scenario) -> dict[str, Any]:
     """All that a tour depends on."""
-    robot, scan, tags = (dataclasses.asdict(one) for one in (scenario.robot, scenario.scan, scenario.tags))
-    return {
-        "search": SEARCH,
-        "share": NEARLY_ALL,
-        "walls": [list(map(float, wall)) for wall in scenario.world.walls],
-        "tags": [[*map(float, tag.position), float(tag.facing)] for tag in scenario.world.tags],
-        "start": list(map(float, scenario.world.start)),
-        "keep_out": scenario.explorer.keep_out,
-        "robot": robot,
-        "scan": {name: scan[name] for name in ("range", "field_of_view")},
-        "tag_sensor": {name: tags[name] for name in ("range", "field_of_view", "max_incidence")},
-    }
+    sections = {name: dataclasses.asdict(getattr(scenario, name)) for name in ("world", "robot", "scan", "tags")}
+    return {"search": SEARCH, "share": NEARLY_ALL, "keep_out": scenario.explorer.keep_out, **sections}

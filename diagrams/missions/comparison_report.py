@@ -16,16 +16,15 @@ from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.missions.best_tours import over_tours
-from tfg_drake.diagrams.missions.errors import counted_places
+from tfg_drake.diagrams.missions.errors import KnownWorld
 from tfg_drake.diagrams.missions.sweep import Task
-from tfg_drake.diagrams.scenario import HatchedKeepOut, MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.storage.trajectory import read_tum
-from tfg_drake.world.reachability import make_grid, reachable_cells
 
 # Errors against time are averaged over about so many stretches; coverage is given every so many m.
 _STRETCHES, _DISTANCE_STEP = 150, 0.5
@@ -74,7 +73,8 @@ def _pictures(
         _bands(methods, counted, lambda run, i=i: averaged(errors[run.folder][i], stretch), stretch)  # type: ignore[misc]
         for i in range(2)
     )
-    cells = {seed: _cells(scenarios[seed]) for seed in {run.seed for run in counted}}
+    worlds = {seed: KnownWorld(MakeWorld(scenarios[seed].world), scenarios[seed]) for seed in {r.seed for r in counted}}
+    cells = {seed: known.counted_places() for seed, known in worlds.items()}
     share = _bands(
         methods, counted, lambda run: _coverage(run, scenarios[run.seed], cells[run.seed]), _DISTANCE_STEP, hold=True
     )
@@ -134,13 +134,6 @@ def _coverage(run: Run, scenario: Scenario, p_WC: FloatArray) -> Curve:
     _, X_WB = read_tum(run.folder / "truth.tum")
     walls = MakeWorld(scenario.world).walls
     return coverage_curve(X_WB, p_WC, walls, scenario.scan.range, scenario.scan.field_of_view)
-
-
-def _cells(scenario: Scenario) -> FloatArray:
-    """Centres (c, 2) in W of the reachable cells that coverage is counted on."""
-    world = MakeWorld(scenario.world)
-    grid = make_grid(world)
-    return counted_places(grid, reachable_cells(grid, world, scenario.robot.radius, HatchedKeepOut(scenario)))
 
 
 def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario]) -> list[FinalMap]:

@@ -17,9 +17,9 @@ from tfg_drake.messages import FloatArray
 _STEP = 600.0
 
 
-def kinds_of(diagram: Diagram, root: Context, under: str) -> dict[str, Any]:
-    """The annotations of discrete and abstract state, (FloatArray, ..., kind of the first message, ...), of the systems
-    of a diagram that have any, by path, such as "/explorer/follower"; of those whose path begins with `under`.
+def state_of(diagram: Diagram, root: Context, under: str) -> dict[str, tuple[Any, Any]]:
+    """Discrete and abstract state of the systems of a diagram that have any, by path, such as "/explorer/follower"; of
+    those whose path begins with `under`. Each with its annotation: (FloatArray, ..., kind of the first message, ...).
 
     A RandomSource is left out: the time says what it has drawn.
     """
@@ -27,17 +27,8 @@ def kinds_of(diagram: Diagram, root: Context, under: str) -> dict[str, Any]:
     for path, system in _systems(diagram):
         vectors, messages = _values(system.GetMyContextFromRoot(root))
         if path.startswith(under) and (vectors or messages) and not isinstance(system, RandomSource):
-            found[path] = tuple[tuple([FloatArray] * len(vectors) + [type(one) for one in messages])]  # type: ignore[misc]
-    return found
-
-
-def state_of(diagram: Diagram, root: Context, kinds: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Annotation and state of the systems that have `kinds`, by path."""
-    found = {}
-    for path, system in _systems(diagram):
-        if path in kinds:
-            vectors, messages = _values(system.GetMyContextFromRoot(root))
-            found[path] = kinds[path], (*vectors, *messages)
+            kinds = tuple([FloatArray] * len(vectors) + [type(one) for one in messages])
+            found[path] = tuple[kinds], (*vectors, *messages)  # type: ignore[valid-type]
     return found
 
 

@@ -16,7 +16,7 @@ from tfg_drake.grid.frontier import OCCUPIED, classify
 from tfg_drake.grid.runs import cell_sides
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
-from tfg_drake.world.reachability import Grid, make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
+from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
 from tfg_drake.world.world import World
 
 # What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
@@ -43,6 +43,16 @@ class KnownWorld:
             self._cells |= reachable_cells(self._grid, replace(world, start=X_WB), *limits)
         tags = scenario.tags
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
+
+    def places(self) -> FloatArray:
+        """Centres (c, 2) in W of the cells of a grid where the robot can be."""
+        return self._grid.centers(self._cells)
+
+    def counted_places(self) -> FloatArray:
+        """Centres (c, 2) of every EVERY-th of them, in x and y: coverage is counted on these."""
+        thinned = np.zeros_like(self._cells)
+        thinned[::EVERY, ::EVERY] = self._cells[::EVERY, ::EVERY]
+        return self._grid.centers(thinned)
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
@@ -82,7 +92,7 @@ class KnownWorld:
         way by one that maps all along.
         """
         scan = self._scenario.scan
-        seen = counted_places(self._grid, self._cells), self._world.walls, scan.range, scan.field_of_view
+        seen = self.counted_places(), self._world.walls, scan.range, scan.field_of_view
         rows, share = scan_coverage(X_WB, *seen)
         nearly = np.flatnonzero(share >= NEARLY_ALL)
         coverage = float(share[-1]) if len(share) else math.nan
@@ -91,13 +101,6 @@ class KnownWorld:
             _, share = scan_coverage(X_WB[np.concatenate([np.zeros(0, dtype=np.int64), *looked])], *seen)
             coverage = float(share[-1]) if len(share) else 0.0
         return {"area_coverage": coverage, "area_seen_s": float(stamps[rows[nearly[0]]]) if len(nearly) else math.nan}
-
-
-def counted_places(grid: Grid, cells: BoolArray) -> FloatArray:
-    """Centres (c, 2) in W of every EVERY-th of the cells of a grid, in x and y: coverage is counted on these."""
-    thinned = np.zeros_like(cells)
-    thinned[::EVERY, ::EVERY] = cells[::EVERY, ::EVERY]
-    return grid.centers(thinned)
 
 
 def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: FloatArray, X_WM: FloatArray) -> float:
@@ -134,7 +137,7 @@ def landmark_figures(
     maps_landmarks: bool,
     X_WM: FloatArray,
 ) -> dict[str, Any]:
-    """How many of the tags are mapped, and how well.
+    """How many of the tags are mapped, and, where there is a map, how well.
 
     Args:
         world: with the true tags; reachable (n,): those of them that can be seen from where the robot can be.
@@ -149,11 +152,6 @@ def landmark_figures(
         "landmarks_reachable": int(np.count_nonzero(reachable)),
         "landmarks_mapped": int(np.count_nonzero(counted)) if maps_landmarks else None,
         "landmarks_extra": int(np.count_nonzero(trusted & ~counted)) if maps_landmarks else None,
-        "landmark_rmse_m": math.nan,
-        "landmark_error_max_m": math.nan,
-        "landmark_rmse_aligned_m": math.nan,
-        "landmark_anees": math.nan,
-        "landmark_nees": math.nan,
     }
     if estimate is None:
         return figures

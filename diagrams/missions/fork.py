@@ -138,10 +138,7 @@ def _candidates(choice: GoalChoice, roadmap: Roadmap, X_WM: FloatArray) -> list[
         Candidate(
             node=int(choice.candidates[i]),
             p_WG=transform(X_WM, roadmap.points[[row]])[0],
-            gain=float(choice.gain[i]),
-            exploitation=float(choice.exploitation[i]),
-            exploration=float(choice.exploration[i]),
-            pose_price=float(choice.pose_price[i]),
+            **{name: float(getattr(choice, name)[i]) for name in ("gain", "exploitation", "exploration", "pose_price")},
             time=float(roadmap.travel_time[row]),
             chosen=bool(choice.candidates[i] == choice.node),
         )

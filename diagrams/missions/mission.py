@@ -22,7 +22,7 @@ from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.explorer import MapOfExplorer, StateOfExplorer
 from tfg_drake.diagrams.methods import METHODS, Method
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
-from tfg_drake.diagrams.missions.context_state import kinds_of, restore_state, state_of
+from tfg_drake.diagrams.missions.context_state import restore_state, state_of
 from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.parts import OUTPUTS
 from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
@@ -65,7 +65,6 @@ if TYPE_CHECKING:
 
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.missions.mission_runner import Progress
-    from tfg_drake.diagrams.warm_up import WarmUp
     from tfg_drake.systems.visualizer import TfgVisualizer
 
 # Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
@@ -73,10 +72,9 @@ ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
 PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 
-# Of a line of stages.jsonl what only a map of landmarks tells, after the number of the stage and before and after its
-# time.
-BEFORE_TIME = ("goal", "exploitation", "exploration", "pose_price", "predicted_gain", "realised_gain")
-AFTER_TIME = ("entropy_nats", "landmarks")
+# The fields of a line of stages.jsonl, null where a map does not tell them.
+STAGE_FIELDS: tuple[str, ...] = ("stage", "goal", "exploitation", "exploration", "pose_price", "predicted_gain")
+STAGE_FIELDS += ("realised_gain", "time_s", "entropy_nats", "landmarks")
 # Time between two looks at the mission, s, simulated; a stage takes several times as long.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
@@ -95,10 +93,9 @@ def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     return "".join(json.dumps(record) + "\n" for record in stages)
 
 
-def _stage_line(stage: int, stamp: float, told: Sequence[Any] | None = None) -> dict[str, Any]:
-    """A line of stages.jsonl; told: what a map of landmarks tells, None of a grid."""
-    known = dict(zip((*BEFORE_TIME, *AFTER_TIME), told or [None] * 8, strict=True))
-    return {"stage": stage, **{name: known[name] for name in BEFORE_TIME}, "time_s": stamp} | known
+def _stage_line(**told: Any) -> dict[str, Any]:
+    """A line of stages.jsonl."""
+    return {name: told.get(name) for name in STAGE_FIELDS}
 
 
 def _looking_round(systems: Mapping[str, tuple[Any, ...]], time: float) -> dict[str, tuple[Any, ...]]:
@@ -159,10 +156,9 @@ class MissionRequest:
     and once more before the files of the run are written.
 
     record: what the station's ports carry goes to ports.mcap, to be played again, and the map to the disk while it
-    grows; not for what a seed gives again. warm_up: those who compile the kernels that come after its first look, which
-    takes its time until all are there. monitor: makes what is called with the diagram's Context after every step of the
-    simulator. notes: what was not believed before it began, of a recording. before: the `state` in which the mission
-    that is in out_dir was cut short, to go on with it.
+    grows; not for what a seed gives again. monitor: makes what is called with the diagram's Context after every step of
+    the simulator. notes: what was not believed before it began, of a recording. before: the `state` in which the
+    mission that is in out_dir was cut short, to go on with it.
     """
 
     scenario: Scenario
@@ -178,7 +174,6 @@ class MissionRequest:
     interrupted: threading.Event | None = None
     on_progress: Callable[[Progress], None] | None = None
     record: bool = True
-    warm_up: WarmUp | None = None
     monitor: Callable[[Mission], Callable[[Context], EventStatus]] | None = None
     notes: Sequence[Note] = ()
     before: Packed | None = None
@@ -194,10 +189,11 @@ class Mission:
     """One mission and what is observed of it from outside.
 
     world: as the mission found it, None where it is not known. truth: what only a simulation knows, None for any
-    other robot and until the diagram is built. meter: the CPU time of the explorer's components. word: what else is
-    done, see `say`. simulator: of the diagram, and explorer: what explores, once it is built. failure: what ended
-    it, of the outcome fault. notes: what was not believed meanwhile. resumed: when it was gone on with, s.
-    wall_start: when it began by the host's monotonic clock, less what it had taken when it was gone on with, s.
+    other robot and until the diagram is built. meter: the CPU time of the explorer's components. simulator: of the
+    diagram, and explorer: what explores, once it is built. terminated: the diagram has ended it, so that all is done
+    that was due at its last instant. failure: what ended it, of the outcome fault. notes: what was not believed
+    meanwhile. resumed: when it was gone on with, s. wall_start: when it began by the host's monotonic clock, less what
+    it had taken when it was gone on with, s.
     """
 
     def __init__(
@@ -219,7 +215,6 @@ class Mission:
         if timeline is not None and request.before is None:
             self._begin_timeline(timeline)
         self._visualizer: TfgVisualizer | None = None
-        self.word = ""
         self._recorder: System | None = None  # of the timeline
 
         self.status = MissionStatus(phase="observe", stage=0, since=0.0)
@@ -231,7 +226,7 @@ class Mission:
         self.stages: list[dict[str, Any]] = []
         self.resumed: list[float] = []
         self.notes: list[Note] = []
-        self.outcome, self.reason = "", ""
+        self.outcome, self.reason, self.terminated = "", "", False
         self.failure: BaseException | None = None
         self.stage_cpu: dict[int, float] = {}
         self.wall_time = self.cpu_time = self.estimator_cpu = self.planner_cpu = 0.0
@@ -266,7 +261,7 @@ class Mission:
         logs = [(log.sample_times(), log.data()) for log in self._find_logs(self._context)]
         return {
             "time": (float, self.time),
-            **state_of(self.simulator.get_system(), self._context, self._kinds),
+            **state_of(self.simulator.get_system(), self._context, self._under),
             "logs": (_LOGS, [(times[times < self.time], data[:, times < self.time]) for times, data in logs]),
             "spent": (dict[str, float], self.meter.spent),
             **{name: (hint, getattr(self, name)) for name, hint in STATE.items()},
@@ -281,7 +276,8 @@ class Mission:
         time, logs = before.take("time", float), before.take("logs", _LOGS)
         if not 0.0 <= time <= ODOMETRY_PERIOD * len(logs[-2][0]):
             raise ValueError("time does not fit the logs")
-        systems = {path: before.take(path, kind) for path, kind in self._kinds.items() if path in before.names}
+        first = state_of(self.simulator.get_system(), self._context, self._under)
+        systems = {path: before.take(path, kind) for path, (kind, _) in first.items() if path in before.names}
         if self.robot.real:
             systems = _looking_round(systems, time)
         restore_state(self.simulator.get_system(), self._context, systems, time, self._under)
@@ -302,21 +298,27 @@ class Mission:
     def _find_logs(self, context: Context) -> list[VectorLog]:
         return [log.FindMutableLog(context) for log in self._logs if log is not None]
 
-    def advance(self, until: float) -> bool:
-        """Simulate up to a time, s, or the mission's end; whether it got that far and its monitor did not end it."""
-        # What was done since the last time is not to be made up for.
-        self.simulator.ResetStatistics()
-        self._since = self.time
-        while self.time < until and self.status.phase != "done":
-            boundary = STEP * (math.floor(self.time / STEP) + 1.0)
-            status = self.simulator.AdvanceTo(min(boundary, until))
-            ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
+    def advance(self, until: float, stop: Callable[[], float] = lambda: math.inf) -> bool:
+        """Simulate up to a time, s, or the mission's end, observed every STEP; whether no monitor ended it before.
+
+        stop: when it is to be called again, s; the mission goes on until then, and not at all where that is past.
+        """
+        while self.time < until and self.status.phase != "done" and (next_stop := stop()) > self.time:
+            boundary = min(STEP * (math.floor(self.time / STEP) + 1.0), until)
+            status = self.simulator.AdvanceTo(min(boundary, next_stop))
+            ended = self.terminated = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
             if ended and status.system() is self.simulator.get_system():
                 return False
-            self.observe()
+            if ended or self.time >= boundary:
+                self.observe()
             if ended and self.status.phase != "done":
                 return False
         return True
+
+    def forgive_delay(self) -> None:
+        """What was done since the last advance is not to be made up for, where the mission keeps real time."""
+        self.simulator.ResetStatistics()
+        self._since = self.time
 
     def record_now(self) -> None:
         """Writes the timeline as everything is now."""
@@ -328,8 +330,7 @@ class Mission:
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     def say(self, word: str) -> None:
-        """From now on page and progress say what else is done, "" for nothing."""
-        self.word = word
+        """From now on the page says what else is done, "" for nothing."""
         if self._cockpit is not None:
             self._cockpit.word = word
 
@@ -433,7 +434,7 @@ class Mission:
         """The estimator's state, in the end with the final map; None for a method without one."""
         if self._final is not None or self._context is None or not self.explorer.HasOutputPort("map"):
             return self._final
-        return StateOfExplorer(self.explorer, self.explorer.GetMyContextFromRoot(self._context))
+        return StateOfExplorer(self.explorer, self._explorer_context)
 
     @property
     def landmarks(self) -> MapEstimate | None:
@@ -490,17 +491,15 @@ class Mission:
 
     def final_map(self) -> tuple[SavedMap | None, MapEstimate, TfgMap] | None:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
-        if self._context is None or not self._maps:
+        if not self._maps:
             return None
-        context = self.explorer.GetMyContextFromRoot(self._context)
-        state = StateOfExplorer(self.explorer, context)
         # Of an estimator that says no more than its map, that is the final one.
-        self._final = state
+        self._final = state = StateOfExplorer(self.explorer, self._explorer_context)
         try:
             self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state
         except EstimateLost as error:
             self.outcome, self.reason, self.failure = "fault", str(error), error
-        return MapOfExplorer(self.explorer, context, self.X_WM, self._final, self.scenario)
+        return MapOfExplorer(self.explorer, self._explorer_context, self.X_WM, self._final, self.scenario)
 
     def pressed(self) -> tuple[Pressed, ...] | None:
         """The keys that somebody has driven by, None where nobody has."""
@@ -509,14 +508,15 @@ class Mission:
     @property
     def _maps(self) -> bool:
         """True if there are landmarks and surfaces; there may be a map without surfaces."""
-        return self.explorer.HasOutputPort("map") and self.explorer.HasOutputPort("tfg")
+        return self._context is not None and all(map(self.explorer.HasOutputPort, ("map", "tfg")))
+
+    @property
+    def _explorer_context(self) -> Context:
+        return self.explorer.GetMyContextFromRoot(self._context)
 
     def newest_map(self) -> SavedMap | None:
         """The map as it is while the mission runs, to be kept; None before the first view, and of a grid."""
-        if self._context is None or not self._maps:
-            return None
-        context = self.explorer.GetMyContextFromRoot(self._context)
-        found = MapOfExplorer(self.explorer, context, self.X_WM)
+        found = MapOfExplorer(self.explorer, self._explorer_context, self.X_WM) if self._maps else None
         return found[0] if found is not None else None
 
     def _build(self) -> None:
@@ -548,7 +548,6 @@ class Mission:
         self.meter.attach(self.explorer)
         self._context = self.simulator.get_mutable_context()
         diagram.SetRandomContext(self._context, RandomGenerator(self.scenario.seed))
-        self._kinds = kinds_of(diagram, self._context, self._under)
 
     def _begin_timeline(self, timeline: TimelineWriter) -> None:
         """Writes what is fixed: the true world, the robot, and its sensors' reach."""
@@ -592,7 +591,7 @@ class Mission:
                 Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
             )
         elif self.grid is not None and self.grid.stage > len(self.stages):
-            record = _stage_line(self.grid.stage, self.grid.stamp)
+            record = _stage_line(stage=self.grid.stage, time_s=self.grid.stamp)
         if record is not None or self._shown_at is not self.X_WM:
             self._shown_at = self.X_WM
             if self._visualizer is not None:
@@ -615,8 +614,7 @@ class Mission:
         """Says once that the mission is behind the clock on the wall."""
         rate, now = self.simulator.get_target_realtime_rate(), self.simulator.get_actual_realtime_rate()
         late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
-        # While kernels are compiled the mission is slowed down by them, and says so.
-        if late > LATE and not self._late and not self.word:
+        if late > LATE and not self._late:
             self._late = True
             _pace_log.warning("%.0f s: real time is missed, by %.1f s: this machine is too slow", self.time, late)
 
@@ -631,17 +629,23 @@ class Mission:
         arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
         if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None
-        parts: dict[str, float | None] = dict.fromkeys(("exploitation", "exploration", "pose_price", "gain"))
+        parts = {}
         if choice is not None:
             row = int(np.flatnonzero(choice.candidates == choice.node)[0])
-            parts = {name: float(getattr(choice, name)[row]) for name in parts}
+            parts = {name: float(getattr(choice, name)[row]) for name in ("exploitation", "exploration", "pose_price")}
+            parts["predicted_gain"] = float(choice.gain[row])
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
-        X_WA = compose(self.X_WM, estimate.X_MA[-1])
-        realised = prior + (before.entropy if before is not None else 0.0) - estimate.entropy
-        told = [[float(value) for value in X_WA], *parts.values(), realised, estimate.entropy, len(estimate.ids)]
-        return _stage_line(estimate.stage, estimate.stamp, told)
+        return _stage_line(
+            stage=estimate.stage,
+            goal=[float(value) for value in compose(self.X_WM, estimate.X_MA[-1])],
+            **parts,
+            realised_gain=prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
+            time_s=estimate.stamp,
+            entropy_nats=estimate.entropy,
+            landmarks=len(estimate.ids),
+        )
 
     def position_error(self) -> float:
         """Error of the estimated position now, m; nan where the truth is not known."""
@@ -652,7 +656,7 @@ class Mission:
 
     def look(self, port: str, kind: type[T]) -> T:
         """The message at an output of the explorer now. Raises TypeError where it is of another kind."""
-        value = self.explorer.GetOutputPort(port).Eval(self.explorer.GetMyContextFromRoot(self._context))
+        value = self.explorer.GetOutputPort(port).Eval(self._explorer_context)
         if not isinstance(value, kind):
             part = next((one for one in self.explorer.GetSystems() if one.HasOutputPort(port)), self.explorer)
             raise TypeError(f"{part.get_name()}.{port} must hold {kind.__name__}, not {type(value).__name__}")

@@ -11,11 +11,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.systems.analysis import SimulatorStatus
 
 from tfg_drake.bad_input import EstimateLost
 from tfg_drake.diagrams.missions.mission import STEP, Mission
-from tfg_drake.diagrams.warm_up import WarmUp
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.summary import landmark_counts
@@ -27,10 +25,6 @@ if TYPE_CHECKING:
 
 # Time between two looks at a real robot's mission, s.
 REAL_STEP = 0.25
-# While kernels are compiled a mission goes at least so fast, times real time, and so far, s, from one look at them to
-# the next: the picture moves every second.
-SLOWEST = 0.15
-SLOW_STEP = 0.125
 # Where a page is open its wishes are looked at so often, simulated s, and while the clock is held, s of wall time.
 WATCHED_STEP = 0.125
 HELD_INTERVAL = 0.05
@@ -44,7 +38,7 @@ _log = logging.getLogger("tfg_drake.run")
 class Progress:
     """The progress of a mission: simulated and wall time (s), phase, views in the map, landmarks in the map as they are
     told, such as "3 tags", area seen (m^2), error of the estimated position (m), nan where the truth is not known;
-    outcome: "" until it has ended; word: what else is done meanwhile."""
+    outcome: "" until it has ended."""
 
     time: float
     wall_time: float
@@ -54,7 +48,6 @@ class Progress:
     area: float
     position_error: float
     outcome: str = ""
-    word: str = ""
 
 
 class MissionRunner:
@@ -72,23 +65,18 @@ class MissionRunner:
         """Simulate until the mission ends, and note its outcome and the reason. write: as for `Mission.begin`. keep:
         called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises ends
         the mission. Raises CheckpointError where there is nothing to go on from."""
-        mission, request, warm_up = self._mission, self._request, self._request.warm_up
+        mission, request = self._mission, self._request
         keep, step = keep or (lambda _now: None), REAL_STEP if mission.robot.real else STEP
         try:
             mission.begin(write)
             keep(True)
             mission.simulator.set_target_realtime_rate(1.0 if mission.robot.real else request.realtime_rate)
-            terminated = False
             while not self._ended():
-                if warm_up is not None and self._pace(warm_up):
-                    warm_up = None
-                now = step if warm_up is None else SLOW_STEP
-                boundary = now * (math.floor(mission.time / now) + 1.0)
-                terminated = self._advance(min(boundary, request.max_time, mission.robot.end_time))
-                mission.observe()
+                boundary = step * (math.floor(mission.time / step) + 1.0)
+                mission.advance(min(boundary, request.max_time, mission.robot.end_time), self._stop)
                 keep(False)
                 self._tell()
-            if not terminated:
+            if not mission.terminated:
                 keep(True)
                 # A mission that ends by itself has done all that was due at its last instant. One that is ended from
                 # outside does it here, so that a replay of its recording comes to the same.
@@ -111,55 +99,30 @@ class MissionRunner:
         if mission.built:
             self._tell()
 
-    def _advance(self, boundary: float) -> bool:
-        """Simulates up to a time, s, or less when interrupted; whether the mission has ended by itself.
+    def _stop(self) -> float:
+        """Until when to simulate before this is asked again, s: somebody at the page may hold the clock or change its
+        speed, or the mission is interrupted. These instants change nothing of it."""
+        page, time = self._request.cockpit, self._mission.time
+        if page is not None and page.clock is not None:
+            self._obey(page.clock)
+        if self._interrupted.is_set():
+            return -math.inf
+        is_watched = page is not None and page.clock is not None and page.watched
+        return WATCHED_STEP * (math.floor(time / WATCHED_STEP) + 1.0) if is_watched else math.inf
 
-        Meanwhile somebody at the page may hold the clock or change its speed. The instants at which that is looked for
-        change nothing of the mission.
-        """
-        mission, page = self._mission, self._request.cockpit
-        while mission.time < boundary and not self._interrupted.is_set():
-            ahead = math.inf
-            if page is not None and page.clock is not None:
-                if self._is_held(page.clock):
-                    break
-                if page.watched:
-                    ahead = WATCHED_STEP * (math.floor(mission.time / WATCHED_STEP) + 1.0)
-            status = mission.simulator.AdvanceTo(min(boundary, ahead))
-            if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
-                return True
-        return False
-
-    def _is_held(self, clock: Clock) -> bool:
-        """Sets the clock as the page wants it, and waits while it is held; whether the mission was interrupted then."""
+    def _obey(self, clock: Clock) -> None:
+        """Sets the clock as the page wants it, and waits while it is held."""
         mission = self._mission
         clock.at_stage(mission.stage_now())
         if clock.version == self._clock_version:
-            return False
+            return
         if clock.held:
             mission.record_now()
             while clock.held and not self._interrupted.wait(HELD_INTERVAL):
                 pass
         self._clock_version = clock.version
         mission.simulator.set_target_realtime_rate(clock.rate)
-        mission.simulator.ResetStatistics()  # or it would make up for the time that it stood
-        return self._interrupted.is_set()
-
-    def _pace(self, warm_up: WarmUp) -> bool:
-        """Slows the mission down so that all kernels are there when its first look is over, and holds it there until
-        they are: what comes next would compile them once more. Whether they are."""
-        mission, rate = self._mission, self._request.realtime_rate
-        left = mission.scenario.explorer.first_look - mission.time
-        while left <= 0.0 and not warm_up.ended and not self._interrupted.wait(HELD_INTERVAL):
-            mission.say(warm_up.word)
-            self._tell()
-        ended = warm_up.ended
-        if not ended:
-            rate = min(max(SLOWEST, left / max(warm_up.left, 1e-3)), self._request.realtime_rate or math.inf)
-        mission.say("" if ended else warm_up.word)
-        mission.simulator.set_target_realtime_rate(rate)
-        mission.simulator.ResetStatistics()  # or it would make up for the time that it went slowly
-        return ended
+        mission.forgive_delay()
 
     def _ended(self) -> bool:
         mission, outcome, reason = self._mission, "", ""
@@ -198,7 +161,6 @@ class MissionRunner:
                 self._area,
                 mission.position_error(),
                 mission.outcome,
-                mission.word,
             )
         )
 

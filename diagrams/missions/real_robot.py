@@ -19,7 +19,7 @@ from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.checks import check, refuse
-from tfg_drake.hardware.keyboard import KEYS, Keyboard
+from tfg_drake.hardware.keyboard import HELP, KEYS, Keyboard
 from tfg_drake.hardware.remarks import BatteryWatch, RobotButtons
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
@@ -31,13 +31,17 @@ REHEARSAL = 30.0
 
 
 @contextlib.contextmanager
-def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Robot, Scenario]]:
+def OpenRobot(
+    scenario: Scenario, method: Method, interrupted: threading.Event, *, checked: bool = True
+) -> Iterator[tuple[Robot, Scenario]]:
     """The robot that scenario.hardware names, and the scenario within the limits of robot, scanner and camera; closed
-    at the end.
+    at the end. Its mission has been rehearsed, until interrupted.
 
-    checked: what it says while it stands is looked at, and told on standard output. Keys on standard input and the
+    checked: what it says while it stands is looked at. All is told on standard output. Keys on standard input and the
     robot's own buttons operate it. Raises DeviceError, also where a check fails.
     """
+    if not checked:
+        print("--skip-checks: battery, sensors and clocks are not checked, nor is the first turn", flush=True)
     devices = dataclasses.replace(open_devices(scenario.hardware, scenario.robot), checked=checked)
     with contextlib.closing(devices), contextlib.closing(Keyboard(KEYS)) as keyboard:
         bounded = Bounded(scenario, devices)
@@ -45,7 +49,11 @@ def OpenRobot(scenario: Scenario, *, checked: bool = True) -> Iterator[tuple[Rob
             checks = check(devices)
             print("".join(f"{line}\n" for line in checks), end="", flush=True)
             refuse(checks)
-        yield RobotOf(scenario, devices, [keyboard.requests]), bounded
+        robot = RobotOf(scenario, devices, [keyboard.requests])
+        print(f"{robot.name}: connected; a short rehearsal in simulation, then it is yours", flush=True)
+        Rehearse(scenario, method, interrupted)
+        print(HELP, flush=True)
+        yield robot, bounded
 
 
 def RobotOf(

@@ -12,17 +12,19 @@ import numpy as np
 
 from tfg_drake import __version__
 from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
-from tfg_drake.diagrams.missions.left_open import left_open
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
+from tfg_drake.diagrams.missions.summary_words import title
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
-from tfg_drake.percent import percent
+from tfg_drake.planning.mission_end import UNSEEN
+from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings
+from tfg_drake.planning.undiscovered import AREAS, undiscovered
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
@@ -96,7 +98,7 @@ def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
-    folder.attempt("figure.png", lambda path: _draw(path, mission, _title(summary), estimate, tfg, reachable))
+    folder.attempt("figure.png", lambda path: _draw(path, mission, title(summary), estimate, tfg, reachable))
     return summary
 
 
@@ -183,7 +185,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "area_seen_s": None,
         "explored_s": mission.explored_time,
         "open_edges": mission.open_edges(),
-        **left_open(mission),
+        **_left_open(mission),
         "contacts": None,
         "contacts_received": None,
         "min_clearance_m": None,
@@ -196,6 +198,32 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
     }
+
+
+def _left_open(mission: Mission) -> dict[str, Any]:
+    """The summary's `openings`, those with the most unknown behind them first, and `undiscovered`; both null for a
+    method without a TFG."""
+    tfg, pose, roadmap = mission.tfg, mission.pose, None
+    if tfg is not None and tfg.stage:
+        roadmap = mission.look_for("roadmap", Roadmap)
+    if tfg is None or roadmap is None or pose is None:
+        return {"openings": None, "undiscovered": None}
+    found = find_openings(tfg, roadmap, pose.X_MB[:2], mission.scenario.robot, mission.scenario.view)
+    why = [UNSEEN if row == NOT_WORTH and mission.outcome != "complete" else WHY[row] for row in found.why]
+    places, missing = transform(mission.X_WM, found.p).round(2), found.missing.round(2)
+    openings = [
+        {
+            "p_WO": places[i].tolist(),
+            "width_m": round(float(found.width[i]), 2),
+            "why": why[i],
+            "missing_m": float(missing[i]) or None,
+            "unknown_m2": round(float(found.unknown[i]), 1),
+        }
+        for i in np.lexsort((-found.width, -found.unknown))
+    ]
+    probability = undiscovered(found).round(4).tolist()
+    rooms = [{"area_m2": area, "probability": p} for area, p in zip(AREAS, probability, strict=True)]
+    return {"openings": openings, "undiscovered": rooms}
 
 
 def _calibration(mission: Mission, estimate: MapEstimate | None) -> dict[str, Any]:
@@ -241,30 +269,3 @@ def _null_where_not_finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _null_where_not_finite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _title(summary: dict[str, Any]) -> str:
-    def value(number: float | None, form: str) -> str:
-        return "-" if number is None else form.format(number)
-
-    parts, error = [], ""
-    mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
-    if mapped is not None and reachable:
-        parts.append(
-            f"{mapped} of {reachable} tags, map error {value(summary['landmark_rmse_m'], '{:.3f}')} m RMSE"
-            f" ({value(summary['landmark_rmse_aligned_m'], '{:.3f}')} m aligned)"
-        )
-    elif mapped or summary["walls_mapped"]:
-        parts.append(f"{mapped} tags" if mapped else f"{summary['walls_mapped']} walls")
-    if (share := summary["surface_coverage_5cm"]) is not None:
-        parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
-    if summary["contacts"] is not None:
-        error = (
-            f"pose error {value(summary['position_error_moving_m']['mean'], '{:.3f}')} m mean from the first drive on,"
-            f" {value(summary['heading_error_rad']['mean'], '{:.4f}')} rad mean"
-        )
-    ended = f"{summary['outcome'].replace('_', ' ')} after {summary['sim_time_s']:.1f} s"
-    return (
-        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {ended}, {summary['distance_m']:.1f} m,"
-        f" {summary['stages']} stages\n{'; '.join(parts)}\n{error}"
-    ).rstrip()

@@ -19,19 +19,17 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump_typed
-
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.diagrams.missions.left_open import ON_PAGE, left_open_rows
 from tfg_drake.diagrams.missions.mission import STATE, Mission, MissionRequest, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.missions.report import write_report
 from tfg_drake.diagrams.missions.resume import KNOWN_MAP, scenario_digest
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
-from tfg_drake.diagrams.scenario import AreasOutside, MakeWorld, Scenario
+from tfg_drake.diagrams.missions.summary_words import ON_PAGE, left_open_rows
+from tfg_drake.diagrams.scenario import AreasOutside, DumpScenario, MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
 from tfg_drake.mapfile.saved_map import save_map
@@ -51,24 +49,8 @@ from tfg_drake.world.world import odd_tags
 KEPT_SHARE = 0.01
 CHECKPOINT_SHARE = 0.02
 
-# What the page's last card says of the summary.
-TOLD_AT_THE_END = (
-    "outcome",
-    "reason",
-    "sim_time_s",
-    "distance_m",
-    "stages",
-    "landmarks_mapped",
-    "landmarks_reachable",
-    "walls_mapped",
-    "landmark_rmse_m",
-    "landmark_rmse_aligned_m",
-    "position_error_moving_m",
-    "area_coverage",
-    "surface_coverage_5cm",
-    "contacts",
-    "contacts_received",
-)
+# Of the summary, what is too long for the page's last card.
+TOO_LONG = ("open_edges", "openings")
 
 _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_drake.world")
 
@@ -151,7 +133,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             mission.say(mission.outcome.replace("_", " "))
             mission.show()
             if timeline is not None:
-                told = {name: summary[name] for name in TOLD_AT_THE_END}
+                told = {name: value for name, value in summary.items() if name not in TOO_LONG}
                 told["left_open"] = left_open_rows(summary, ON_PAGE)
                 timeline.write("end", mission.time, {}, **told, folder=str(folder.path))
         if timeline is not None:
@@ -175,7 +157,7 @@ def _with_map_kept(scenario: Scenario, folder: Path) -> Scenario:
         if not (path.exists() and path.samefile(known)):
             write_atomic(path, known.read_bytes())
         kept.explorer.known_map = KNOWN_MAP
-    write_atomic(folder / "scenario.yaml", yaml_dump_typed(kept))
+    write_atomic(folder / "scenario.yaml", DumpScenario(kept))
     if scenario.explorer.known_map:
         kept.explorer.known_map = str((folder / KNOWN_MAP).resolve())
     return kept

@@ -11,10 +11,11 @@ import sys
 import tempfile
 import time
 import typing
-from collections.abc import Callable, Iterator
-from io import TextIOWrapper
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from tfg_drake.bad_input import BadInput
+from tfg_drake.config import ROBOTS
 from tfg_drake.io.files import open_inside
 
 # What a run leaves in its folder; sweep.json and what belongs to it is a comparison's, which goes on where it ended.
@@ -37,7 +38,63 @@ RESULTS += ("trajectory.tum", "truth.tum", "online.tum")
 # 2 MB after ten minutes, 10 MB after an hour.
 RESERVE = 16 * 2**20
 
+# What remarks what an operator is to see at once.
+REMARKING = (
+    "hardware",
+    "notes",
+    "operator",
+    "pace",
+    "storage",
+    "run_folder",
+    "slam.sensors",
+    "visualizer",
+    "world",
+)
+
 _log = logging.getLogger("tfg_drake.run_folder")
+
+
+def run_name(scenario: str, world: Path | None, robot: str = "sim") -> str:
+    """Name of a run: its robot, its world or its scenario."""
+    if robot != "sim":
+        return robot.partition(":")[0]
+    return Path(scenario).stem if world is None else world.stem.removesuffix(".vectormap")
+
+
+def check_kept(out: Path, replayed: Path | None = None, inputs: Sequence[Path] = ()) -> None:
+    """Raises BadInput where a run in the folder would be lost that nothing brings back, or what somebody wrote: one of
+    the files that are read has the name of the scenario that a run leaves, and is none."""
+    from tfg_drake.storage.port_recording import recorded_robot
+
+    for file in inputs:
+        if file.resolve() == (out / "scenario.yaml").resolve() and not (out / "stages.jsonl").exists():
+            raise BadInput(f"--out {out}: its scenario.yaml, which is read, would be written over; name another folder")
+    if replayed is not None and out.resolve() == replayed.resolve():
+        raise BadInput(f"--out {out}: holds the run that is replayed; name another folder")
+    robot = recorded_robot(out)
+    if robot in ROBOTS:
+        raise BadInput(f"--out {out}: holds the run of a real robot ({robot}), which nothing brings back; name another")
+
+
+def remarks_on_screen(screen: typing.TextIO | None = None) -> contextlib.AbstractContextManager[None]:
+    """Shows the remarks of base, operator, Meshcat's picture and the run's files on a screen, by default standard
+    output, meanwhile."""
+    names = (f"tfg_drake.{name}" for name in REMARKING)
+    return _heard(logging.StreamHandler(screen or sys.stdout), "%(message)s", *names)
+
+
+@contextlib.contextmanager
+def _heard(handler: logging.Handler, form: str, *names: str) -> Iterator[None]:
+    """Meanwhile what the loggers of these names say goes to a handler, too."""
+    handler.setFormatter(logging.Formatter(form))
+    loggers = [logging.getLogger(name) for name in names]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
 
 
 def make_run_folder(out: Path | None, name: str) -> Path:
@@ -155,42 +212,29 @@ class RunFolder:
     @contextlib.contextmanager
     def logging(self) -> Iterator[None]:
         """Logs the program's remarks to log.txt meanwhile. Raises OSError if it cannot be opened."""
-        handler = _LogFile(self)
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        _append(self.path / "log.txt", b"")
         logger = logging.getLogger("tfg_drake")
         level = logger.level
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
-        try:
-            yield
-        finally:
-            logger.setLevel(level)
-            logger.removeHandler(handler)
-            handler.close()
+        with _heard(_LogFile(self), "%(asctime)s %(levelname)s %(name)s: %(message)s", logger.name):
+            logger.setLevel(logging.INFO)
+            try:
+                yield
+            finally:
+                logger.setLevel(level)
 
 
-class _LogFile(logging.FileHandler):
-    """A log that may be cut short, as by a full disk."""
+class _LogFile(logging.Handler):
+    """Appends to log.txt, which may be cut short, as by a full disk."""
 
     def __init__(self, folder: RunFolder) -> None:
-        super().__init__(folder.path / "log.txt", mode="a", encoding="utf-8")
+        super().__init__()
         self._folder = folder
 
-    def _open(self) -> TextIOWrapper:
-        return typing.cast(TextIOWrapper, open_inside(Path(self.baseFilename), "a", encoding="utf-8"))
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        error = sys.exc_info()[1]
-        if isinstance(error, OSError):
-            self._folder.lost("log.txt", error)
-        else:
-            super().handleError(record)
-
-    def close(self) -> None:
+    def emit(self, record: logging.LogRecord) -> None:
         try:
-            super().close()
-        except OSError as error:
-            self._folder.lost("log.txt", error)
+            self._folder.append("log.txt", f"{self.format(record)}\n")
+        except Exception:
+            self.handleError(record)
 
 
 def _append(path: Path, data: bytes) -> None:
@@ -201,5 +245,6 @@ def _append(path: Path, data: bytes) -> None:
             while data:
                 data = data[file.write(data) :]
         except OSError:
-            file.truncate(size)
+            with contextlib.suppress(OSError):
+                file.truncate(size)
             raise

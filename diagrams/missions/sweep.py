@@ -25,15 +25,13 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from pydrake.common.yaml import yaml_dump_typed
-
 from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.mission import MissionRequest
-from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.diagrams.scenario import DumpScenario, Scenario
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
@@ -68,7 +66,7 @@ class Task:
 
     def receipt(self) -> dict[str, Any]:
         """Tells the task from any other."""
-        digest = hashlib.sha256(yaml_dump_typed(self.scenario).encode()).hexdigest()
+        digest = hashlib.sha256(DumpScenario(self.scenario).encode()).hexdigest()
         code = hashlib.sha256(Path(self.source).read_bytes()).hexdigest() if self.source else None
         task = {"version": __version__, "scenario": self.name, "world": self.world_name, "scenario_sha256": digest}
         return task | {"max_time_s": self.max_time, "method": self.method, "method_sha256": code, "seed": self.seed}

@@ -17,7 +17,7 @@ import typer
 from tests.diagrams.rooms import ROOM
 from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams import cli, warm_up
+from tfg_drake.diagrams import cli, compile_kernels
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
@@ -142,7 +142,7 @@ def test_whoever_drives_by_hand_has_a_page_in_real_time(call, room, tmp_path, mo
     def open_page(*_, **given):
         raise BadInput(f"rate {given['rate']}")
 
-    monkeypatch.setattr("tfg_drake.diagrams.commands.page.open_page", open_page)
+    monkeypatch.setattr("tfg_drake.diagrams.missions.page.open_page", open_page)
     assert call("explore", room, *arguments, "--out", tmp_path / "run")[2] == f"tfg-drake: rate {rate}\n"
 
 
@@ -353,8 +353,6 @@ def test_the_progress_line():
     assert untold == " 120.0 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
     over = explore_command.progress_line(dataclasses.replace(progress, outcome="complete"))
     assert over == " 120.0 s  complete: solving the whole map, writing the run's files"
-    busy = explore_command.progress_line(dataclasses.replace(progress, word="compiling kernels, 12 of 74"))
-    assert busy == " 120.0 s  stage   7 follow   compiling kernels, 12 of 74"
 
 
 @pytest.mark.parametrize(("number", "name"), SIGNALS)
@@ -442,7 +440,7 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
         raise OSError(error, os.strerror(error), sys.executable)
 
     monkeypatch.setattr(kernels, "are_compiled", lambda: False)
-    monkeypatch.setattr(warm_up.subprocess, "Popen", refuse)
+    monkeypatch.setattr(compile_kernels.subprocess, "Popen", refuse)
     code, _, err = call("explore", room, "--headless")
     complaint = f"cannot be started to compile kernels: {os.strerror(error).lower()}"
     assert (code, err) == (2, f"tfg-drake: {sys.executable}: {complaint}\n")
@@ -488,15 +486,15 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
 )
 def test_arguments_are_judged_before_anything_is_compiled_or_said(call, monkeypatch, arguments, complaint):
     monkeypatch.setattr(kernels, "are_compiled", lambda: False)
-    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.WarmUp", None)
+    monkeypatch.setattr("tfg_drake.diagrams.compile_kernels.WarmUp", None)
     assert call("explore", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
 
 
 def test_the_time_that_kernels_take_is_never_told_to_grow(monkeypatch):
     left = iter([math.inf, 360.0, 410.0, 430.0, 390.0, 130.0, 61.0, 150.0, 20.0, 0.0])
-    monkeypatch.setattr(warm_up.WarmUp, "left", property(lambda _self: next(left)))
-    monkeypatch.setattr(warm_up.WarmUp, "ended", False)
-    compiling = object.__new__(warm_up.WarmUp)
+    monkeypatch.setattr(compile_kernels.WarmUp, "left", property(lambda _self: next(left)))
+    monkeypatch.setattr(compile_kernels.WarmUp, "ended", False)
+    compiling = object.__new__(compile_kernels.WarmUp)
     compiling._told = math.inf
     words = [compiling.word.removeprefix("compiling kernels, once per installation") for _ in range(10)]
     minutes = [6, 6, 6, 6, 3, 2, 2]
@@ -505,7 +503,7 @@ def test_the_time_that_kernels_take_is_never_told_to_grow(monkeypatch):
 
 def test_who_interrupts_the_compiling_does_not_wait_for_it(call, monkeypatch):
     class Compiling:
-        word, ready, ended = "compiling kernels", False, False
+        word, ended = "compiling kernels", False
 
         def close(self):
             pass
@@ -514,7 +512,7 @@ def test_who_interrupts_the_compiling_does_not_wait_for_it(call, monkeypatch):
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(kernels, "are_compiled", lambda: False)
-    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.WarmUp", Compiling)
-    monkeypatch.setattr("tfg_drake.diagrams.commands.command_line.time.sleep", interrupt)
+    monkeypatch.setattr("tfg_drake.diagrams.compile_kernels.WarmUp", Compiling)
+    monkeypatch.setattr("tfg_drake.diagrams.compile_kernels.time.sleep", interrupt)
     code, out, _ = call("explore", "house", "--headless")
     assert (code, "outcome" in out) == (128 + signal.SIGINT, False)

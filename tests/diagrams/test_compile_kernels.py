@@ -7,7 +7,7 @@ import time
 import pytest
 
 from benchmarks.mission_kernels import called_by, spelled
-from tfg_drake.diagrams import compile_kernels, warm_up
+from tfg_drake.diagrams import compile_kernels
 
 CALLED = r"""
 import tfg_drake
@@ -18,23 +18,21 @@ print(*map("\t".join, called()), sep="\n")
 
 
 def test_each_is_there_with_such_types_and_after_what_it_calls():
-    listed, first = warm_up.listed()
-    assert 0 < first < len(listed)
+    listed = compile_kernels.listed()
     assert len(set(listed)) == len(listed)
     found = [compile_kernels.resolved(one) for one in listed]
     assert [one.types for one in listed] == [f"({''.join(f'{spelled(one)}, ' for one in types)})" for _, types in found]
     names = [kernel for kernel, _ in found]
-    for half in (names[:first], names[first:]):
-        for row, kernel in enumerate(half):
-            later = set(half[row + 1 :])
-            assert not later & set(called_by(kernel)) - {kernel}, kernel
+    for row, kernel in enumerate(names):
+        later = set(names[row + 1 :])
+        assert not later & set(called_by(kernel)) - {kernel}, kernel
 
 
 def test_it_has_what_another_mission_calls():
     done = subprocess.run([sys.executable, "-c", CALLED], capture_output=True, text=True, check=True)
     called = {tuple(line.split("\t")) for line in done.stdout.splitlines()}
     assert len(called) > 50
-    assert called - {(one.module, one.name, one.types) for one in warm_up.listed()[0]} == set(), "make kernels"
+    assert called - {(one.module, one.name, one.types) for one in compile_kernels.listed()} == set(), "make kernels"
 
 
 @pytest.fixture
@@ -47,8 +45,7 @@ def few(monkeypatch):
         ("geometry.distance", "gone", 2.0, types),
         ("geometry.distance", "point_segment_distance", 8.0, "(boolean, )"),
     ]
-    monkeypatch.setattr(warm_up, "listed", lambda: ([warm_up.Listed(*row) for row in rows], 1))
-    monkeypatch.setattr(compile_kernels, "listed", warm_up.listed)
+    monkeypatch.setattr(compile_kernels, "listed", lambda: [compile_kernels.Listed(*row) for row in rows])
 
 
 def test_a_process_leaves_what_another_has_begun_and_what_is_of_another_version(few, tmp_path):
@@ -59,13 +56,12 @@ def test_a_process_leaves_what_another_has_begun_and_what_is_of_another_version(
 
 
 def test_the_time_left_goes_by_what_each_costs(few, tmp_path):
-    compiling = object.__new__(warm_up.WarmUp)
+    compiling = object.__new__(compile_kernels.WarmUp)
     compiling._folder = type("", (), {"name": str(tmp_path)})
     compiling._since, compiling._processes = time.monotonic() - 100.0, [type("", (), {"poll": lambda _self: None})()]
     assert compiling.left == float("inf")
-    assert not compiling.ready
     (tmp_path / "0.kept").touch()
-    assert (compiling.ready, compiling.left) == (True, float("inf"))
+    assert compiling.left == float("inf")
     (tmp_path / "3.made").touch()
     assert compiling.left == pytest.approx(100.0, abs=1.0)  # 8 of 16 s that were not there.
     (tmp_path / "1.made").touch()
@@ -78,5 +74,5 @@ def test_they_are_compiled_for_the_package_that_this_program_imports(tmp_path, m
     (tmp_path / "tfg_drake").mkdir()
     (tmp_path / "tfg_drake" / "__init__.py").write_text("raise SystemExit(3)")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(warm_up, "MODULE", "tfg_drake.notes")
-    assert warm_up._start(tmp_path).wait(60) == 0
+    monkeypatch.setattr(compile_kernels, "MODULE", "tfg_drake.notes")
+    assert compile_kernels._start(tmp_path).wait(60) == 0

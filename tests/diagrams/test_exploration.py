@@ -18,7 +18,7 @@ from examples.estimator import MakeTruthEstimator
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, ROOM, lasting, tagged
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams.commands import command_line
+from tfg_drake.diagrams import compile_kernels
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import MethodError
 from tfg_drake.diagrams.mission_diagram import ConnectStation
@@ -342,14 +342,14 @@ def test_kernels_that_are_compiled_are_told_on_standard_error(monkeypatch, capsy
         Compiling.ended = True
 
     monkeypatch.setattr(kernels, "are_compiled", lambda: next(compiled))
-    monkeypatch.setattr(command_line, "WarmUp", Compiling)
-    monkeypatch.setattr(command_line.time, "sleep", wait)
-    command_line.make_kernels_ready.__wrapped__()
+    monkeypatch.setattr(compile_kernels, "WarmUp", Compiling)
+    monkeypatch.setattr(compile_kernels.time, "sleep", wait)
+    compile_kernels.make_kernels_ready.__wrapped__()
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.startswith("compiling kernels, once per installation, into ")
     monkeypatch.setattr(kernels, "are_compiled", lambda: True)
-    command_line.make_kernels_ready.__wrapped__()
+    compile_kernels.make_kernels_ready.__wrapped__()
     assert capsys.readouterr() == ("", "")
 
 

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from tests.diagrams.rooms import lasting, room
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.systems.port_recording import PortPlayer

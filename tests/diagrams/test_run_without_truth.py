@@ -8,9 +8,8 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import DiagramBuilder
 
 from tests.diagrams.rooms import ROOM, SHORT_LOOK, tagged
-from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.methods import FindMethod
-from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions import run, summary_words
 from tfg_drake.diagrams.robots import Robot
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import compose
@@ -91,10 +90,10 @@ def test_without_a_world_all_is_in_the_map_frame(simulated, worldless):
 
 
 def test_the_closing_table_shows_what_is_known(truthless, worldless):
-    rows = dict(explore_command.table_rows(truthless.summary))
+    rows = dict(summary_words.table_rows(truthless.summary))
     assert rows["pose error"] == rows["safety"] == "-"
     assert rows["coverage"] == "100.0 % of the surface within 5 cm"
-    rows = dict(explore_command.table_rows(worldless.summary))
+    rows = dict(summary_words.table_rows(worldless.summary))
     assert rows["tags"] == f"{worldless.summary['landmarks_mapped']} mapped"
     assert rows["coverage"] == "-"
 

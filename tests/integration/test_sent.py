@@ -6,7 +6,7 @@ import pytest
 from benchmarks.timelines import read_timeline
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import run_mission
-from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.storage.port_recording import read_recording
 

@@ -56,7 +56,7 @@ _log = logging.getLogger("tfg_drake.cockpit")
 
 
 class Forks(Protocol):
-    """Other futures of a run that has ended, one at a time; see tfg_drake.diagrams.commands.page_forks."""
+    """Other futures of a run that has ended, one at a time; see tfg_drake.diagrams.commands.fork."""
 
     @property
     def timeline(self) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import yaml
 
@@ -56,9 +57,9 @@ def _parsed(text: str) -> object:
     return documents[0] if documents else None
 
 
-def dump_yaml(value: object) -> str:
-    """A parsed value as YAML: what every reader takes as `parse_yaml` has."""
-    return str(yaml.dump(value, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper)))
+def dump_yaml(value: object, **style: Any) -> str:
+    """A parsed value as YAML: what every reader takes as `parse_yaml` has. style: see PyYAML's dump."""
+    return str(yaml.dump(value, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), **style))
 
 
 def _problem(event: yaml.Event, depth: int) -> str:

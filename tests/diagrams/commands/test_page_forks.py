@@ -6,9 +6,12 @@ import time
 
 import pytest
 
-from tfg_drake.diagrams.commands.page_forks import PageForks, can_fork
+from tfg_drake.diagrams.commands.fork import PageForks, can_fork
 
 SUMMARY = {
+    "version": "0",
+    "scenario": "house",
+    "world": "house",
     "method": "tfg",
     "contacts": 0,
     "outcome": "complete",
@@ -38,6 +41,8 @@ def run(tmp_path):
     folder = tmp_path / "house"
     folder.mkdir()
     (folder / "summary.json").write_text(json.dumps(SUMMARY))
+    (folder / "scenario.yaml").write_text("base: house\n")
+    (folder / "stages.jsonl").write_text('{"stage": 1}\n')
     return folder
 
 

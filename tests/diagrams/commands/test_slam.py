@@ -126,11 +126,11 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
 def test_ctrl_c_ends_it(mrclam, tmp_path):
     import threading
 
-    from tfg_drake.diagrams.commands.slam import Interrupted, Progress, run_slam
+    from tfg_drake.diagrams.commands.slam import Progress, run_slam
 
     event = threading.Event()
     event.set()
-    with pytest.raises(Interrupted):
+    with pytest.raises(KeyboardInterrupt):
         run_slam(mrclam, tmp_path / "run", Progress(lambda _text: None, event))
     assert not (tmp_path / "run" / "summary.json").exists()
 

@@ -12,7 +12,7 @@ from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.methods import METHODS, MethodError
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.resume import cut_short
-from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.mapfile.saved_map import MapFileError
 from tfg_drake.messages import SaidPose

@@ -1,6 +1,6 @@
 """What is left open in words."""
 
-from tfg_drake.diagrams.missions.left_open import left_open_rows
+from tfg_drake.diagrams.missions.summary_words import left_open_rows
 
 ROOMS = [{"area_m2": area, "probability": p} for area, p in ((1.0, 0.5), (4.0, 0.256), (10.0, 0.0))]
 

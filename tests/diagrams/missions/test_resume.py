@@ -18,7 +18,7 @@ from tfg_drake.diagrams.methods import METHODS, FindMethod
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.resume import cut_short
-from tfg_drake.diagrams.replay_station import ReplayRobot
+from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.robots import SIMULATED
 from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
 from tfg_drake.geometry.se2 import compose, pose_at

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from tests.diagrams.rooms import DIVIDED, SHORT_LOOK, room
-from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import report, run, run_folder
 from tfg_drake.diagrams.missions.run_folder import RESULTS, RunFolder, open_run_folder
@@ -45,7 +44,7 @@ def held(tmp_path):
 @pytest.mark.parametrize("command", ["explore --headless", "slam nowhere.g2o", "compare", "figures"])
 def test_a_second_run_into_a_folder_is_refused_in_one_line(call, held, tmp_path, monkeypatch, command):
     # On a busy machine it would say meanwhile that it loads.
-    monkeypatch.setattr("tfg_drake.diagrams.commands.screen.INTERVAL", 1e6)
+    monkeypatch.setattr("tfg_drake.diagrams.screen.INTERVAL", 1e6)
     problem = "another run is at work in it; wait for its end, or name another folder"
     assert call(*command.split(), "--out", tmp_path) == (2, "", f"tfg-drake: --out {tmp_path}: {problem}\n")
 
@@ -125,7 +124,7 @@ def test_a_full_disk_ends_neither_the_log_nor_the_run(tmp_path, monkeypatch, cap
         run_folder, "open_inside", lambda _path, *how, **more: (tmp_path / "/dev/full").open(*how, **more)
     )
     folder = RunFolder(tmp_path)
-    with folder.logging(), explore_command.remarks_on_screen():
+    with folder.logging(), run_folder.remarks_on_screen():
         logging.getLogger("tfg_drake.run").info("stage 1")
         logging.getLogger("tfg_drake.run").info("stage 2")
     assert folder.unwritten == {"log.txt": FULL}

@@ -5,9 +5,9 @@ import re
 import pytest
 
 from tests.diagrams.rooms import room
-from tfg_drake.diagrams.commands.explore import progress_line, table_rows
+from tfg_drake.diagrams.commands.explore import progress_line
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.missions.report import _title
+from tfg_drake.diagrams.missions.summary_words import table_rows, title
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_its_table_and_title_speak_of_walls(mission):
     assert "tags" not in rows
     assert rows["walls"] == f"{summary['walls_mapped']} mapped"
     assert summary["walls_mapped"] >= 4
-    ended, mapped, error = _title(summary).splitlines()
+    ended, mapped, error = title(summary).splitlines()
     assert ended.startswith("bare, tfg, seed 3: complete after ")
     assert re.fullmatch(rf"{summary['walls_mapped']} walls; [\d.]+ % of the surface within 5 cm", mapped)
     assert re.fullmatch(r"pose error 0\.\d{3} m mean from the first drive on, 0\.\d{4} rad mean", error)

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from tfg_drake.diagrams.commands import screen
+from tfg_drake.diagrams import screen
 
 
 def lines(capsys, count):

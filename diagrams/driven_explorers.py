@@ -1,14 +1,17 @@
-"""An explorer that somebody drives by hand, and that maps as the TFG explorer does."""
+"""Explorers that somebody drives, by hand or where a human operator would go (the paper's Sec. IV-C); they map as the
+TFG explorer does."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import numpy as np
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import MakeFollower, MakePlanner, Wiring
 from tfg_drake.diagrams.scenario import Scenario
+from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.mission.manual_drive import Pressed
 from tfg_drake.systems.drivers import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
@@ -45,3 +48,19 @@ def MakeManualExplorer(
     wiring.Join(follower.GetOutputPort("follower_status"), driver.GetInputPort("following_status"))
     wiring.Join(follower.GetOutputPort("velocity_commanded"), driver.GetInputPort("following_commanded"))
     return wiring.Build(driver, sequencer, driver)
+
+
+def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
+    """The explorer for a scenario with a drive; its ports are those of MakeTfgExplorer, less the roadmap."""
+    # The operator stands beside the robot and knows where in the building it began.
+    p_MG = transform(
+        inverse(np.array(scenario.world.start, dtype=float)), np.array(scenario.drive, dtype=float).reshape(-1, 2)
+    )
+    wiring = Wiring()
+    estimator, tfg_builder = wiring.AddMapping(scenario)
+    driver = wiring.Add("scripted_driver", ScriptedDriver(p_MG))
+    follower = wiring.Add("follower", MakeFollower(scenario))
+    sequencer = wiring.Add("mission_sequencer", MissionSequencer(scenario.robot))
+
+    wiring.FeedAll(estimator, tfg_builder, driver, follower, sequencer)
+    return wiring.Build(follower, sequencer, driver)

@@ -1,0 +1,109 @@
+"""A run's summary in words, as the closing table on a screen and the figure's title have it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from tfg_drake.percent import percent
+
+# So many openings are named on a screen and on the page, those with the most unknown behind them; all are counted.
+ON_SCREEN, ON_PAGE = 3, 20
+
+
+def told(value: float | None, form: str) -> str:
+    """A number by a format such as "{:.3f} m"; "-" where there is none."""
+    return "-" if value is None else form.format(value)
+
+
+def map_error(summary: dict[str, Any]) -> str:
+    """How far the tags are from the true ones."""
+    rmse, aligned = summary["landmark_rmse_m"], summary["landmark_rmse_aligned_m"]
+    return f"map error {told(rmse, '{:.3f} m')} RMSE ({told(aligned, '{:.3f} m')} aligned)"
+
+
+def pose_error(summary: dict[str, Any]) -> tuple[str, str, str]:
+    """How far the estimated poses were from the true ones: positions, mean and greatest, and headings, mean."""
+    position, heading = summary["position_error_moving_m"] or {}, summary["heading_error_rad"] or {}
+    mean, most = told(position.get("mean"), "{:.3f} m"), told(position.get("max"), "{:.3f} m")
+    return f"{mean} mean from the first drive on,", f"{most} max;", f"{told(heading.get('mean'), '{:.4f} rad')} mean"
+
+
+def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The closing table: name and value, "-" where there is none."""
+    mapped, present, walls = (summary[name] for name in ("landmarks_mapped", "landmarks_reachable", "walls_mapped"))
+    tags = told(mapped, "{} mapped")
+    if mapped is not None and present:
+        tags += f" of {present} reachable, {map_error(summary)}"
+    if doubtful := summary["landmarks_doubtful"]:
+        tags += f"; doubtful: {', '.join(map(str, doubtful))}"
+    rows = [
+        ("outcome", f"{summary['outcome']}: {summary['reason']}"),
+        ("time", f"{summary['sim_time_s']:.1f} s, {told(summary['real_time_factor'], '{:.1f}')} x real time"),
+        ("driven", f"{told(summary['distance_m'], '{:.1f} m')}, {summary['stages']} stages"),
+    ]
+    if mapped or present or doubtful or not walls:
+        rows.append(("tags", tags))
+    if walls:
+        rows.append(("walls", f"{walls} mapped"))
+    known, error, coverage, safety = "-", "-", "-", "-"
+    if least := summary["least_known"]:
+        x, y = least["p_WL"]
+        known = f"known to {least['deviation_m']:.3f} m or better (1 sigma); least at ({x:.1f}, {y:.1f})"
+    if (summary["position_error_moving_m"] or {}).get("mean") is not None:
+        error = " ".join(pose_error(summary))
+    if summary["surface_coverage_5cm"] is not None:
+        shares = {"area": summary["area_coverage"], "surface within 5 cm": summary["surface_coverage_5cm"]}
+        coverage = ", ".join(
+            f"{percent(share):.1f} % of the {what}" for what, share in shares.items() if share is not None
+        )
+    if summary["contacts"] is not None:
+        caused = f"{summary['contacts']} by the robot, {summary['contacts_received']} by others"
+        safety = f"contacts: {caused}; least clearance {told(summary['min_clearance_m'], '{:.2f} m')}"
+    rows += [("map", known), ("pose error", error), ("coverage", coverage), ("safety", safety)]
+    if changes := summary["changes"]:
+        rows.append(("known map", _changed(changes)))
+    return [*rows, *left_open_rows(summary)]
+
+
+def _changed(changes: dict[str, Any]) -> str:
+    from tfg_drake.mapfile import changes as mapfile_changes
+
+    if changes["found_at_s"] is None:
+        return "the robot has not found itself in it, and has mapped apart; map merge may join the two"
+    return f"the robot found itself at {changes['found_at_s']:.0f} s; changed since: {mapfile_changes.told(changes)}"
+
+
+def left_open_rows(summary: dict[str, Any], named: int = ON_SCREEN) -> list[tuple[str, str]]:
+    """The openings that a mission leaves, as rows of a table: a name, or "", and a value; named: so many of them."""
+    openings, rooms = summary.get("openings"), summary.get("undiscovered")
+    if openings is None or rooms is None:
+        return []
+    counts = Counter(one["why"] for one in openings)
+    rows = [("left open", ", ".join(f"{count} {why}" for why, count in counts.most_common()) or "nothing")]
+    for one in openings[:named]:
+        (x, y), lacks = one["p_WO"], f" by {one['missing_m']:.2f} m to either side" if one["missing_m"] else ""
+        behind = f"{one['unknown_m2']:.0f} m2 unknown behind"
+        rows.append(("", f"{one['width_m']:.1f} m wide at ({x:.1f}, {y:.1f}), {behind}: {one['why']}{lacks}"))
+    stated = ", ".join(f"{one['probability']:.2f} of {one['area_m2']:g} m2" for one in rooms)
+    return [*rows, ("unseen room", f"probability that there is one to enter, at least so large: {stated}")]
+
+
+def title(summary: dict[str, Any]) -> str:
+    """The title of the run's figure."""
+    parts, error = [], ""
+    mapped, reachable = summary["landmarks_mapped"], summary["landmarks_reachable"]
+    if mapped is not None and reachable:
+        parts.append(f"{mapped} of {reachable} tags, {map_error(summary)}")
+    elif mapped or summary["walls_mapped"]:
+        parts.append(f"{mapped} tags" if mapped else f"{summary['walls_mapped']} walls")
+    if (share := summary["surface_coverage_5cm"]) is not None:
+        parts.append(f"{percent(share):.1f} % of the surface within 5 cm")
+    if summary["contacts"] is not None:
+        position, _, heading = pose_error(summary)
+        error = f"pose error {position} {heading}"
+    ended = f"{summary['outcome'].replace('_', ' ')} after {summary['sim_time_s']:.1f} s"
+    return (
+        f"{summary['scenario']}, {summary['method']}, seed {summary['seed']}: {ended}, {summary['distance_m']:.1f} m,"
+        f" {summary['stages']} stages\n{'; '.join(parts)}\n{error}"
+    ).rstrip()
