@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram
 from tfg_drake.diagrams.explorer import MakeFollower, MakePlanner, Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.mission.manual_drive import Pressed
-from tfg_drake.systems.drivers import ManualDriver
+from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 
 # The sequencer plans anew when a way takes much longer than at full speed, m/s: nobody knows how long a driver takes.

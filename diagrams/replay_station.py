@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tfg_drake.diagrams.robots import SIMULATED, Robot
 from tfg_drake.storage.port_recording import PortRecording
-from tfg_drake.systems.port_recording import PortPlayer
+from tfg_drake.systems.port_player import PortPlayer
 
 
 def ReplayRobot(recording: PortRecording) -> Robot:

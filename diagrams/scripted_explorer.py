@@ -8,8 +8,8 @@ from pydrake.systems.framework import Diagram
 from tfg_drake.diagrams.explorer import MakeFollower, Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import inverse, transform
-from tfg_drake.systems.drivers import ScriptedDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
+from tfg_drake.systems.scripted_driver import ScriptedDriver
 
 
 def MakeScriptedExplorer(scenario: Scenario) -> Diagram:
