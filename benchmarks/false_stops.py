@@ -25,7 +25,7 @@ from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.messages import LaserScan, replace
 from tfg_drake.safety.scan_watch import ScanWatch
 from tfg_drake.safety.velocity_filter import SPEED, filter_command, free_distance
-from tfg_drake.systems import safety_filter, simulated_sensors
+from tfg_drake.systems import laser_scanner, safety_filter
 
 SCANS = ("as they are", "noiseless", "20 % lost")
 LOST = 0.2
@@ -41,7 +41,7 @@ def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
     scenario.seed = seed
     if kind == "noiseless":
         scenario.scan.noise = 0.0
-    scan = simulated_sensors.scan
+    scan = laser_scanner.scan
 
     def with_losses(*arguments: Any) -> LaserScan:
         whole = scan(*arguments)
@@ -60,13 +60,13 @@ def mission(world: str, kind: str, seed: int) -> dict[str, Any]:
         return after
 
     if kind == "20 % lost":
-        simulated_sensors.scan = with_losses
+        laser_scanner.scan = with_losses
     safety_filter.filter_command = compared
     try:
         with tempfile.TemporaryDirectory() as folder:
             summary = run_mission(scenario, out_dir=Path(folder), record=False).summary
     finally:
-        simulated_sensors.scan, safety_filter.filter_command = scan, filter_command
+        laser_scanner.scan, safety_filter.filter_command = scan, filter_command
     kept = ("outcome", "sim_time_s", "contacts", "min_clearance_m", "landmarks_mapped", "landmarks_reachable")
     return {"scans": kind, "seed": seed, "stops": stops, "slowed": slowed} | {key: summary[key] for key in kept}
 

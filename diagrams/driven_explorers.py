@@ -13,8 +13,9 @@ from tfg_drake.diagrams.explorer import MakeFollower, MakePlanner, Wiring
 from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.mission.manual_drive import Pressed
-from tfg_drake.systems.drivers import ManualDriver, ScriptedDriver
+from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
+from tfg_drake.systems.scripted_driver import ScriptedDriver
 
 # The sequencer plans anew when a way takes much longer than at full speed, m/s: nobody knows how long a driver takes.
 NO_HURRY = 1e-9

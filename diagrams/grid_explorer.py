@@ -12,7 +12,9 @@ from tfg_drake.grid import frontier_goal, weighted_goal
 from tfg_drake.grid.frontier_goal import TriedPlaces
 from tfg_drake.grid.path import with_segments
 from tfg_drake.messages import GoalChoice, GridMap, PoseEstimate
-from tfg_drake.systems.grid_baseline import FrontierGoalSelector, GridMapper, GridPlanner
+from tfg_drake.systems.frontier_goal_selector import FrontierGoalSelector
+from tfg_drake.systems.grid_mapper import GridMapper
+from tfg_drake.systems.grid_planner import GridPlanner
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.pure_pursuit_follower import PurePursuitFollower
 

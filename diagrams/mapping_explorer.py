@@ -11,8 +11,8 @@ from tfg_drake.diagrams.explorer import Wiring
 from tfg_drake.diagrams.methods import Method, MethodError
 from tfg_drake.diagrams.parts import Factory
 from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.systems.grid_baseline import GridMapper
-from tfg_drake.systems.mission_sequencer import PieceSequencer
+from tfg_drake.systems.grid_mapper import GridMapper
+from tfg_drake.systems.piece_sequencer import PieceSequencer
 from tfg_drake.systems.slam_estimator import SlamEstimator
 
 

@@ -15,9 +15,9 @@ from tfg_drake.mission.operation import Request
 from tfg_drake.storage.port_recording import REQUESTS, PortWriter
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.systems.operator import Operator
-from tfg_drake.systems.port_recording import PortRecorder
+from tfg_drake.systems.port_recorder import PortRecorder
 from tfg_drake.systems.ports import PERIOD as ODOMETRY_PERIOD
-from tfg_drake.systems.pose_mapper import PoseVector
+from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 

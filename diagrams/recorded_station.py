@@ -19,7 +19,7 @@ from tfg_drake.hardware.recordings import load_laser_recording
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
 from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
-from tfg_drake.systems.port_recording import PortPlayer
+from tfg_drake.systems.port_player import PortPlayer
 
 # Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
 PATIENCE = 10.0

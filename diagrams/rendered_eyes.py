@@ -9,16 +9,11 @@ from pydrake.systems.sensors import RgbdSensor
 
 from tfg_drake.config import ScanRealityConfig, TagRealityConfig
 from tfg_drake.diagrams.scenario import Scenario
-from tfg_drake.systems.eyes import DepthScanner, Exposure, TagDetector
-from tfg_drake.systems.rendered_world import (
-    AddPeople,
-    AddScene,
-    MakeCameraInfo,
-    MakeCameras,
-    MountPose,
-    PlanarFramePoses,
-    calibration_of,
-)
+from tfg_drake.systems.depth_scanner import DepthScanner
+from tfg_drake.systems.exposure import Exposure
+from tfg_drake.systems.planar_frame_poses import PlanarFramePoses
+from tfg_drake.systems.rendered_world import AddPeople, AddScene, MakeCameraInfo, MakeCameras, MountPose, calibration_of
+from tfg_drake.systems.tag_detector import TagDetector
 from tfg_drake.vision.depth_scan import DepthScanConfig
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagNoise, TagSizes

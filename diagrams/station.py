@@ -12,12 +12,14 @@ from tfg_drake.diagrams.parts import Factory, MakePart
 from tfg_drake.diagrams.scenario import MakeKeepOut, MakeWorld, Scenario
 from tfg_drake.diagrams.station_ports import MakePorts
 from tfg_drake.systems import surroundings
+from tfg_drake.systems.changing_world import ChangingWorld
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
+from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.systems.odometry import Odometry
+from tfg_drake.systems.people import PeopleWalking
 from tfg_drake.systems.ports import PERIOD, connect_by_name
 from tfg_drake.systems.safety_filter import SafetyFilter
-from tfg_drake.systems.simulated_sensors import LaserScanner, TagSensor
-from tfg_drake.systems.surroundings import ChangingWorld, PeopleWalking
+from tfg_drake.systems.tag_sensor import TagSensor
 from tfg_drake.world.world import World
 
 if TYPE_CHECKING:

@@ -1,14 +1,12 @@
-"""A world as pixels: its scene in a SceneGraph, rendered by VTK without a display, and who moves in it."""
+"""A world as pixels: its scene in a SceneGraph, rendered by VTK without a display."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common import MemoryFile
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
@@ -16,7 +14,6 @@ from pydrake.geometry import (
     DepthRange,
     DepthRenderCamera,
     FrameId,
-    FramePoseVector,
     GeometryFrame,
     GeometryInstance,
     InMemoryMesh,
@@ -32,11 +29,9 @@ from pydrake.geometry import (
     SourceId,
 )
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraInfo
 
-from tfg_drake.simulation.people import RADIUS, People, discs_at
-from tfg_drake.systems.ports import MessageInputs
+from tfg_drake.simulation.people import RADIUS
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.hue import hue_of, photographed
 from tfg_drake.vision.image import Image
@@ -55,8 +50,6 @@ _TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
 # Drake's renderer has the optical axis at (center_x, center_y) from the corner of the first pixel, ours is from its
 # centre: an edge in the axis shows so in colour and in depth (RenderEngineVtk, Drake 1.51).
 _PIXEL_CENTRE = 0.5
-# Where nobody sees whom nobody has met yet, m.
-_AWAY = RigidTransform([0.0, 0.0, -100.0])
 
 
 def AddScene(scene: SceneGraph, world: World, config: SceneConfig) -> SourceId:
@@ -162,42 +155,3 @@ class WorldView:
     def _Query(self) -> QueryObject:
         query: QueryObject = self._scene.get_query_output_port().Eval(self._context)
         return query
-
-
-class PlanarFramePoses(LeafSystem):
-    """The poses of frames that move about on the floor.
-
-    .. pydrake_system::
-
-        name: PlanarFramePoses
-        input_ports:
-        - pose
-        - people
-        output_ports:
-        - geometry_pose
-
-    pose: x, y, theta, v, w of the plant. people: a People message, left unconnected where there are none.
-    geometry_pose: a FramePoseVector of robot and people.
-    """
-
-    def __init__(self, robot: FrameId, people: Sequence[FrameId] = ()):
-        super().__init__()
-        self._robot, self._walking = robot, people
-        self._pose = self.DeclareVectorInputPort("pose", 5)
-        self._people = MessageInputs(self, people=People)
-        self.DeclareAbstractOutputPort(
-            "geometry_pose",
-            lambda: AbstractValue.Make(FramePoseVector()),
-            self._CalcPoses,
-            {self._pose.ticket(), self._people.ports["people"].ticket(), self.time_ticket()},
-        )
-
-    def _CalcPoses(self, context: Context, output: AbstractValue) -> None:
-        poses = FramePoseVector()
-        poses.set_value(self._robot, PlanarPose(self._pose.Eval(context)[:3]))
-        people = self._people.optional(context, "people") if self._walking else None
-        discs = None if people is None else discs_at(people, context.get_time())
-        for k, frame in enumerate(self._walking):
-            X_WP = _AWAY if discs is None or k >= len(discs) else RigidTransform([*discs[k, :2], 0.0])
-            poses.set_value(frame, X_WP)
-        output.set_value(poses)

@@ -12,7 +12,7 @@ from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.storage.port_recording import read_recording
-from tfg_drake.systems.port_recording import PortPlayer
+from tfg_drake.systems.port_player import PortPlayer
 
 EXACT = ("map.npz", "stages.jsonl", "trajectory.tum", "scenario.yaml")
 

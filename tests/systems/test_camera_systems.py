@@ -24,8 +24,9 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F, ImageRgba8U, Rgbd
 
 from tests.vision.rendering import DICTIONARY, cv2
 from tfg_drake.messages import LaserScan, TagDetections
-from tfg_drake.systems.eyes import DepthScanner, TagDetector
+from tfg_drake.systems.depth_scanner import DepthScanner
 from tfg_drake.systems.rendered_world import calibration_of
+from tfg_drake.systems.tag_detector import TagDetector
 from tfg_drake.vision.depth_scan import DepthScanConfig
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagSizes

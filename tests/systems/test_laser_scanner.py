@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.messages import LaserScan
-from tfg_drake.systems.simulated_sensors import LaserScanner
+from tfg_drake.systems.laser_scanner import LaserScanner
 from tfg_drake.world.world import World
 
 # A room with a wall nearer on the robot's left than on its right.

@@ -7,8 +7,9 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.storage.port_recording import MESSAGES, REQUESTS, PortWriter, read_recording
-from tfg_drake.systems.port_recording import PERIOD, PortPlayer, PortRecorder
-from tfg_drake.systems.ports import declare_message_output
+from tfg_drake.systems.port_player import PortPlayer
+from tfg_drake.systems.port_recorder import PortRecorder
+from tfg_drake.systems.ports import PERIOD, declare_message_output
 
 NONE = np.zeros(0)
 LATE = 0.15

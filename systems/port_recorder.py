@@ -1,18 +1,16 @@
-"""Records and plays the station's ports, see tfg_drake.storage.port_recording."""
+"""Records the station's ports."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from typing import Any
 
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
 
-from tfg_drake.messages import PoseEstimate
 from tfg_drake.storage import port_recording as storage
 from tfg_drake.storage.foxglove import PATH, POSE
-from tfg_drake.storage.port_recording import PortRecording, PortWriter
-from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name, declare_message_output
+from tfg_drake.storage.port_recording import PortWriter
+from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name
 
 # What an explorer says that is recorded to be shown.
 SHOWN = ("pose", "path", "map", "tfg")
@@ -91,50 +89,3 @@ class PortRecorder(LeafSystem):
             if tfg is not None and tfg.stage == estimate.stage:
                 self._writer.write_map(now, estimate, tfg)
         return EventStatus.Succeeded()
-
-
-class PortPlayer(LeafSystem):
-    """Says at every time what the recorded station's ports carried then.
-
-    .. pydrake_system::
-
-        name: PortPlayer
-        input_ports:
-        - base.velocity_commanded
-        - base.enable
-        - base.pose
-        output_ports:
-        - base.odometry
-        - base.hazards
-        - tags.detections
-        - scan.ranges
-        - base.enabled
-        - operator.goal
-        - operator.pose
-
-    base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enable: (1,), base.pose: PoseEstimate,
-    as of the station. base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges:
-    LaserScan, base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
-    operator.pose: SaidPose.
-
-    It is the station of a mission that is driven once more: at any time its outputs are those of the recorded station;
-    what was late then is as late again. The inputs change nothing: what the robot did it has done. It has no state, the
-    time says all.
-    """
-
-    def __init__(self, recording: PortRecording, source: Any = None) -> None:
-        """source: what the recording was made from, kept for whoever asks."""
-        super().__init__()
-        self.recording, self.source = recording, source
-        self.DeclareVectorInputPort(storage.COMMAND, 2)
-        self.DeclareVectorInputPort("base.enable", 1)
-        MessageInputs(self, **{"base.pose": PoseEstimate})
-        for name in (*storage.MESSAGES, *storage.REQUESTS.values()):
-            declare_message_output(self, name, functools.partial(self._Message, name), {self.time_ticket()})
-        self.DeclareVectorOutputPort("base.enabled", 1, self._CalcEnabled, {self.time_ticket()})
-
-    def _Message(self, name: str, context: Context) -> object:
-        return self.recording.at(name, context.get_time())
-
-    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self.recording.enabled(context.get_time()))

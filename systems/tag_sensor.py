@@ -1,4 +1,4 @@
-"""The simulated tag sensor and laser scanner."""
+"""The simulated tag sensor."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from scipy.special import ndtr
 
-from tfg_drake.config import ScanConfig, ScanRealityConfig, TagRealityConfig, TagSensorConfig, as_it_is
+from tfg_drake.config import TagRealityConfig, TagSensorConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
-from tfg_drake.simulation.laser_scanner import along_rays, no_scan, ray_angles, scan, spoilt, swept
 from tfg_drake.simulation.tag_sensor import NOISE_PER_TAG, correlated, detect, no_detections
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState
@@ -102,61 +101,3 @@ class TagSensor(LeafSystem):
         discs = self._around.people(context)
         frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
         return self._state.set(state, _SensorState(frame, noise))
-
-
-class LaserScanner(LeafSystem):
-    """Ranges to the walls ahead, see tfg_drake.simulation.laser_scanner.
-
-    .. pydrake_system::
-
-        name: LaserScanner
-        input_ports:
-        - pose
-        - noise
-        - ray_faults
-        - people
-        - world
-        output_ports:
-        - ranges
-
-    pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
-    uniform number a ray, likewise, left unconnected where in reality no ray fails. people: a People message, left
-    unconnected where there are none. world: a WorldNow message, left unconnected where nothing changes. ranges: a
-    LaserScan message; stamped -inf and empty before the first scan.
-    """
-
-    def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):
-        """config: the data sheet. reality: what the scanner does otherwise."""
-        super().__init__()
-        reality = reality or ScanRealityConfig()
-        self._stated, self._reality = config, reality
-        self._config, self._X_BS = as_it_is(config, reality), np.array([reality.ahead, reality.left, reality.yaw])
-        self.has_ray_faults = reality.dropout_probability > 0.0 or reality.mixed_probability > 0.0
-        # A message's own, which every other shares.
-        self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
-        self._towards = replace(no_scan(config), angles=-self._angles).angles if reality.flip else self._angles
-        self._pose = self.DeclareVectorInputPort("pose", 5)
-        self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
-        self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
-        self._around = Surroundings(self, world)
-        self._message = MessageState(self, no_scan(config))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
-        self.DeclareStateOutputPort("ranges", self._message.index)
-
-    @metered("laser_scanner")
-    def _Scan(self, context: Context, state: State) -> None:
-        robot, sweep_time = self._pose.Eval(context), self._reality.sweep_time
-        noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
-        if self._reality.correlation_angle > 0.0:
-            noise = along_rays(noise, self._angles, self._reality.correlation_angle)
-        walls = self._around.world(context).walls
-        discs = self._around.people(context)
-        sheets = (stamp, self._towards, noise, self._config, self._stated, discs)
-        if sweep_time > 0.0:
-            message = swept(walls, robot, self._X_BS, sweep_time, *sheets)
-        else:
-            message = scan(walls, compose(robot[:3], self._X_BS) if self._X_BS.any() else robot[:3], *sheets)
-        message = replace(message, angles=self._angles)
-        if self.has_ray_faults:
-            message = spoilt(message, self._ray_faults.Eval(context), self._reality)
-        self._message.set(state, message)

@@ -1,0 +1,46 @@
+"""The simulated world, where something changes in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import ChangeConfig
+from tfg_drake.systems.ports import MessageState
+from tfg_drake.systems.surroundings import PERIOD
+from tfg_drake.world.changing import WorldNow, is_due, successive
+from tfg_drake.world.world import World
+
+
+class ChangingWorld(LeafSystem):
+    """Makes one change after the other, each when it is due, see tfg_drake.world.changing.
+
+    .. pydrake_system::
+
+        name: ChangingWorld
+        input_ports:
+        - pose
+        output_ports:
+        - world
+
+    pose: x, y, theta, v, w of the plant. world: a WorldNow message.
+    """
+
+    def __init__(self, world: World, changes: Sequence[ChangeConfig], robot_radius: float):
+        """changes: in their order. robot_radius: m. Raises WorldError where a change cannot be made."""
+        super().__init__()
+        self._changes, self._worlds, self._robot_radius = tuple(changes), successive(world, changes), robot_radius
+        self._pose = self.DeclareVectorInputPort("pose", 5)
+        self._now = MessageState(self, WorldNow(world, 0, 0.0))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Change)
+        self.DeclareStateOutputPort("world", self._now.index)
+
+    def _Change(self, context: Context, state: State) -> EventStatus:
+        count, time = self._now(context).count, context.get_time()
+        p_WB, made = self._pose.Eval(context)[:2], count
+        while made < len(self._changes) and is_due(self._changes[made], time, p_WB, self._robot_radius):
+            made += 1
+        if made == count:
+            return EventStatus.DidNothing()
+        return self._now.set(state, WorldNow(self._worlds[made], made, time))

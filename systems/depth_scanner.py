@@ -1,0 +1,65 @@
+"""The depth scanner: a depth camera's images to the laser scanner's message."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydrake.common import RandomDistribution
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.sensors import ImageDepth32F
+
+from tfg_drake.messages import LaserScan
+from tfg_drake.systems.cpu_meter import metered
+from tfg_drake.systems.ports import MessageState
+from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.depth_noise import with_noise
+from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
+from tfg_drake.vision.mount import CameraMount
+
+# A number between 0 and 1 is so many seeds; another than that of a grey image of the same instant.
+_SEEDS, _OTHER = 2**32, 1
+
+
+class DepthScanner(LeafSystem):
+    """Ranges to what stands within a band of heights, see tfg_drake.vision.depth_scan.
+
+    .. pydrake_system::
+
+        name: DepthScanner
+        input_ports:
+        - image
+        - noise
+        output_ports:
+        - ranges
+
+    image: an ImageDepth32F, m, as the port depth_image_32f of Drake's RgbdSensor has it. noise: a uniform number, fresh
+    every frame; without it the image is taken as it is, with it the configuration's noise is added. ranges: a LaserScan
+    message as seen from the body's origin, stamped with the time of its image; stamped -inf and empty before the first.
+    """
+
+    def __init__(
+        self,
+        calibration: CameraCalibration,
+        mount: CameraMount,
+        config: DepthScanConfig | None = None,
+        rate: float = 8.0,
+    ):
+        """rate: scans a second, Hz."""
+        super().__init__()
+        self._config = config or DepthScanConfig()
+        self._rays = depth_rays(calibration, mount, self._config)
+        self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageDepth32F()))
+        self._noise = self.DeclareVectorInputPort("noise", 1, RandomDistribution.kUniform)
+        nothing = LaserScan(-math.inf, np.zeros(0), np.zeros(0), self._config.range_max, self._config.sigma)
+        self._message = MessageState(self, nothing)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Scan)
+        self.DeclareStateOutputPort("ranges", self._message.index)
+
+    @metered("depth_scanner")
+    def _Scan(self, context: Context, state: State) -> None:
+        depth = self._image.Eval(context).data[..., 0]
+        if self._noise.HasValue(context):
+            depth = with_noise(depth, self._config.noise, int(_SEEDS * self._noise.Eval(context)[0]) + _OTHER)
+        self._message.set(state, depth_scan(depth, self._rays, context.get_time(), self._config))

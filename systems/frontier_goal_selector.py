@@ -1,0 +1,75 @@
+"""The goal selector of a grid: once a stage, the frontier to look at next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.config import RobotConfig
+from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
+from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, PoseEstimate, message, replace
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.systems.cpu_meter import measured, metered
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+
+
+@message
+class _SelectorState:
+    """The newest goal and the places tried so far."""
+
+    goal: GoalChoice
+    tried: TriedPlaces
+
+
+class FrontierGoalSelector(LeafSystem):
+    """Chooses when the mission asks for it, and says on the way when the goal has become pointless.
+
+    .. pydrake_system::
+
+        name: FrontierGoalSelector
+        input_ports:
+        - grid
+        - pose
+        - mission
+        - path
+        - path_status
+        output_ports:
+        - goal
+
+    grid: GridMap, pose: PoseEstimate, mission: MissionStatus, path: Path, path_status: PathStatus, goal: GoalChoice,
+    all in M.
+    """
+
+    def __init__(
+        self,
+        choose: Callable[[GridMap, PoseEstimate, TriedPlaces], tuple[GoalChoice, TriedPlaces]],
+        robot: RobotConfig,
+        eager: bool,
+    ):
+        """choose: the rule, such as `tfg_drake.grid.frontier_goal.choose`. eager: see GridConfig."""
+        super().__init__()
+        self._choose, self._robot, self._eager = choose, robot, eager
+        self._inputs = MessageInputs(self, "grid", "pose", "mission", "path", "path_status")
+        self._state = MessageState(self, _SelectorState(empty_choice(), no_tries()))
+        self._state.declare_outputs(self, "goal")
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, (grid, mission) = self._state(context), self._inputs.each(context, "grid", "mission")
+        if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
+            pose = self._inputs(context, "pose")
+            after = _SelectorState(*measured(self, "goal", self._choose, grid, pose, now.tried))
+        elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
+            after = _SelectorState(replace(now.goal, spent=True), now.tried)
+        else:
+            return EventStatus.DidNothing()
+        return self._state.set(state, after)
+
+    @metered("goal_selector")
+    def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
+        """True if the goal is pointless: no path leads there, or a newer map has no frontier there any more."""
+        if mission.phase == "plan":
+            path, status = self._inputs.each(context, "path", "path_status")
+            return status.unreachable and path.stage == mission.stage
+        return mission.phase == "follow" and self._eager and is_spent(grid, now.tried, self._robot)

@@ -1,0 +1,99 @@
+"""The sequencer of a recorded drive: nobody chooses where to go, and the way is mapped piece by piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.messages import FloatArray, MissionStatus, message, replace
+from tfg_drake.mission.sequence import initial_status
+from tfg_drake.systems.mission_sequencer import MAPS, flag
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+
+# A piece of the way is mapped after this length, m, and so many scans at least: some logs have but one a metre.
+PIECE_LENGTH = 1.0
+PIECE_SCANS = 2
+# What is said of a recording at its end.
+ENDED = "all of the recording is mapped"
+
+
+@message
+class _PieceState:
+    """status: the mission's. p_OB: (2,) m, where the odometry was last, nan before the first; length: m of way, scans:
+    looks since the piece began, scan_stamp: s, of the newest."""
+
+    status: MissionStatus
+    p_OB: FloatArray
+    length: float = 0.0
+    scans: int = 0
+    scan_stamp: float = -math.inf
+
+
+class PieceSequencer(LeafSystem):
+    """Says when a piece of a recorded way is to be mapped, and ends the simulation with the recording.
+
+    .. pydrake_system::
+
+        name: PieceSequencer
+        input_ports:
+        - odometry
+        - scan
+        - map (or whatever else maps)
+        - tfg
+        - pause
+        - stop
+        output_ports:
+        - mission
+        - velocity_commanded
+
+    odometry: Odometry, scan: LaserScan, map: MapEstimate, tfg: TfgMap. mission: MissionStatus, in phase "glance" as
+    long as a piece goes on, "map" while it is mapped. velocity_commanded: (2,), zero. pause, stop: (1,), true above
+    0.5; stop ends it, pause is not minded: what was recorded has been driven.
+    """
+
+    def __init__(self, end_time: float, maps: Sequence[str] = MAPS) -> None:
+        """end_time: s, when the recording ends. maps: as of MissionSequencer, none where
+        what maps needs no pieces."""
+        super().__init__()
+        self._end_time, self._maps = end_time, tuple(maps)
+        self._inputs = MessageInputs(self, "odometry", "scan", *maps)
+        self.DeclareVectorInputPort("pause", 1)
+        self._stop = self.DeclareVectorInputPort("stop", 1)
+        begun = replace(initial_status(), phase="glance", moving=True)
+        self._state = MessageState(self, _PieceState(begun, np.full(2, np.nan)))
+        self._state.declare_outputs(self, mission=lambda now: now.status)
+        self.DeclareVectorOutputPort("velocity_commanded", 2, lambda _context, _output: None)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, time = self._state(context), context.get_time()
+        status = now.status
+        if status.phase == "done":
+            return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
+        ended = time >= self._end_time
+        if flag(self._stop, context, False):
+            status = replace(status, phase="done", since=time, outcome="interrupted", reason="told to end")
+        elif status.phase == "glance":
+            now = self._driven(context, now)
+            if self._maps and ((now.length >= PIECE_LENGTH and now.scans >= PIECE_SCANS) or (ended and now.scans)):
+                status = replace(status, phase="map", since=time)
+            elif ended:
+                status = replace(status, phase="done", since=time, outcome="complete", reason=ENDED)
+        elif min(one.stage for one in self._inputs.each(context, *self._maps)) > status.stage:
+            now = replace(now, length=0.0, scans=0)
+            status = replace(status, phase="glance", since=time, stage=status.stage + 1)
+        return self._state.set(state, replace(now, status=status))
+
+    def _driven(self, context: Context, now: _PieceState) -> _PieceState:
+        odometry, scan = self._inputs.each(context, "odometry", "scan")
+        step = float(np.hypot(*(odometry.X_OB[:2] - now.p_OB)))
+        return replace(
+            now,
+            p_OB=odometry.X_OB[:2],
+            length=now.length + (step if math.isfinite(step) else 0.0),
+            scans=now.scans + (scan.stamp > now.scan_stamp),
+            scan_stamp=max(scan.stamp, now.scan_stamp),
+        )

@@ -1,0 +1,61 @@
+"""The scripted driver: goals and paths of a drive that was thought out beforehand."""
+
+from __future__ import annotations
+
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tfg_drake.messages import FloatArray, GoalChoice, Path, PathStatus, message
+from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.scripted_drive import next_place, straight_path
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+
+
+@message
+class _Scripted:
+    """The newest goal and path, and the mission's count of replans when that was made."""
+
+    goal: GoalChoice
+    path: Path
+    replans: int
+
+
+class ScriptedDriver(LeafSystem):
+    """Names one place of its drive after the other as the goal, and the straight way there as the path.
+
+    .. pydrake_system::
+
+        name: ScriptedDriver
+        input_ports:
+        - tfg
+        - pose
+        - mission
+        output_ports:
+        - goal
+        - path
+        - path_status
+
+    tfg: TfgMap, pose: PoseEstimate, mission: MissionStatus, goal: GoalChoice, path: Path, path_status: PathStatus, all
+    in M.
+    """
+
+    def __init__(self, p_MG: FloatArray):
+        """p_MG: (n, 2) places to look round at, m."""
+        super().__init__()
+        self._drive = p_MG
+        self._inputs = MessageInputs(self, "tfg", "pose", "mission")
+        self._state = MessageState(self, _Scripted(empty_choice(), Path(0, 0, p_MG[:0]), 0))
+        free = lambda now: PathStatus(now.path.id, free=True)  # noqa: E731
+        self._state.declare_outputs(self, "goal", "path", path_status=free)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        now, mission = self._state(context), self._inputs(context, "mission")
+        goal, path = now.goal, now.path
+        if mission.phase == "choose" and mission.stage > goal.stage:
+            goal = next_place(self._drive, mission.stage, self._inputs(context, "tfg"))
+        elif mission.phase == "plan" and (path.stage, now.replans) != (mission.stage, mission.replans):
+            X_MB = self._inputs(context, "pose").X_MB
+            path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
+        else:
+            return EventStatus.DidNothing()
+        return self._state.set(state, _Scripted(goal, path, mission.replans))
