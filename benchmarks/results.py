@@ -38,7 +38,7 @@ PRINTED: dict[str, tuple[str, int]] = {
     "people": ('offices.py --rows "people, glass" --seeds 10', 25),
     "look_alikes": ("look_alikes.py --seeds 1", 8),
     "curved_rooms": ("curved_rooms.py", 10),
-    "tag_spacing": ("tag_spacing.py --seeds 3", 20),
+    "tag_spacing": ('tag_spacing.py --rows "paper, 1" "paper, none" --seeds 3', 6),
     "flat": (f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat", 10),
     "relocation": ("relocation.py house paper offices --starts 2 --time 60 --out relocation", 60),
     "later": ("relocation.py offices --later --starts 2 --time 60 --out later", 30),
