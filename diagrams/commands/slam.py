@@ -189,6 +189,10 @@ def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tup
             mean, worst = summary[f"relative_{of}_{unit}"].values()
             rows.append((of, f"{mean:.4f} {unit} between two scans, mean; {worst:.4f} {unit} of the worst tenth"))
         rows.append(("robot", f"RMSE {metres('robot_rmse_m')}, {metres('online_rmse_m')} online"))
+    if relations := summary.get("relations"):
+        off, turned = relations["translation_m"], relations["rotation_deg"]
+        errors = f"{off['mean']:.4f} ± {off['std']:.4f} m, {turned['mean']:.3f} ± {turned['std']:.3f}°"
+        rows.append(("relations", f"{relations['count']} checked by hand, off by {errors}"))
     mapped = "" if summary["walls_mapped"] is None else f"{summary['walls_mapped']} mapped, "
     rows.append(("walls", f"{mapped}hits {metres('wall_thickness_m')} off them, mean"))
     rows.append(("CPU time", f"{summary['cpu_time_s']:.1f} s"))

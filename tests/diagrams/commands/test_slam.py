@@ -1,5 +1,6 @@
 """tfg-drake slam from the command line."""
 
+import gzip
 import json
 
 import numpy as np
@@ -157,7 +158,9 @@ def carmen(tmp_path):
 def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
     out = tmp_path / "run"
     arguments = ["--seed", "2", "--odometry-noise", "0.5", "--method", method, "--json", "--out", str(out)]
-    code, printed, complaint = call("slam", str(carmen), *arguments)
+    told = tmp_path / "room.relations.gz"
+    told.write_bytes(gzip.compress(b"5.0 10.0 0 0 0 0 0 0\n"))
+    code, printed, complaint = call("slam", str(carmen), *arguments, "--relations", str(told))
     assert (code, complaint) == (0, "")
     summary = json.loads((out / "summary.json").read_text())
     assert json.loads(printed.splitlines()[-1]) == summary
@@ -167,6 +170,7 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
     assert summary["robot_rmse_m"] < 0.05
     assert summary["wall_thickness_m"] < 0.05
     assert "between two scans, mean" in printed
+    assert f"1 checked by hand, off by {summary['relations']['translation_m']['mean']:.4f} ± 0.0000 m" in printed
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert len((out / "trajectory.tum").read_text().splitlines()) == 60
     assert (out / "map.npz").exists() == (method == "walls")
