@@ -86,7 +86,7 @@ def test_relations_goes_on_where_it_stopped(run, tmp_path) -> None:
         "".join(json.dumps({"log": log, "method": "karto", **figures, "cpu_time_s": 7.0}) + "\n" for log in ("a", "b"))
     )
     lines = run("relations.py", str(tmp_path), "--out", str(kept), "--logs", "a,b", "--methods", "karto").splitlines()
-    assert [line.split() for line in lines[1:]] == [
+    assert [line.split() for line in lines[2:]] == [
         [log, "karto", "3", "0.0500", "+-", "0.0100", "0.6000", "+-", "0.2000", "7"] for log in ("a", "b")
     ]
     # Of a log that is not there nothing is kept.

@@ -136,7 +136,7 @@ def test_the_end_has_the_numbers_of_the_terminal(page):
     assert page("return [0.29, 0.9994, 1 - 1e-9, 1].map(percent)") == [
         f"{shown}\u00a0%" for shown in ("29.0", "99.9", "99.9", "100.0")
     ]
-    assert told["safety"] == f"contacts: {shown['contacts']}; least clearance - m"
+    assert told["safety"] == f"contacts: {shown['contacts']}; least clearance -"
     assert shown["contacts"] == "0 by the robot, 1 by others"
     assert page("return [2.25, 2.75, -0.06].map((value) => number(value, 1))") == ["2.2", "2.8", f"{-0.06:.1f}"]
 

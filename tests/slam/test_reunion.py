@@ -72,7 +72,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     # From here on it is not found by its walls on the way.
     monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
     state = robot.drive(state, 0.2, 0.0, 10)
-    state = replace(state, kidnapped=True, way=(), piece=replace(opened(state), sigma=KIDNAPPED))
+    state = replace(state, kidnapped=True, way=(), open=replace(opened(state), sigma=KIDNAPPED))
     offset = np.array([0.0, carried, 0.0])
     robot.X_WB = robot.X_WB + offset
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))

@@ -47,7 +47,10 @@ def test_tags_are_moved_and_fall_off():
     [
         ([ChangeConfig(opened=[[1, 1, 2, 2]])], r"reality\.changes\[0\]: opened: there is no wall from \(1, 1\)"),
         ([ChangeConfig(fallen=[9])], r"reality\.changes\[0\]: there is no tag 9 in the world then"),
-        ([ChangeConfig(fallen=[3]), ChangeConfig(tags=[TagConfig(id=3)])], r"changes\[1\]: there is no tag 3"),
+        (
+            [ChangeConfig(fallen=[3]), ChangeConfig(tags=[TagConfig(id=3, position=[0.0, 0.0], facing=0.0)])],
+            r"changes\[1\]: there is no tag 3",
+        ),
         ([ChangeConfig(walls=[[1, 1, 1, 1]])], r"reality\.changes\[0\]: world\.walls\[6\]: zero length"),
         ([ChangeConfig(time=2.0), ChangeConfig(time=1.0)], r"reality\.changes\[1\]\.time: is before"),
     ],

@@ -93,7 +93,7 @@ def driven(machines, stack, **own):
     others = [machine.start(stack, HERE / "bystander.py") for machine in (machines.there, machines.here)]
     emulator = machines.here.start(stack, *EMULATE, **own)
     before = ask(emulator)["pose"]
-    machines.here.start(stack, HERE / "driving_parent.py", "ros2", **own)
+    machines.here.start(stack, HERE / "driving_parent.py", **own)
     wait_for(lambda: ask(emulator)["pose"] != before)
     # Where everybody looks in the network, the one on the same machine has found them: so could have the other.
     wait_for(lambda: ask(others[1])["commands"] > 50)
