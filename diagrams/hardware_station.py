@@ -8,9 +8,10 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tfg_drake.diagrams.scenario import MakeKeepOut, Scenario, WorldConfig
 from tfg_drake.diagrams.station_ports import MakePorts
-from tfg_drake.hardware.base import HardwareBase, HardwareSensor
+from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.sensor import HardwareSensor
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.systems.safety_filter import SafetyFilter

@@ -1,20 +1,18 @@
-"""A robot's base, and its tag sensor or laser scanner, as systems."""
+"""A robot's base as a system."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 import math
-from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
-from tfg_drake.hardware.robot_devices import HostClock, RobotDevices
-from tfg_drake.hardware.sensor_source import Source
-from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
@@ -205,37 +203,3 @@ class HardwareBase(LeafSystem):
         if before.waiting != stale[0]:
             _log.warning("%.2f s: the base stands: no %s for more than %g s", now, stale[0], STALE[stale[0]])
         return replace(before, waiting=stale[0])
-
-
-class HardwareSensor(LeafSystem):
-    """Newest message of a sensor.
-
-    .. pydrake_system::
-
-        name: HardwareSensor
-        output_ports:
-        - <name>
-
-    A LaserScan or TagDetections message, stamped in the station's time. Where the station is late, because it was busy,
-    a message still appears at its time.
-    """
-
-    def __init__(self, name: str, source: Source | None, empty: LaserScan | TagDetections, clock: HostClock) -> None:
-        """name: of the port. source: None of a sensor that the robot does not have. empty: the message before there is
-        any, stamped -inf."""
-        super().__init__()
-        self._source, self._clock = source, clock
-        self._kind: Any = type(empty)
-        self._message = MessageState(self, empty)
-        self.DeclareStateOutputPort(name, self._message.index)
-        if source is not None:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
-
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now = context.get_time()
-        assert self._source is not None
-        taken = self._source.take(self._kind, self._clock.host(now))
-        if not taken:
-            return EventStatus.DidNothing()
-        self._message.set(state, replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)))
-        return EventStatus.Succeeded()

@@ -12,7 +12,7 @@ import numpy as np
 
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.hardware.sensor_reader import ReconnectingReader
 from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import LaserScan
 from tfg_drake.vision.calibration import CameraCalibration
@@ -32,7 +32,7 @@ NOISE = 0.004
 _OLDEST = 1.0
 
 
-class RealsenseDriver(SensorReader):
+class RealsenseDriver(ReconnectingReader):
     """Makes a scan of each depth image; see tfg_drake.hardware.device.Driver. A camera that was unplugged is opened
     again."""
 

@@ -1,7 +1,8 @@
-"""Shared part of the drivers of sensors: they drive nothing, and reconnect after a loss."""
+"""Shared parts of the drivers of sensors: one that drives nothing, and one that connects again after a loss."""
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import time
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ class Inbox:
 
 
 class SensorReader(Inbox, Driver):
-    """A driver that drives nothing; a subclass opens a device, reads it, and lets go of it.
+    """A driver that drives nothing; a subclass opens a device and reads it.
 
     name: of its source, such as "socket:127.0.0.1:5000". _device: what is open, such as a port; None while it is lost.
     """
@@ -44,16 +45,34 @@ class SensorReader(Inbox, Driver):
         """sources: what the messages of a kind are called."""
         super().__init__()
         self.name, self.sources = name, sources
-        self._back_off, self._retry = BACK_OFF, 0.0
         self._device: Any = None
 
+    def close(self) -> None:
+        """Lets go of the device."""
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._device is not None:
+            with contextlib.suppress(OSError, RuntimeError):  # it is gone already
+                self._device.close()
+        self._device = None
+
+    def _remark(self, line: str) -> None:
+        self._remarks.append(f"{self.name}: {line}")
+
+
+class ReconnectingReader(SensorReader, abc.ABC):
+    """A driver of a sensor that connects again where the device was lost; a subclass connects and receives."""
+
+    _back_off, _retry = BACK_OFF, 0.0
+
+    @abc.abstractmethod
     def _connect(self) -> None:
         """Opens the device; raises OSError, DeviceError."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def _receive(self, left: float) -> None:
         """Takes in what arrives within `left` s; may return before."""
-        raise NotImplementedError
 
     def _wait_for_first(self, patience: float, why: str) -> None:
         """Waits for a message, s; raises DeviceError where none comes, why in words."""
@@ -91,16 +110,3 @@ class SensorReader(Inbox, Driver):
         """The device is lost, and looked for."""
         self._remark(why)
         self._hang_up()
-
-    def _hang_up(self) -> None:
-        if self._device is not None:
-            with contextlib.suppress(OSError, RuntimeError):  # it is gone already
-                self._device.close()
-        self._device = None
-
-    def close(self) -> None:
-        """Lets go of the device."""
-        self._hang_up()
-
-    def _remark(self, line: str) -> None:
-        self._remarks.append(f"{self.name}: {line}")

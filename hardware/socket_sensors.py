@@ -13,7 +13,7 @@ import numpy as np
 
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.plausible import judged
-from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.hardware.sensor_reader import ReconnectingReader
 from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.messages import FloatArray, LaserScan, TagDetections
 
@@ -84,7 +84,7 @@ def _numbers(fields: dict[str, Any], key: str, count: int) -> FloatArray:
     return array
 
 
-class SocketDriver(SensorReader):
+class SocketDriver(ReconnectingReader):
     """Reads lines; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
     refusals: of lines that say no message.

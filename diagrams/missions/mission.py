@@ -316,7 +316,7 @@ class Mission:
         return True
 
     def forgive_delay(self) -> None:
-        """What was done since the last advance is not to be made up for, where the mission keeps real time."""
+        """Paces real time from now on: a delay since the last advance is not made up for."""
         self.simulator.ResetStatistics()
         self._since = self.time
 

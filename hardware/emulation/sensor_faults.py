@@ -42,13 +42,13 @@ class EmulatedSensors:
         return np.zeros(shape) if self._random is None else self._random.normal(size=shape)
 
     def _told_scan(self, X_WS: FloatArray, stamp: float) -> Any:
-        """What is told of the scan from a pose (3,), None for nothing."""
+        """The scan from a pose X_WS (3,) after its fault; None where none is sent."""
         noise = self._noise(len(self._angles))
         scan = laser_scanner.scan(self._world.walls, X_WS, stamp, self._angles, noise, self._scanner)
         return self.faults.get("scan", unchanged)(scan)
 
     def _told_tags(self, X_WB: FloatArray, stamp: float) -> Any:
-        """What is told of the tags that a robot at a pose (3,) sees, None for nothing."""
+        """Detections from a pose X_WB (3,) after their fault; None where none are sent."""
         noise = self._noise(len(self._world.tag_ids), tag_sensor.NOISE_PER_TAG)
         return self.faults.get("tags", unchanged)(tag_sensor.detect(self._world, X_WB, stamp, noise, self._tags))
 

@@ -14,7 +14,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import NodeDecoder
 from tfg_drake.hardware.rplidar.sweeps import SweepMaker
-from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.hardware.sensor_reader import ReconnectingReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK
 
@@ -25,7 +25,7 @@ ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
 SILENT = 2.0
 
 
-class RplidarDriver(SensorReader):
+class RplidarDriver(ReconnectingReader):
     """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
     unplugged or is silent is started again.
 

@@ -81,7 +81,7 @@ class Keyframe:
 
     @property
     def measured(self) -> Measured:
-        """What it has of landmarks and D."""
+        """Its landmarks and D, as the kernels take them."""
         return Measured(self.walls, self.y_AL, self.anchor, self.y_AD, self.unit)
 
     @property
