@@ -60,10 +60,10 @@ EXIT_CODES = {
     "stuck": 1,
     "apart": 1,
     "fault": 3,
-    # The map or the summary could not be written.
-    "not written": 4,
     "interrupted": 130,
 }
+# The map or the summary could not be written.
+NOT_WRITTEN = 4
 
 # Commands that a signal ends with all that they have written; others it ends at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")
@@ -272,15 +272,15 @@ def explore(
         _tell(result)
         if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
             wait_for_enter()
-    outcome = "stuck" if isinstance(result.mission.failure, EstimateLost) else result.summary["outcome"]
-    _end(result.summary, outcome if explore_command.is_kept(result.unwritten) else "not written", as_json)
+    code = EXIT_CODES["stuck" if isinstance(result.mission.failure, EstimateLost) else result.summary["outcome"]]
+    _end(result.summary, code if explore_command.is_kept(result.unwritten) else NOT_WRITTEN, as_json)
 
 
-def _end(summary: dict[str, Any], outcome: str, as_json: bool) -> NoReturn:
+def _end(summary: dict[str, Any], code: int, as_json: bool) -> NoReturn:
     """Ends a command whose run has a summary."""
     if as_json:
         print(json.dumps(summary), flush=True)
-    raise typer.Exit(EXIT_CODES[outcome])
+    raise typer.Exit(code)
 
 
 def _tell(result: RunResult) -> None:
@@ -443,7 +443,7 @@ def fork(
     for line in fork_command.aligned(fork_command.difference_rows(dict(summary), result.summary)):
         print(line)
     print(f"files: {result.folder}")
-    _end(result.summary, result.summary["outcome"], as_json)
+    _end(result.summary, EXIT_CODES[result.summary["outcome"]], as_json)
 
 
 @app.command()
@@ -532,7 +532,7 @@ def slam(
         result = slam_command.run_slam(dataset, out, progress, load, method, relations, settings or [], **mapped)
     for name, value in [*slam_command.table_rows(result.summary), ("files", str(result.folder))]:
         print(f"{name:<14}{value}")
-    _end(result.summary, result.summary["outcome"], as_json)
+    _end(result.summary, EXIT_CODES[result.summary["outcome"]], as_json)
 
 
 @app.command()
