@@ -21,10 +21,9 @@ from relation_regions import run_of
 
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
-from tfg_drake.mapfile.placement import surfaces_of
+from tfg_drake.mapfile.placement import seen_in
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
-from tfg_drake.messages import FloatArray
-from tfg_drake.slam.place_search import Places, find_places, nothing_seen
+from tfg_drake.slam.place_search import Places, Seen, find_places, nothing_seen
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.storage.trajectory import read_tum
 
@@ -40,8 +39,8 @@ def halves(data: Path, runs: Path, name: str) -> None:
             path.write_bytes(bz2.compress(b"".join(some)))
 
 
-def placed(saved: SavedMap, first: int, last: int, known: FloatArray) -> Places:
-    """The places that some views of a map may have in the surfaces (p, 4) of another one."""
+def placed(saved: SavedMap, first: int, last: int, known: Seen) -> Places:
+    """The places that some views of a map may have in what another one's have seen."""
     graph, seen = saved.graph, nothing_seen()
     for k in np.unique(graph.view_keyframe[first:last]):
         points = surface_points(graph.keyframes[k], graph.shared.mean)
@@ -69,7 +68,7 @@ def main() -> None:
         truth = np.split(whole, [len(ways[0])])
         rows = []
         for old, new in ((0, 1), (1, 0)):
-            saved, known, X = maps[new], surfaces_of(maps[old]), ways[new]
+            saved, known, X = maps[new], seen_in(maps[old]), ways[new]
             X_MA = saved.graph.X_MA
             way = np.append(0.0, np.cumsum(np.hypot(*np.diff(X_MA[:, :2], axis=0).T)))
             # The old half's frame in that of the whole log.

@@ -147,13 +147,16 @@ class PoseEstimate:
 
 # A place is likely that is so probable.
 LIKELY = 0.05
+# A robot whose place in its map is no better known than this, m, is lost in it.
+ADRIFT = 10.0
 
 
 @message
 class Hypotheses:
-    """In which places of the map K that it began with a session may be, none once it knows.
+    """In which places of the map K that it began with a session may be, none once it knows; or of a robot that is lost
+    in its own map, in which of that what it has mapped since may be.
 
-    X_KM: (k, 3) poses of the session's frame there, probability: (k,) of each. surfaces: (p, 4) of the map, m in K,
+    X_KM: (k, 3) poses of its frame there, probability: (k,) of each. surfaces: (p, 4) of the map, m in K,
     with normals.
     """
 
@@ -259,6 +262,11 @@ class MapEstimate:
         """The map without its walls."""
         tags = is_tag(self.ids)
         return self if tags.all() else replace(self.of_landmarks(tags), by_walls=True)
+
+    @property
+    def is_adrift(self) -> bool:
+        """Whether the robot is lost in the map: what it has seen lately lies somewhere, and the rest elsewhere."""
+        return bool(np.trace(self.covariance[-3:-1, -3:-1]) > ADRIFT**2)
 
     @property
     def is_joint(self) -> bool:

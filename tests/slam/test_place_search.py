@@ -6,14 +6,28 @@ import pytest
 from tfg_drake.geometry import se2
 from tfg_drake.slam import place_search
 from tfg_drake.slam.keyframe import moved_points
-from tfg_drake.slam.place_search import BLUR, STEP, WRONG, Prior, find_places, nothing_seen, peaks, tells_place
-from tfg_drake.slam.surface_fit import Surfaces, points_along
+from tfg_drake.slam.place_search import (
+    BLUR,
+    STEP,
+    WRONG,
+    Prior,
+    find_places,
+    is_straight,
+    log_odds,
+    nothing_seen,
+    peaks,
+    seen_from,
+    tells_place,
+)
+from tfg_drake.slam.surface_fit import points_along, thinned
 
 # Faces seen from their left: a room of 6 by 4 m with a niche, and beside it one of 5 by 3 m.
 ROOM = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 2, 4], [2, 4, 2, 3], [2, 3, 0, 3], [0, 3, 0, 0]]
 OTHER = [[0.0, 0, 5, 0], [5, 0, 5, 3], [5, 3, 0, 3], [0, 3, 0, 0]]
 TURNED = np.array([9.0, 1.0, 0.3])
 HERE, AWAY = np.array([2.0, 1.5, 0.7]), np.array([8.0, 0.0, 1.2])
+# Where the rooms were mapped from.
+EYES = np.array([[2.0, 1.5], [4.5, 2.0], [11.0, 3.0]])
 
 
 def surfaces(room, at=(0.0, 0.0, 0.0)):
@@ -39,7 +53,7 @@ def off(X, pose):
 
 
 def places(known, query, prior=None):
-    return find_places(known, nothing_seen().with_look(query, np.zeros(3)), prior)
+    return find_places(seen_from(EYES, known), nothing_seen().with_look(query, np.zeros(3)), prior)
 
 
 @pytest.mark.parametrize("pose", [HERE, np.array([4.0, 2.0, -2.5]), np.array([0.5, 0.5, 3.0])])
@@ -92,14 +106,48 @@ def test_what_is_looked_through_speaks_against_a_place():
 
 
 def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
-    known = moved_points(np.zeros(3), both())
-    beyond = [[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)]
-    query = np.vstack([known, surfaces(beyond)])
-    odds = [
-        place_search._log_odds(known, Surfaces(known), nothing_seen().with_look(of, np.zeros(3)), np.zeros((1, 3)))[0]
-        for of in (known, query)
-    ]
-    assert odds[0] - odds[1] == pytest.approx(-place_search.MOST_BEYOND, abs=2.0)
+    known = seen_from(EYES, both())
+    beyond = surfaces([[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)])
+    for most in (place_search.MOST_BEYOND, place_search.GROWING):
+        odds = [
+            log_odds(known, seen_from(EYES, points), np.zeros((1, 3)), most)[0]
+            for points in (known.points, np.vstack([known.points, beyond]))
+        ]
+        assert odds[0] - odds[1] == pytest.approx(-most, abs=0.1)
+
+
+def test_what_either_has_looked_through_speaks_against_a_place_if_it_is_straight():
+    """A wall across the room, seen by one of the two, and posts as wide together, which may be people."""
+    across = surfaces([[3.0, 3.5, 3.0, 0.5]])
+    posts = np.vstack([surfaces([[3.0, 0.5 + y, 3.0, 0.2 + y]]) for y in (0.0, 0.8, 1.6, 2.4)])
+    room, eye = surfaces(ROOM), np.array([[4.5, 2.0]])
+    bare = seen_from(eye, room)
+    (agrees,) = log_odds(bare, bare, np.zeros((1, 3)))
+    for more, least, most in ((across, 5.0, 12.0), (posts, -0.1, 1.0)):
+        with_more = seen_from(eye, np.vstack([room, more]))
+        for known, seen_now in ((bare, with_more), (with_more, bare)):
+            assert least < agrees - log_odds(known, seen_now, np.zeros((1, 3)))[0] < most
+
+
+def test_what_others_of_its_own_eyes_have_looked_through_does_not_stay():
+    """Somebody stood in the room when it was seen first."""
+    room, somebody = surfaces(ROOM), surfaces([[3.0, 2.0, 3.0, 1.4]])
+    first = nothing_seen().with_look(np.vstack([room, somebody]) - [4.5, 2.0, 0.0, 0.0], np.array([4.5, 2.0, 0.0]))
+    both_looks = first.with_look(room - [4.5, 1.7, 0.0, 0.0], np.array([4.5, 1.7, 0.0]))
+    at_somebody = [np.count_nonzero(np.abs(look.staying()[:, 0] - 3.0) < 0.05) for look in (first, both_looks)]
+    assert at_somebody[0] >= 3
+    assert at_somebody[1] <= 1  # An edge, perhaps.
+    np.testing.assert_array_equal(both_looks.depth, [first.depth[0], place_search.nearest(both_looks.eyes[1], room)])
+
+
+def test_straight_is_what_goes_on_in_line():
+    angle = np.arange(0.0, 2.0 * np.pi, 0.2)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.cos(angle), np.sin(angle)]) * [0.3, 0.3, 1.0, 1.0]
+    wall, leg = thinned(surfaces([[0.0, 0.0, 3.0, 0.0]])), thinned(ring)
+    assert is_straight(wall)[3:-3].all()
+    assert not is_straight(leg).any()
+    assert not is_straight(thinned(surfaces([[0.0, 0.0, 0.6, 0.0]]))).any()
+    assert is_straight(np.zeros((0, 4))).shape == (0,)
 
 
 def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_is_thought_to_be():
@@ -113,10 +161,20 @@ def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_is_thought_to_be
     assert np.all(off(elsewhere.X[0], HERE) < [0.02, 0.02, 0.01])
 
 
-def test_nobody_has_carried_it_through_the_whole_building():
-    far = Prior(np.array([30.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.2]), -1.0, 10.0)
-    assert places(surfaces(ROOM), seen(ROOM, HERE), far).near(HERE) == 0.0
-    assert places(surfaces(ROOM), seen(ROOM, HERE)).near(HERE) > 0.9
+def test_it_has_rather_not_been_carried_far():
+    """A metre farther is less likely, in a frame in which the robot is not at the origin, too."""
+    far = np.array([30.0, 0.0, 0.0])
+    known, query = surfaces(ROOM), nothing_seen().with_look(seen(ROOM, HERE), np.zeros(3))
+    mapped = seen_from(EYES, known)
+    told, none = (find_places(mapped, query, Prior(far, np.zeros(3), 0.0, a_metre)).near(HERE) for a_metre in (0, -1))
+    assert told > 0.9
+    assert none < 1e-6
+    at = np.array([1.0, -2.0, 0.5])
+    prior = Prior(far, np.array([0.5, 0.5, 0.2]), -1.0, -0.3, at)
+    X = np.array([HERE, se2.compose(far, se2.inverse(at))])
+    apart = np.hypot(*(se2.compose(HERE, at) - far)[:2])
+    np.testing.assert_allclose(prior.log(X), [-1.0 - 0.3 * apart, 0.0], atol=1e-9)
+    np.testing.assert_allclose(prior.of_frame, X[1], atol=1e-9)
 
 
 def test_what_is_nearest_by_bearing_is_that_of_every_point():

@@ -13,7 +13,7 @@ from tfg_drake.messages import Hypotheses, Odometry, SaidPose, replace
 from tfg_drake.slam.estimator import begin_turn, pose_estimate, process_odometry
 from tfg_drake.slam.estimator_state import KnownMap, Placed, initial_state
 from tfg_drake.slam.joining import with_known
-from tfg_drake.slam.place_search import seen_by_views
+from tfg_drake.slam.place_search import nearest, seen_by_keyframes
 from tfg_drake.slam.relocalizer import BY_WALLS, EACH_VIEW, joined, said_to_be
 from tfg_drake.slam.surface_fit import map_points
 from tfg_drake.slam.walls import known_walls
@@ -49,7 +49,7 @@ def first():
 @pytest.fixture
 def known(first):
     one = as_one_keyframe(first.map, first.sheet).keyframes[0]
-    return KnownMap(one, first.map.X_MD, first.map, map_points(first.graph), first.evidence, np.zeros((0, 2)))
+    return KnownMap(one, first.map.X_MD, first.map, seen_by_keyframes(first.graph), first.evidence, np.zeros((0, 2)))
 
 
 def in_K(X_WB):
@@ -97,7 +97,7 @@ def test_in_another_building_it_maps_apart(known, monkeypatch):
     state = robot.view(robot.begun(known))
     assert (state.at, state.placed) == (None, -np.inf)
     assert state.known is known
-    three = Hypotheses(np.zeros((3, 3)), np.full(3, 0.3), known.surfaces)
+    three = Hypotheses(np.zeros((3, 3)), np.full(3, 0.3), known.seen.points)
     assert pose_estimate(replace(state, hypotheses=three)).places == 3
     np.testing.assert_allclose(state.map.X_MA[0], np.zeros(3), atol=0.02)
     assert len(known_walls(state.map)[0]) == 4
@@ -139,7 +139,7 @@ def test_both_become_two_again_where_what_follows_contradicts_that(known, monkey
         apart = alone.view(alone.drive(apart, 0.2, 0.1, 5))
     assert "contradicts that place" in caplog.text
     assert (state.at, state.placed, state.known.since) == (None, -np.inf, 0)
-    for field in ("keyframe", "estimate", "surfaces"):
+    for field in ("keyframe", "estimate", "seen"):
         assert getattr(state.known, field) is getattr(known, field)
     # All is as if the session had never been joined to it, but for the names of walls.
     np.testing.assert_allclose(state.map.X_MA, apart.map.X_MA, atol=0.01)
@@ -195,10 +195,13 @@ def test_what_is_said_of_a_robot_that_maps_apart_from_nothing_does_not_count(kno
 
 
 def test_views_tell_what_was_seen_from_where(first):
-    seen = seen_by_views(first.graph)
+    graph = first.graph
+    seen = seen_by_keyframes(graph)
     np.testing.assert_allclose(seen.eyes, first.map.X_MA[:, :2], atol=1e-9)
-    assert (seen.begin[0], seen.begin[-1]) == (0, len(seen.points))
-    # What faces its eye has been seen from there.
-    for eye, begin, end in zip(seen.eyes, seen.begin, seen.begin[1:], strict=False):
-        p = seen.points[begin:end]
-        assert np.mean(np.sum((eye - p[:, :2]) * p[:, 2:], axis=1) > 0.0) > 0.98
+    np.testing.assert_array_equal(seen.points, map_points(graph))
+    for eye, depth, k in zip(seen.eyes, seen.depth, graph.view_keyframe, strict=True):
+        of_view = map_points(graph, [k])
+        np.testing.assert_array_equal(depth, nearest(eye, of_view))
+        np.testing.assert_array_equal(seen_by_keyframes(graph, [k]).points, of_view)
+        # What faces its eye has been seen from there.
+        assert np.mean(np.sum((eye - of_view[:, :2]) * of_view[:, 2:], axis=1) > 0.0) > 0.98

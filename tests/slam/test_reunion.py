@@ -10,10 +10,10 @@ from tests.slam.rings import NOTHING, observed, reckoned, ring, way
 from tests.slam.test_scan_lines import ANGLES, CONFIG
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
-from tfg_drake.messages import Odometry, TagDetections, replace
+from tfg_drake.messages import Hypotheses, Odometry, TagDetections, replace
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam import estimator, relocalizer
-from tfg_drake.slam.estimator import begin_turn, end_turn, process_odometry, process_scan
+from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened, unknown_way
 from tfg_drake.slam.keyframe import without_tags
 from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
@@ -21,9 +21,10 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.place_search import no_places
-from tfg_drake.slam.relocalizer import ELSEWHERE, found_again, mapped_elsewhere
+from tfg_drake.slam.relocalizer import CONTRADICTIONS, ELSEWHERE, doubted, found_again, mapped_elsewhere
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
+from tfg_drake.table import empty
 
 # A room that is not alike from any two sides.
 ROOM = np.array(
@@ -80,7 +81,8 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
         with monkeypatch.context() as patch:
             patch.setattr(relocalizer, "find_places", lambda *_args: no_places())
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
-        assert state.map.covariance[-3, -3] > 1.0
+        assert state.map.is_adrift
+        assert pose_estimate(state).places == 0
         # It is mapped apart: none of it is what was mapped before, and nothing of that contradicts the pose.
         newest = state.graph.keyframes[-1]
         assert newest.walls >= 5
@@ -95,6 +97,39 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error = se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD) - robot.X_WB
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
+    assert pose_estimate(state).places == -1
+
+
+def turned_round(unfelt):
+    """A robot that has mapped a room, drives on and turns there, and was carried before that turn, which its wheels do
+    not know; its state at the end of the turn."""
+    robot = Robot()
+    state = process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry())
+    state = robot.drive(robot.view(state), 0.2, 0.0, 10)
+    robot.X_WB = robot.X_WB + unfelt
+    robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - unfelt, np.array([speed, rate]))
+    return robot.drive(begin_turn(state, robot.time), 0.0, 0.5, 126)
+
+
+def test_what_a_turn_sees_is_held_against_the_map(monkeypatch):
+    """No frame's lines contradict the pose: the wrong place is told by what either has looked through."""
+    monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
+    here = replace(turned_round(np.zeros(3)), contradictions=0)
+    assert doubted(here) is here
+    carried = replace(turned_round(np.array([1.2, 1.5, 0.8])), contradictions=0)
+    suspicious = doubted(carried)
+    assert (suspicious.contradictions, suspicious.suspect) == (CONTRADICTIONS, carried.turn)
+    for state in (replace(carried, may_be_moved=False), replace(carried, kidnapped=True), replace(carried, open=None)):
+        assert doubted(state) is state
+
+
+def test_a_robot_in_another_place_than_it_believes_finds_itself_at_the_end_of_a_turn():
+    unfelt = np.array([1.2, 1.5, 0.8])
+    state = turned_round(unfelt)
+    state = end_turn(replace(state, contradictions=0), state.newest.stamp)
+    true = state.newest.X_OB + unfelt
+    error = se2.between(true, se2.compose(np.array([2.5, 1.5, 0.0]), state.map.X_MD))
+    assert np.all(np.abs(error) < [0.05, 0.05, 0.02])
 
 
 def observation(rng, points, X):
@@ -123,7 +158,7 @@ def kidnapped():
 
 def before_the_view(graph, estimate, seen):
     """Graph and map as they are put together where the robot has come to a view by a way that it knows."""
-    state = SimpleNamespace(graph=graph, map=estimate, placed=0.0, stamp=9.0)
+    state = SimpleNamespace(graph=graph, map=estimate, placed=0.0, stamp=9.0, hypotheses=empty(Hypotheses))
     return found_again(state, ((SimpleNamespace(keyframe=BETWEEN), None),), seen)[:2]
 
 

@@ -5,9 +5,12 @@ import pytest
 
 from tests.arrays import frozen
 from tests.walls import no_walls
+from tfg_drake.config import ExplorerConfig, RobotConfig
 from tfg_drake.messages import replace
-from tfg_drake.slam.keyframe_graph import empty_map
+from tfg_drake.slam.keyframe_graph import empty_map, no_observation
+from tfg_drake.slam.map_solver import solve
 from tfg_drake.tfg.drift import MOST_DRIFT
+from tfg_drake.tfg.graph import resolve
 from tfg_drake.tfg.overlap import SWING, distance_along_map, known_badly, standing, weakly_tied
 from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
@@ -107,3 +110,22 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share,
     # ... and a look that sees nothing changes nothing.
     blind = replace(estimate, observation=empty_map().observation)
     assert tied(blind).views.tolist() == told.views.tolist()
+
+
+def test_what_a_lost_robot_mapped_before_says_nothing_of_where_it_is(small_map):
+    """It has seen one of the tags since it was carried off, and two surfaces hang on others, or on a view of those."""
+    graph, (_, estimate) = small_map.tfg_graph, solve(small_map.graph, 20.25, no_observation())
+    seen = replace(estimate.observation, ids=estimate.ids[-1:])
+    carried = estimate.covariance.copy()
+    carried[-3:-1, -3:-1] += 50.0**2 * np.eye(2)
+    n = len(estimate.ids) - 1
+    carried[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] += 50.0**2 * np.eye(2)
+    carried[2 * n : 2 * n + 2, -3:-1] += 50.0**2 * np.eye(2)
+    carried[-3:-1, 2 * n : 2 * n + 2] += 50.0**2 * np.eye(2)
+    estimate = replace(estimate, observation=seen)
+    lost = replace(estimate, covariance=carried)
+    assert (estimate.is_adrift, lost.is_adrift) == (False, True)
+    before, after = (resolve(graph, one, RobotConfig(), ExplorerConfig()) for one in (estimate, lost))
+    assert len(before.segments) > len(after.segments)
+    assert set(map(tuple, after.segment_ids.tolist())) < set(map(tuple, before.segment_ids.tolist()))
+    np.testing.assert_array_equal(after.star_vertices, before.star_vertices)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.mapfile.placement import surfaces_of
+from tfg_drake.mapfile.placement import seen_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe
 from tfg_drake.messages import BoolArray, SaidPose, replace
 from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap
@@ -31,7 +31,7 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
         keyframe=as_one_keyframe(estimate, state.sheet).keyframes[0],
         X_KD=estimate.X_MD,
         estimate=estimate,
-        surfaces=surfaces_of(saved),
+        seen=seen_in(saved),
         evidence=saved.evidence,
         facing=saved.facing,
         X_WK=saved.X_WM,

@@ -18,10 +18,11 @@ from tfg_drake.slam.place_search import (
     find_places,
     is_elsewhere,
     nothing_seen,
-    seen_by_views,
+    seen_by_keyframes,
+    seen_from,
 )
 from tfg_drake.slam.relocalizer import BY_WALLS
-from tfg_drake.slam.surface_fit import Surfaces, map_points, points_along
+from tfg_drake.slam.surface_fit import Surfaces, points_along
 from tfg_drake.slam.walls import directions
 
 # A robot sees walls up to this distance, m, from so many views or up to twice as many.
@@ -40,15 +41,15 @@ def standing_in(saved: SavedMap) -> Standing:
     return Standing(saved.tfg.segments, saved.X_MA)
 
 
-def surfaces_of(saved: SavedMap) -> FloatArray:
-    """(p, 4) points with normals, in M, of the surfaces of a map; of a recording those that its keyframes saw."""
-    segments = saved.tfg.segments.reshape(-1, 2, 2)
-    return points_along(segments) if len(segments) else map_points(saved.graph)
+def seen_in(saved: SavedMap) -> Seen:
+    """What the views of a map have seen, in M; of a recording what its keyframes have."""
+    standing = standing_in(saved)
+    return _all_of(standing) if len(standing.segments) else seen_by_keyframes(saved.graph)
 
 
 def places_of(a: SavedMap, b: SavedMap) -> Places:
     """The places that B may have in A, by their surfaces."""
-    return find_places(surfaces_of(a), seen_by_views(b.graph))
+    return find_places(seen_in(a), seen_by_keyframes(b.graph))
 
 
 def by_walls(in_A: Standing, in_B: Standing) -> Placed | None:
@@ -56,13 +57,18 @@ def by_walls(in_A: Standing, in_B: Standing) -> Placed | None:
 
     What is seen from the views of one is looked for in the other, either way: one may be a small part of the other.
     """
-    of_A, of_B = (points_along(one.segments.reshape(-1, 2, 2)) for one in (in_A, in_B))
+    of_A, of_B = _all_of(in_A), _all_of(in_B)
     B_in_A, A_in_B = find_places(of_A, _seen_in(in_B)).found(), find_places(of_B, _seen_in(in_A)).found()
     found = [X for X in (B_in_A, None if A_in_B is None else se2.inverse(A_in_B)) if X is not None]
     if not found or is_elsewhere(np.array(found), found[0]).any():
         return None
-    X, _, _ = Surfaces(of_A).fitted(of_B, found[0], UNTIED, LOOSELY)
+    X, _, _ = Surfaces(of_A.points).fitted(of_B.points, found[0], UNTIED, LOOSELY)
     return Placed(X, np.diag(BY_WALLS**2))
+
+
+def _all_of(standing: Standing) -> Seen:
+    """All that stands, as the views see it."""
+    return seen_from(standing.X_MV[:, :2], points_along(standing.segments.reshape(-1, 2, 2)))
 
 
 def _seen_in(of: Standing) -> Seen:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Hypotheses
-from tfg_drake.slam.place_search import BEARINGS, BEFORE, DEPTH, ON, nearest
+from tfg_drake.slam.place_search import AGAINST, BEARINGS, DEPTH, ON, nearest
 
 # A look is worth going to for it if it tells more than this, nats.
 LEAST_TOLD = 0.05
@@ -36,6 +36,6 @@ def place_information(points: FloatArray, hypotheses: Hypotheses | None, scan_ra
         beside = np.array([np.roll(view, k, axis=1) for k in (-1, 0, 1)])
         differ = beside.min(axis=0)[:, None] > beside.max(axis=0)[None] + DEPTH
         nearer = np.minimum(view[:, None], view[None]) * (differ | differ.swapaxes(0, 1))
-        apart = (ON - BEFORE) * nearer.sum(axis=2) * (2.0 * math.pi / BEARINGS)
+        apart = (ON - AGAINST) * nearer.sum(axis=2) * (2.0 * math.pi / BEARINGS)
         told[i] = -np.log(np.exp(-apart).mean(axis=1)).mean()
     return told

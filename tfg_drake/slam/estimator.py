@@ -63,7 +63,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, empty_map, forget, fused, of_tied, taken_back
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_map, forget, fused, of_tied, taken_back
 from tfg_drake.slam.localizer import (
     corrected_by_walls,
     localized_pose,
@@ -85,8 +85,10 @@ from tfg_drake.slam.odometry_model import (
     reckon,
 )
 from tfg_drake.slam.relocalizer import (
+    CONTRADICTIONS,
     PLACED,
     begun_elsewhere,
+    doubted,
     find_itself,
     found_again,
     in_known,
@@ -107,8 +109,6 @@ LONGEST_STEP = 0.25
 # may be the robot that is elsewhere.
 LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
-# After this many more such frames than others the robot may be elsewhere.
-CONTRADICTIONS = 3
 # Deviations, m, m, rad, up to which a pose after a way that is not known is corrected like any other; beyond that the
 # robot is lost.
 FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
@@ -273,7 +273,7 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     """
     if not state.turns:
         raise ValueError("No turn is open.")
-    state = _step_to(_first_looked(state), stamp)
+    state = doubted(_step_to(_first_looked(state), stamp))
     if state.contradictions >= CONTRADICTIONS:
         state = find_itself(state, at_last=True)
     return _add_view(state, SPREAD if explored else 0)
@@ -306,11 +306,14 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
     X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, increment, dt)
+    if state.kidnapped and state.open is not None:
+        covariance = covariance + np.diag(np.square(state.open.sigma))
     estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     if state.at is not None:
         # The map will be in the frame of the one that the session began with.
         X_MB, covariance, p_MU = in_known(state.at, X_MB, covariance, p_MU)
+    is_lost = adrift(state.graph) >= 0 if state.known is None else state.at is None
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,
@@ -319,7 +322,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stage=estimate.stage,
         new_ids=new_ids,
         p_MU=p_MU,
-        places=state.hypotheses.likely if state.known is not None and state.at is None else -1,
+        places=state.hypotheses.likely if is_lost else -1,
     )
 
 
@@ -624,7 +627,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     if state.kidnapped and not state.turns and state.map is not None:
         seen = _found_meanwhile(state, seen)
         way = (unknown_way(se2.between(state.map.X_MD, seen.X_MB), seen.sigma),)
-    before, known, way = found_again(state, way, keyframe)
+    before, known, way, hypotheses = found_again(state, way, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources: tuple[Source | None, ...] = state.sources
     walls = state.walls
@@ -648,6 +651,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         or anew_graph is not graph
         or state.kidnapped
         or before is not state.graph
+        or adrift(graph) >= 0  # All that a heading which is not known tells is far from linear.
         or needs_solve(graph, solved, estimate)
         or is_looser(graph, estimate, state.deviation)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
@@ -659,12 +663,17 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         solved = graph
     else:
         graph, estimate = finished(graph, estimate, state.stamp, observation)
-    loops, closed, estimate = with_loops_closed(state.loops, graph, estimate, observation)
-    if closed is not graph:
-        graph = solved = closed
-    later = state.offset - float(graph.shared.mean[CLOCK])
+    loops = state.loops
+    if adrift(graph) < 0:  # Else that is for the relocaliser.
+        loops, closed, estimate = with_loops_closed(loops, graph, estimate, observation)
+        if closed is not graph:
+            graph = solved = closed
+    j, later = adrift(graph), state.offset - float(graph.shared.mean[CLOCK])
+    if j >= 0:
+        hypotheses = replace(hypotheses, X_KM=se2.compose(hypotheses.X_KM, se2.inverse(graph.X_MN[j + 1])))
     state = replace(
         state,
+        hypotheses=state.hypotheses if state.known is not None else hypotheses,
         offset=float(graph.shared.mean[CLOCK]),
         pending=tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending),
         way=(),

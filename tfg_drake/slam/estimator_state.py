@@ -29,6 +29,7 @@ from tfg_drake.slam.loop_search import LoopSearch
 from tfg_drake.slam.map_update import deviation_of
 from tfg_drake.slam.noise import LearntNoise, noise_by_data_sheet
 from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
+from tfg_drake.slam.place_search import Seen
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
 from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
@@ -99,8 +100,8 @@ class Placed:
 class KnownMap:
     """The map K that a session began with, as long as it maps apart from that, or that they are one may be taken back.
 
-    keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. surfaces: (p, 4) points
-    with normals, m. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
+    keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. seen: what its
+    views have seen. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
     says that the session begins. X_WK: (3,) where K lies in its world. since: the stage at which both became one, 0 as
     long as they are apart.
     """
@@ -108,7 +109,7 @@ class KnownMap:
     keyframe: Keyframe
     X_KD: FloatArray
     estimate: MapEstimate
-    surfaces: FloatArray
+    seen: Seen
     evidence: Evidence
     facing: FloatArray
     said: Placed | None = None

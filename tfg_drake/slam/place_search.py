@@ -2,14 +2,17 @@
 
 What is seen is slid over the map in steps of place and heading, and judged by the share of its points that lie on the
 map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted. How likely each is then
-follows from what is seen there and what should be: each metre of surface that is seen lies on the map's, or where the
-map has none, or before one that should be seen; and some of the map's are looked through. In a building of equal rooms
-several places are as likely, and where nothing of the map explains what is seen none is.
+follows from what either has seen: each metre of surface that is seen lies on the map's, or where the map's views have
+looked through, or where they have not looked; and some of the map's are looked through. What the views of one of the
+two have looked through themselves was a person or a thing that is gone, and what is not straight may be: it says
+little. In a building of equal rooms several places are as likely, and where nothing of the map explains what is seen
+none is.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -37,113 +40,139 @@ SAME_PLACE = np.array([0.5, 0.5, 0.3])
 # Places where so much less of the query, as a share, lies on surfaces than in the best are out of the question.
 MUCH_LESS = 0.3
 # What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
-# map, before what should be seen, or it should be seen and is looked through; and where the map has nothing to be seen,
-# which is no less likely than MOST_BEYOND altogether, for a map may end there. In recorded offices a tenth of what is
-# seen in the right place is before what should be, and a quarter in a wrong one.
-ON, BEFORE, THROUGH, BEYOND, MOST_BEYOND = math.log(0.97 / 0.55), -1.0, -2.0, -0.6, -20.0
-# Something is on a surface within this, m, is so much, m, before or behind what should be seen, and from what is there.
+# map; or one has looked through it who should have seen it, by it straight or not; or it is seen where the map has not
+# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished.
+ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -20.0, -2.0
+# Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
+# there.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
+# A cell is of something straight among so many, itself aside, within this, m, along it and this across, and whose
+# normals are so alike (cosine).
+ALONG, STRAIGHT, ACROSS, SAME_NORMAL = 3, 0.75, 0.1, 0.92
 # Bearings that are told apart, and from how far, m, and how slantwise, by its cosine, a surface is surely seen.
 BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
-# So many of the places where something was seen from are asked, evenly.
-MOST_EYES = 12
 # The probability of a wrong place with which one is believed.
 WRONG = 1e-4
 
 
 class Seen(NamedTuple):
-    """Points with normals (q, 4), in a frame A, and the rows of those that each of the eyes (e, 2) in A saw:
-    begin[i]:begin[i + 1]."""
+    """Points with normals (q, 4) in a frame A, eyes (e, 2) in A that have seen them, and how far each of these has
+    seen: depth (e, BEARINGS), as of `nearest`."""
 
     points: FloatArray
     eyes: FloatArray
-    begin: IntArray
+    depth: FloatArray
 
     def with_look(self, points: FloatArray, X_AE: FloatArray) -> Seen:
         """With points (q, 4) in the frame E (3,) of an eye more."""
-        both, begin = np.vstack([self.points, moved_points(X_AE, points)]), len(self.points) + len(points)
-        return Seen(both, np.vstack([self.eyes, X_AE[:2]]), np.append(self.begin, begin))
+        moved = moved_points(X_AE, points)
+        depth = np.vstack([self.depth, nearest(X_AE[:2], moved)])
+        return Seen(np.vstack([self.points, moved]), np.vstack([self.eyes, X_AE[:2]]), depth)
+
+    def staying(self) -> FloatArray:
+        """Cells (n, 4) of surface that none of the eyes has looked through."""
+        return thinned(self.points[~looked_through(self.points, self.eyes, self.depth)])
 
 
 def nothing_seen() -> Seen:
     """From nowhere."""
-    return Seen(np.empty((0, 4)), np.empty((0, 2)), np.zeros(1, dtype=np.int64))
+    return Seen(np.empty((0, 4)), np.empty((0, 2)), np.empty((0, BEARINGS)))
 
 
-def seen_by_views(graph: KeyframeGraph, after: int = -1) -> Seen:
-    """All that the views of a graph have seen, in M, of those behind one of its keyframes."""
-    keyframes, first = np.unique(graph.view_keyframe, return_index=True)
-    eyes, points = [np.empty((0, 2))], [np.empty((0, 4))]
-    for k, view in zip(keyframes, first, strict=True):
-        if k > after:
-            eyes.append(graph.X_MA[view : view + 1, :2])
-            points.append(moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], graph.shared.mean)))
-    begin = np.cumsum([len(some) for some in points], dtype=np.int64)
-    return Seen(np.vstack(points), np.vstack(eyes), begin)
+def seen_from(eyes: FloatArray, points: FloatArray) -> Seen:
+    """Points with normals (q, 4) as eyes (e, 2) among them see them."""
+    return Seen(points, eyes, np.array([nearest(eye, points) for eye in eyes]).reshape(-1, BEARINGS))
+
+
+def seen_by_keyframes(graph: KeyframeGraph, which: Iterable[int] | None = None) -> Seen:
+    """All that some keyframes of a graph have seen, in M, all of them if none are named; eyes are those of views."""
+    keyframes, view = np.unique(graph.view_keyframe, return_index=True)
+    eye = dict(zip(keyframes.tolist(), graph.X_MA[view, :2], strict=True))
+    points, eyes, depth = [np.empty((0, 4))], [np.empty((0, 2))], [np.empty((0, BEARINGS))]
+    for k in range(len(graph.keyframes)) if which is None else which:
+        points.append(moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], graph.shared.mean)))
+        if k in eye:
+            eyes.append(eye[k][None])
+            depth.append(nearest(eye[k], points[-1])[None])
+    return Seen(np.vstack(points), np.vstack(eyes), np.vstack(depth))
 
 
 class Prior(NamedTuple):
     """X: (3,) the pose where something is thought to be, sigma: (3,) its deviations, m, m, rad. elsewhere: logarithm of
-    how much less likely places beyond three of these are, reach: m, beyond which there is none."""
+    how much less likely it is beyond three of these, in the map or not; farther: and of a metre there, 1/m. at: (3,)
+    something's pose in its frame, the identity where that is its own."""
 
     X: FloatArray
     sigma: FloatArray
     elsewhere: float
-    reach: float = math.inf
+    farther: float = 0.0
+    at: FloatArray = np.zeros(3)
+
+    @property
+    def of_frame(self) -> FloatArray:
+        """(3,) the pose of its frame where it is at X."""
+        return se2.compose(self.X, se2.inverse(self.at))
 
     def log(self, poses: FloatArray) -> FloatArray:
-        """Its logarithm (k,) at poses (k, 3), 0 near X."""
-        off = poses - self.X
+        """Its logarithm (k,) where its frame is at poses (k, 3), 0 near X."""
+        off = se2.compose(poses, self.at) - self.X
         off[:, 2] = se2.wrap_angle(off[:, 2])
         near = np.all(np.abs(off) < 3.0 * self.sigma, axis=1)
-        return np.where(near, 0.0, np.where(np.hypot(off[:, 0], off[:, 1]) < self.reach, self.elsewhere, -np.inf))
+        return np.where(near, 0.0, self.elsewhere + self.farther * np.hypot(off[:, 0], off[:, 1]))
 
 
 class Places(NamedTuple):
     """Poses X (k, 3) in M of a frame, the likeliest first, information (k, 3, 3) and probability (k,) of each; what is
-    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions. share: (k,) of what
-    is seen that lies on the map's surfaces."""
+    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions."""
 
     X: FloatArray
     information: FloatArray
     probability: FloatArray
     tells: BoolArray
-    share: FloatArray
 
     def found(self) -> FloatArray | None:
         """The pose that is wrong with no greater probability than WRONG, None for none."""
         sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - WRONG
         return self.X[0] if sure else None
 
-    def near(self, X: FloatArray, within: FloatArray = SAME_PLACE, least_share: float = 0.0) -> float:
-        """The probability of a pose (3,), to within so much, m, m and rad, from which so large a share of what is seen
-        lies on the map's surfaces."""
+    def near(self, X: FloatArray, within: FloatArray = SAME_PLACE) -> float:
+        """The probability of a pose (3,), to within so much, m, m and rad."""
         off = np.abs(self.X - X)
         off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
-        return float(self.probability[np.all(off < within, axis=1) & (self.share >= least_share)].sum())
+        return float(self.probability[np.all(off < within, axis=1)].sum())
 
 
 def no_places() -> Places:
     """None that is likelier than others."""
-    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_), np.zeros(0))
+    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
 
 
-def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> Places:
-    """The poses in M from which things were seen, by the surfaces of a map, points (p, 4) in M with normals. prior:
-    where that is thought to be; None: anywhere in the map."""
-    if not len(before) or not tells_place(seen.points):
+def find_places(
+    known: Seen,
+    seen: Seen,
+    prior: Prior | None = None,
+    most_beyond: float = MOST_BEYOND,
+    before: FloatArray | None = None,
+) -> Places:
+    """The poses in M from which things were seen, by what a map's views have seen, in M. prior: where that is thought
+    to be; None: anywhere in the map. most_beyond: what all that is seen where the map has not looked says at most.
+    before: (k, 3) poses that were likely before, when less was seen."""
+    points = known.points
+    if not len(points) or not tells_place(seen.points):
         return no_places()
-    surfaces, rng = Surfaces(before), np.random.default_rng(0)
+    surfaces, rng = Surfaces(points), np.random.default_rng(0)
     X_AC = np.append(seen.eyes[-1], 0.0)
     cells = moved_points(se2.inverse(X_AC), thinned(seen.points))
     cells = cells[rng.permutation(len(cells))]
     around = cells[np.hypot(cells[:, 0], cells[:, 1]) < SURROUNDINGS]
     around = around if tells_place(around) else cells
-    low, high = before[:, :2].min(axis=0), before[:, :2].max(axis=0)
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     middle, window = np.append(0.5 * (low + high), 0.0), np.append(0.5 * (high - low), math.pi)
-    _, starts = peaks(before[:, :2], around[:COARSE, :2], middle, window, SIDE_OF_MAP)
-    if prior is not None:
-        starts = np.vstack([se2.compose(prior.X, X_AC), starts])
+    # What was seen lately tells most as a rule, but not where the map has not looked.
+    queries = (around,) if len(around) == len(cells) else (around, cells)
+    found = [peaks(points[:, :2], query[:COARSE, :2], middle, window, SIDE_OF_MAP)[1] for query in queries]
+    given = [np.zeros((0, 3)) if before is None else before, np.zeros((0, 3)) if prior is None else prior.of_frame]
+    starts = np.vstack([se2.compose(np.vstack(given), X_AC), *found])
     if not len(starts):
         return no_places()
     fits = [surfaces.fitted(around[:QUERY], X, UNTIED, LOOSELY) for X in starts]
@@ -154,34 +183,41 @@ def find_places(before: FloatArray, seen: Seen, prior: Prior | None = None) -> P
     X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
-    share = share[[kept[k] for k in first]]
-    log = _log_odds(before, surfaces, seen, X) + (0.0 if prior is None else prior.log(X))
-    odds = np.exp(log - max(log.max(), 0.0))
-    probability, order = odds / (odds.sum() + math.exp(-max(log.max(), 0.0))), np.argsort(-log, kind="stable")
+    log = log_odds(known, seen, X, most_beyond) + (0.0 if prior is None else prior.log(X))
+    of_none = 0.0 if prior is None else prior.elsewhere
+    most = max(log.max(), of_none)
+    odds = np.exp(log - most)
+    probability, order = odds / (odds.sum() + math.exp(of_none - most)), np.argsort(-log, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
     tells = across[:, 0] > LEAST_ACROSS * across[:, 1]
-    return Places(X[order], information[order], probability[order], tells[order], share[order])
+    return Places(X[order], information[order], probability[order], tells[order])
 
 
-def _log_odds(before: FloatArray, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
-    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's."""
-    eyes = np.unique(np.linspace(0, len(seen.eyes) - 1, MOST_EYES).round().astype(np.int64))
-    views = [nearest(seen.eyes[i], seen.points[seen.begin[i] : seen.begin[i + 1]]) for i in eyes]
-    cells, there, log = thinned(seen.points), thinned(before), np.empty(len(X))
-    mine = cKDTree(cells[:, :2])
+def log_odds(known: Seen, seen: Seen, X: FloatArray, most_beyond: float = MOST_BEYOND) -> FloatArray:
+    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's; see `find_places`."""
+    surfaces, cells, there, log = Surfaces(known.points), seen.staying(), known.staying(), np.empty(len(X))
+    against, against_there = (np.where(is_straight(one), AGAINST, MOVABLE) for one in (cells, there))
+    mine, others = cKDTree(cells[:, :2]), cKDTree(there[:, :2])
     for k, pose in enumerate(X):
-        on = surfaces.on(moved_points(pose, cells), NEAR)
-        # What the map says is seen from each eye.
-        at = moved_points(se2.inverse(pose), before)
-        should = np.array([nearest(seen.eyes[i], at) for i in eyes])
-        old = moved_points(se2.inverse(pose), there)
-        is_before = looked_through(cells, seen.eyes[eyes], should) & ~on
-        is_before[is_before] = cKDTree(old[:, :2]).query(cells[is_before, :2])[0] > BESIDE
-        through = looked_through(old, seen.eyes[eyes], np.array(views))
+        at, old = moved_points(pose, cells), moved_points(se2.inverse(pose), there)
+        on = surfaces.on(at, NEAR)
+        before = looked_through(at, known.eyes, known.depth) & ~on
+        before[before] = others.query(at[before, :2])[0] > BESIDE
+        through = looked_through(old, seen.eyes, seen.depth)
         through[through] = mine.query(old[through, :2])[0] > BESIDE
-        beyond = max(BEYOND * CELL * np.sum(~on & ~is_before), MOST_BEYOND)
-        log[k] = CELL * (ON * on.sum() + BEFORE * is_before.sum() + THROUGH * through.sum()) + beyond
+        beyond = max(BEYOND * CELL * np.sum(~on & ~before), most_beyond)
+        log[k] = CELL * (ON * on.sum() + against[before].sum() + against_there[through].sum()) + beyond
     return log
+
+
+def is_straight(cells: FloatArray) -> BoolArray:
+    """Which cells (n, 4) are of something straight, as walls are and people are not."""
+    if not len(cells):
+        return np.zeros(0, dtype=np.bool_)
+    i, j = cKDTree(cells[:, :2]).query_pairs(STRAIGHT, output_type="ndarray").T
+    off = np.abs(np.sum((cells[j, :2] - cells[i, :2]) * cells[i, 2:], axis=1))
+    along = (off < ACROSS) & (np.sum(cells[i, 2:] * cells[j, 2:], axis=1) > SAME_NORMAL)
+    return np.asarray(np.bincount(np.append(i[along], j[along]), minlength=len(cells)) >= ALONG)
 
 
 @njit(cache=True)
@@ -212,8 +248,10 @@ def looked_through(cells: FloatArray, eyes: FloatArray, seen: FloatArray) -> Boo
             if not 0.2 < distance < SIGHT or cells[i, 2] * x + cells[i, 3] * y > -SLANT * distance:
                 continue
             k = math.floor((math.atan2(y, x) + math.pi) / step)
-            of = np.array([seen[e, (k + other) % BEARINGS] for other in (-1, 0, 1)])
-            through[i] |= of.min() > distance + DEPTH and of.max() < np.inf
+            a, b, c = seen[e, (k - 1) % BEARINGS], seen[e, k % BEARINGS], seen[e, (k + 1) % BEARINGS]
+            if min(a, b, c) > distance + DEPTH and max(a, b, c) < np.inf:
+                through[i] = True
+                break
     return through
 
 

@@ -48,18 +48,21 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, move
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import (
+    GROWING,
+    MOST_BEYOND,
     WRONG,
     Places,
     Prior,
     Seen,
     find_places,
     is_elsewhere,
+    log_odds,
     nothing_seen,
-    seen_by_views,
+    seen_by_keyframes,
     tells_place,
 )
 from tfg_drake.slam.shared import seen_from_body
-from tfg_drake.slam.surface_fit import map_points, surface_points
+from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.tag_search import Tagged, by_tags
 from tfg_drake.table import empty
 
@@ -78,14 +81,20 @@ SAID = -4.0
 STILL = 0.9
 # A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
 ELSEWHERE = 5.0
-# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this or no more than
-# such a share of what it has seen fits it within so much, m, m, rad, and three deviations, and is elsewhere if it has
-# not found itself for so long, s.
-LOOKS, LIKELY, LEAST_LIKE, LONGEST_SEARCH = 5, 0.5, 0.65, 5.0
+# After so many more frames that contradict the pose than others the robot may be elsewhere.
+CONTRADICTIONS = 3
+# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this within so much,
+# m, m, rad, and three deviations, and is elsewhere if it has not found itself for so long, s.
+LOOKS, LIKELY, LONGEST_SEARCH = 5, 0.5, 5.0
 HERE = np.array([0.05, 0.05, 0.02])
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
-# logarithm. Nobody carries it farther than this, m: the other end of a building, not mapped yet, may be alike.
-DRIFTED, CARRIED, FARTHEST = np.array([0.5, 0.5, 0.17]), -3.0, 10.0
+# logarithm, and by this for each metre: the other end of a building, not mapped yet, may be alike.
+DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
+# The prior of one that is elsewhere.
+FROM_HERE = np.zeros(3), 0.0
+# A pose is looked at more closely whose odds by a view, as a logarithm, are no better, and the map no farther away than
+# this, m, is asked for them.
+DOUBTFUL, AROUND = -1.5, 16.0
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
 
@@ -129,8 +138,9 @@ def joined(state: EstimatorState) -> EstimatorState:
     if views > EACH_VIEW and views % LATER:
         return state
     # Of what is seen all that is the session's own.
-    tags, after = (empty_map(), OF_KNOWN) if known.since else (estimate.of_tags, -1)
-    state = _with_place(state, known, tags, seen_by_views(state.graph, after))
+    tags, own = (empty_map(), OF_KNOWN + 1) if known.since else (estimate.of_tags, 0)
+    seen = seen_by_keyframes(state.graph, range(own, len(state.graph.keyframes)))
+    state = _with_place(state, known, tags, seen)
     if state.at is None:
         return state
     if not known.since:
@@ -182,13 +192,17 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     by_surfaces = by_surfaces and tells_place(seen.points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
-    surfaces = map_points(graph, range(adrift(graph) + 1, len(graph.keyframes)) if by_surfaces else ())
+    begin = adrift(graph) + 1
+    mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
-    prior = None if anywhere or state.kidnapped else Prior(expected, DRIFTED, CARRIED, FARTHEST)
-    found, places = _where(known, surfaces, tags, seen, prior)
+    sigma, carried = FROM_HERE if state.kidnapped else (DRIFTED, CARRIED)
+    prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
+    found, places = _where(known, mapped, tags, seen, prior, GROWING)
     if not by_surfaces and found is None:
         return state
-    if places.near(expected, HERE + 3.0 * suspect.sigma, LEAST_LIKE) > LIKELY and not state.kidnapped:
+    here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
+    # One that is lost, and maps apart, cannot be more lost.
+    if here or (begin and found is None and not state.kidnapped):
         return replace(state, contradictions=0, suspect=None)
     if found is None:
         if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
@@ -214,6 +228,20 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     return begun_elsewhere(state, replace(newest, X_MB=found.X, sigma=PLACED))
 
 
+def doubted(state: EstimatorState) -> EstimatorState:
+    """The state at the end of a turn, which sees more than a scan: where the map contradicts it, for one has looked
+    through what the other sees, the robot may be elsewhere."""
+    turn, graph, is_lost = state.turn, state.graph, state.kidnapped or state.lost
+    if turn is None or is_lost or not state.may_be_moved or math.isnan(state.placed) or adrift(graph) >= 0:
+        return state
+    around = np.flatnonzero(np.hypot(*(graph.X_MN[1:] - turn.X_MB)[:, :2].T) < AROUND)
+    _, seen = _seen_of(reduced_now(state, turn).keyframe, state, np.zeros(3))
+    mapped = seen_by_keyframes(graph, around)
+    if not (len(mapped.points) and len(seen.points)) or log_odds(mapped, seen, turn.X_MB[None], GROWING)[0] > DOUBTFUL:
+        return state
+    return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
+
+
 def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
     """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
     if state.turn is None:
@@ -225,36 +253,48 @@ def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorS
     return replace(state, kidnapped=True, way=(way,), open=begun)
 
 
-def found_again(state: EstimatorState, way: Ways, view: Keyframe) -> tuple[KeyframeGraph, MapEstimate, Ways]:
+def found_again(
+    state: EstimatorState, way: Ways, view: Keyframe
+) -> tuple[KeyframeGraph, MapEstimate, Ways, Hypotheses]:
     """Graph and map before a view, and the way to it, known where they were not but what the view sees tells where it
-    is."""
+    is. Else the poses in M, as hypotheses, at which what is adrift may begin."""
     graph, estimate = state.graph, state.map or state.localizer.map
     j, lost = adrift(graph), any(is_unknown(one.keyframe) for one, _ in way)
     if not (lost or j >= 0) or not state.placed < np.inf:
-        return graph, estimate, way
+        return graph, estimate, way, empty(Hypotheses)
     before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
     before = before if j >= 0 else since
     if not lost and tied(graph).all():
-        return graph, estimate, way
+        return graph, estimate, way, empty(Hypotheses)
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
     # Of what is adrift all views tell together where it is.
-    tags, seen = _seen_of(view, state, at, nothing_seen() if lost else seen_by_views(graph, j))
+    k = len(graph.keyframes)
+    tags, seen = _seen_of(view, state, at, None if lost else seen_by_keyframes(graph, range(j + 1, k)))
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags
-    before_it = map_points(graph, range(j) if j >= 0 else None)
-    found, _ = _where(known, before_it, tags, seen, None)
+    mapped = seen_by_keyframes(graph, range(j if j >= 0 else k))
+    begun = at if lost else graph.X_MN[j + 1]
+    prior, earlier = Prior(begun, *FROM_HERE, A_METRE, begun), state.hypotheses.X_KM
+    found, places = _where(known, mapped, tags, seen, prior, GROWING, earlier)
     if found is None:
-        return graph, estimate, way
+        left = places.probability > WRONG
+        return (
+            graph,
+            estimate,
+            way,
+            Hypotheses(se2.compose(places.X, begun)[left], places.probability[left], mapped.points),
+        )
     _log.warning("%.2f s: the robot has found itself; what follows is tied to the map before", state.stamp)
     if lost:
-        return graph, estimate, (unknown_way(se2.between(estimate.X_MD, se2.compose(found.X, at)), PLACED),)
+        way = (unknown_way(se2.between(estimate.X_MD, se2.compose(found.X, at)), PLACED),)
+        return graph, estimate, way, empty(Hypotheses)
     poses = graph.X_MN.copy()
     poses[j + 1 :] = se2.compose(found.X, poses[j + 1 :])
     tie, _ = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
     keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
-    return *solve(graph, estimate.stamp, estimate.observation), way
+    return *solve(graph, estimate.stamp, estimate.observation), way, empty(Hypotheses)
 
 
 def _seen_of(
@@ -271,10 +311,16 @@ def _seen_of(
 
 
 def _where(
-    tags: Tagged, surfaces: FloatArray, seen_tags: Tagged, seen: Seen, prior: Prior | None
+    tags: Tagged,
+    mapped: Seen,
+    seen_tags: Tagged,
+    seen: Seen,
+    prior: Prior | None,
+    most_beyond: float = MOST_BEYOND,
+    before: FloatArray | None = None,
 ) -> tuple[Placed | None, Places]:
-    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces (p, 4), None
-    where that is not known; the places that it may be."""
+    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces, None where that
+    is not known; the places that it may be. before: as of `find_places`."""
     try:
         found = by_tags(tags, seen_tags)
     except BadInput:  # Ids that hang elsewhere: in another building they do.
@@ -282,8 +328,8 @@ def _where(
     if found is not None:
         only = np.ones(1)
         information = np.asarray(np.linalg.inv(found.covariance))
-        return found, Places(found.X[None], information[None], only, only > 0.0, only)
-    places = find_places(surfaces, seen, prior)
+        return found, Places(found.X[None], information[None], only, only > 0.0)
+    places = find_places(mapped, seen, prior, most_beyond, before)
     X = places.found()
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
@@ -292,7 +338,8 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
     """The state of a session that has seen these, in its frame, with where it is in the map that it began with."""
     said = None if known.since else known.said
     prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
-    found, places = _where(known.estimate.of_tags, known.surfaces, tags, seen, prior)
+    of_map, earlier = known.estimate.of_tags, state.hypotheses.X_KM
+    found, places = _where(of_map, known.seen, tags, seen, prior, before=earlier)
     at = state.at
     if at is not None and (not len(places.X) or places.near(at.X) > STILL):
         if known.since or not len(places.X):
@@ -306,7 +353,7 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
             return without_known(state, known)
     if found is None:
         left = places.probability > WRONG
-        hypotheses = Hypotheses(places.X[left], places.probability[left], known.surfaces)
+        hypotheses = Hypotheses(places.X[left], places.probability[left], known.seen.points)
         count = hypotheses.likely
         if count > 1 and count != state.hypotheses.likely:
             _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)

@@ -172,8 +172,7 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     with_tags = _with_facing(graph, estimate, seen_ids, seen_normal)
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    nothing = np.zeros(len(estimate.ids), dtype=np.bool_)
-    badly = nothing if math.isinf(scene.radius) else known_badly(estimate)
+    badly = _known_badly(estimate, is_large=math.isfinite(scene.radius))
     weak = weakly_tied(surfaces, with_tags.tag_ids, with_tags.tag_view, estimate, badly)
     segments, surface = segments_of(surfaces.offsets, placed)
     free = _up_to_surfaces(panorama, segments[~weak.surfaces[surface]], X_MA[view])
@@ -211,6 +210,12 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     if scene.glance:
         return updated
     return _count_attempts((graph, views), (updated, views_now), badly, scene)
+
+
+def _known_badly(estimate: MapEstimate, *, is_large: bool = False) -> BoolArray:
+    """The landmarks (n,) of unknown place relative to the robot, as of `known_badly`: a small map has none unless the
+    robot is lost."""
+    return known_badly(estimate) if is_large or estimate.is_adrift else np.zeros(len(estimate.ids), dtype=np.bool_)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -366,7 +371,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     """
     tags = is_tag(estimate.ids)
     tag_ids, p_ML = estimate.ids[tags], estimate.p_ML[tags]
-    placed = _placed(graph, np.arange(graph.stage), estimate, np.zeros(len(estimate.ids), dtype=np.bool_))
+    placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate))
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
     if not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks):

@@ -5,8 +5,8 @@ space seen from the other side, such as the walls of a room in the corridor outs
 view is closer to the newest view along the ties of the map, as its place relative to the robot is known better.
 
 A room that was reached along another arm of the loop is tied to the robot so weakly that its place relative to the
-corridor is unknown. What its views found and what the newest view finds say nothing of each other: else frontiers would
-be lost where the two lie over each other.
+corridor is unknown; so is all that was mapped before somebody carried the robot off. What its views found and what the
+newest view finds say nothing of each other: else frontiers would be lost where the two lie over each other.
 """
 
 from __future__ import annotations
