@@ -123,7 +123,7 @@ def test_what_either_has_looked_through_speaks_against_a_place_if_it_is_straight
     room, eye = surfaces(ROOM), np.array([[4.5, 2.0]])
     bare = seen_from(eye, room)
     (agrees,) = log_odds(bare, bare, np.zeros((1, 3)))
-    for more, least, most in ((across, 5.0, 12.0), (posts, -0.1, 1.0)):
+    for more, least, most in ((across, 3.0, 8.0), (posts, -0.1, 1.0)):
         with_more = seen_from(eye, np.vstack([room, more]))
         for known, seen_now in ((bare, with_more), (with_more, bare)):
             assert least < agrees - log_odds(known, seen_now, np.zeros((1, 3)))[0] < most
