@@ -148,7 +148,7 @@ class PoseEstimate:
 # A place is likely that is so probable.
 LIKELY = 0.05
 # A robot whose place in its map is no better known than this, m, is lost in it.
-ADRIFT = 10.0
+ADRIFT = 2.0
 
 
 @message

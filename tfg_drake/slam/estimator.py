@@ -313,7 +313,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     if state.at is not None:
         # The map will be in the frame of the one that the session began with.
         X_MB, covariance, p_MU = in_known(state.at, X_MB, covariance, p_MU)
-    is_lost = adrift(state.graph) >= 0 if state.known is None else state.at is None
+    is_lost = estimate.is_adrift if state.known is None else state.at is None
     return PoseEstimate(
         stamp=stamp,
         X_MB=X_MB,

@@ -168,8 +168,11 @@ def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
 
 
 def adrift(graph: KeyframeGraph) -> int:
-    """The last of the keyframes that is an unknown way, behind which the map is adrift; -1 for none."""
-    return max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
+    """The last of the keyframes that is an unknown way, behind which the map is adrift: no landmark has been seen
+    before it and since; -1 for none."""
+    j = max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
+    tied = j >= 0 and (seen_by(graph, graph.keyframes[:j]) & seen_by(graph, graph.keyframes[j + 1 :])).any()
+    return -1 if tied else j
 
 
 def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
@@ -181,11 +184,10 @@ def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
 
 
 def tied(graph: KeyframeGraph) -> BoolArray:
-    """The landmarks (n,) that anything ties to the newest pose: all, or where the newest part of the map is adrift, and
-    has none in common with the rest, those in it."""
+    """The landmarks (n,) that anything ties to the newest pose: all, or where the newest part of the map is adrift,
+    those in it."""
     j = adrift(graph)
-    before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
-    return since if j >= 0 and not (before & since).any() else np.ones(len(graph.ids), dtype=np.bool_)
+    return seen_by(graph, graph.keyframes[j + 1 :]) if j >= 0 else np.ones(len(graph.ids), dtype=np.bool_)
 
 
 def of_tied(estimate: MapEstimate, graph: KeyframeGraph) -> MapEstimate:

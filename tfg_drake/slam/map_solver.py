@@ -10,9 +10,11 @@ import math
 
 import numpy as np
 
+from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
 from tfg_drake.slam.dissection import DissectionSolver, System
-from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift
 from tfg_drake.slam.map_update import distance_to, entropy_of, estimate_of
 from tfg_drake.slam.shared import SHARED, Shared, scale_of
 from tfg_drake.slam.solver import LEAST_DAMPING, Keyframes, Unknowns, Values
@@ -31,6 +33,8 @@ MOST_HALVINGS = 10
 # Where no step can be made, what holds every unknown grows each time, so far at most.
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
+# The information on the way to what is adrift is taken for so many times as much, so that this stays where it begins.
+HELD = 1e10
 
 
 def solve(
@@ -70,7 +74,13 @@ def known_jointly(graph: KeyframeGraph) -> int:
 
 def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
     """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 16, 2m + 16):
-    of the landmarks in rows local (m,), of the pose of a node, and of the parameters."""
+    of the landmarks in rows local (m,), of the pose of a node, and of the parameters. What is adrift stays where it
+    begins: nothing says where that is, and rounding would move it about."""
+    j = adrift(graph)
+    if j >= 0:
+        one = graph.keyframes[j]
+        graph, _ = solved(_with_way(graph, j, replace(one, information=HELD * one.information)), local, node)
+        graph = _with_way(graph, j, one)
     tag_error, m = graph.tag_error, 2 * len(local)
     if graph.solver == "gtsam":
         # Its library is loaded only where it is asked for.
@@ -98,6 +108,12 @@ def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGr
         tag_error=tag_error,
     )
     return graph, covariance
+
+
+def _with_way(graph: KeyframeGraph, j: int, one: Keyframe) -> KeyframeGraph:
+    """The graph with another keyframe of index j, a way that led to where the graph has it."""
+    one = replace(one, y_AD=se2.between(graph.X_MN[j], graph.X_MN[j + 1]))
+    return replace(graph, keyframes=(*graph.keyframes[:j], one, *graph.keyframes[j + 1 :]))
 
 
 def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, FloatArray, float, FloatArray]:

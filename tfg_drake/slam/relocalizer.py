@@ -264,8 +264,6 @@ def found_again(
         return graph, estimate, way, empty(Hypotheses)
     before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
     before = before if j >= 0 else since
-    if not lost and tied(graph).all():
-        return graph, estimate, way, empty(Hypotheses)
     at = estimate.X_MD
     for one, _ in way:
         at = se2.compose(at, one.keyframe.y_AD)
