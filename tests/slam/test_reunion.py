@@ -16,7 +16,7 @@ from tfg_drake.slam import estimator, relocalizer
 from tfg_drake.slam.estimator import begin_turn, end_turn, pose_estimate, process_odometry, process_scan
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened, unknown_way
 from tfg_drake.slam.keyframe import without_tags
-from tfg_drake.slam.keyframe_graph import empty_graph, empty_map
+from tfg_drake.slam.keyframe_graph import adrift, empty_graph, empty_map, moved_part, seen_by
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
@@ -178,6 +178,25 @@ def test_what_was_mapped_since_moves_to_its_place_and_no_tag_is_left_out(kidnapp
     # Without the move, a linearisation about the guess takes the old tags for moved ones.
     _, _, rejected = joined(graph, estimate, seen)
     assert len(rejected) > 0
+
+
+def test_what_is_adrift_stays_where_it_begins(kidnapped):
+    """Wherever that is: the rest of it follows, and its place is not known better than before."""
+    graph, estimate, _, _ = kidnapped
+    j = adrift(graph)
+    assert j >= 0
+    since, move = seen_by(graph, graph.keyframes[j + 1 :]), np.array([3.0, -7.0, 2.0])
+    X_MN = graph.X_MN.copy()
+    X_MN[j + 1 :] = se2.compose(move, X_MN[j + 1 :])
+    there, after = solve(moved_part(replace(graph, X_MN=X_MN), since, move), 9.0, NOTHING)
+    np.testing.assert_allclose(there.X_MN[j + 1], X_MN[j + 1], atol=1e-3)
+    np.testing.assert_allclose(
+        se2.between(there.X_MN[j + 1], there.X_MN[j + 1 :]), se2.between(X_MN[j + 1], X_MN[j + 1 :]), atol=1e-3
+    )
+    np.testing.assert_allclose(there.X_MN[: j + 1], graph.X_MN[: j + 1], atol=1e-3)
+    assert estimate.is_adrift
+    assert after.is_adrift
+    assert adrift(there) == j
 
 
 def test_nothing_moves_where_the_view_does_not_say_where_to(kidnapped):
