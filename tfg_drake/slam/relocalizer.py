@@ -43,7 +43,7 @@ from tfg_drake.slam.estimator_state import (
 )
 from tfg_drake.slam.evidence import Sighted
 from tfg_drake.slam.joining import OF_KNOWN, with_known, without_known
-from tfg_drake.slam.keyframe import Keyframe, is_unknown, rows_of
+from tfg_drake.slam.keyframe import Keyframe, is_unknown, moved_points, rows_of
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, moved_part, seen_by, tied
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
 from tfg_drake.slam.map_solver import solve
@@ -61,7 +61,7 @@ from tfg_drake.slam.place_search import (
     seen_by_keyframes,
     tells_place,
 )
-from tfg_drake.slam.shared import seen_from_body
+from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW, seen_from_body
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.tag_search import Tagged, by_tags
 from tfg_drake.table import empty
@@ -92,9 +92,9 @@ HERE = np.array([0.05, 0.05, 0.02])
 DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
 # The prior of one that is elsewhere.
 FROM_HERE = np.zeros(3), 0.0
-# A pose is looked at more closely whose odds by a view, as a logarithm, are no better, and the map no farther away than
-# this, m, is asked for them.
-DOUBTFUL, AROUND = -1.5, 16.0
+# A pose is looked at more closely whose odds by a turn, as a logarithm, are no better, for which views are asked that
+# are no farther away than this, m.
+DOUBTFUL, AROUND = -1.5, 8.0
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
 
@@ -234,10 +234,15 @@ def doubted(state: EstimatorState) -> EstimatorState:
     turn, graph, is_lost = state.turn, state.graph, state.kidnapped or state.lost
     if turn is None or is_lost or not state.may_be_moved or math.isnan(state.placed) or adrift(graph) >= 0:
         return state
-    around = np.flatnonzero(np.hypot(*(graph.X_MN[1:] - turn.X_MB)[:, :2].T) < AROUND)
-    _, seen = _seen_of(reduced_now(state, turn).keyframe, state, np.zeros(3))
-    mapped = seen_by_keyframes(graph, around)
-    if not (len(mapped.points) and len(seen.points)) or log_odds(mapped, seen, turn.X_MB[None], GROWING)[0] > DOUBTFUL:
+    X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
+    looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
+    points = [moved_points(se2.compose(X_AB, X_BS), some[some[:, 2:].any(axis=1)]) for X_AB, some in looks]
+    views = graph.view_keyframe[np.hypot(*(graph.X_MA - turn.X_MB)[:, :2].T) < AROUND]
+    mapped = seen_by_keyframes(graph, np.unique(views))
+    if not points or not len(mapped.points):
+        return state
+    seen = nothing_seen().with_look(np.vstack(points), turn.X_MB)
+    if not len(seen.points) or log_odds(mapped, seen, np.zeros((1, 3)), GROWING)[0] > DOUBTFUL:
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
 

@@ -103,14 +103,13 @@ def surface_points(one: Keyframe, shared: FloatArray) -> FloatArray:
 
 def points_along(walls: FloatArray) -> FloatArray:
     """(p, 4) points with normals, to the left, of walls (s, 2, 2)."""
-    parts = [np.empty((0, 4))]
-    for first, last in walls:
-        length = math.dist(first, last)
-        if length > 0.0:
-            along = (last - first) / length
-            p = first + np.arange(0.0, length, SPACING)[:, None] * along
-            parts.append(np.column_stack([p, np.tile([-along[1], along[0]], (len(p), 1))]))
-    return np.vstack(parts)
+    length = np.array([math.dist(first, last) for first, last in walls])
+    walls, length = walls[length > 0.0], length[length > 0.0]
+    along, count = (walls[:, 1] - walls[:, 0]) / length[:, None], np.ceil(length / SPACING).astype(np.int64)
+    of = np.repeat(np.arange(len(walls)), count)
+    far = SPACING * (np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count))
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    return np.hstack([walls[of, 0] + far[:, None] * along[of], normal[of]])
 
 
 def map_points(graph: KeyframeGraph, keyframes: Iterable[int] | None = None) -> FloatArray:
