@@ -131,8 +131,8 @@ class PoseEstimate:
 
     stamp: s. X_MB: (3,). covariance: (3, 3) of its x, y and theta in M. speed: (2,) m/s and rad/s, from odometry.
     stage: number of views in the map it is relative to. new_ids: (u,) tags seen on the way that are not in the map
-    yet, p_MU: (u, 2) where they seem to be, m. places: in how many places of a map that it began with the robot may be,
-    0 for none or any, -1 where it knows or there is no such map.
+    yet, p_MU: (u, 2) where they seem to be, m. places: in how many places of its map, or of the one that it began with,
+    the robot may be, 0 for none or any, -1 where it knows.
     """
 
     stamp: float

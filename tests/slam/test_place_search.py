@@ -108,12 +108,22 @@ def test_what_is_looked_through_speaks_against_a_place():
 def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
     known = seen_from(EYES, both())
     beyond = surfaces([[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)])
-    for most in (place_search.MOST_BEYOND, place_search.GROWING):
+    for most, is_growing in ((place_search.MOST_BEYOND, False), (place_search.GROWING, True)):
         odds = [
-            log_odds(known, seen_from(EYES, points), np.zeros((1, 3)), most)[0]
+            log_odds(known, seen_from(EYES, points), np.zeros((1, 3)), is_growing=is_growing)[0]
             for points in (known.points, np.vstack([known.points, beyond]))
         ]
         assert odds[0] - odds[1] == pytest.approx(-most, abs=0.1)
+
+
+def test_in_an_unfinished_map_a_place_does_not_win_by_being_mapped_better():
+    """Of two equal rooms most of one is mapped: in a finished map the robot would be in the other."""
+    most = moved_points(TURNED, points_along(np.array(ROOM).reshape(-1, 2, 2)[:4]))
+    known, here = seen_from(EYES, np.vstack([surfaces(ROOM), most])), se2.compose(TURNED, HERE)
+    look = nothing_seen().with_look(seen(ROOM, HERE), np.zeros(3))
+    finished, growing = (find_places(known, look, None, here[None], is_growing=one) for one in (False, True))
+    assert growing.near(here) > 2.0 * finished.near(here)
+    assert growing.probability.sum() <= 1.0
 
 
 def test_what_either_has_looked_through_speaks_against_a_place_if_it_is_straight():

@@ -79,7 +79,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
     if late:
         with monkeypatch.context() as patch:
-            patch.setattr(relocalizer, "find_places", lambda *_args: no_places())
+            patch.setattr(relocalizer, "find_places", lambda *_args, **_kwargs: no_places())
             state = robot.drive(robot.view(state), 0.2, 0.0, 5)
         assert state.map.is_adrift
         assert pose_estimate(state).places == 0

@@ -41,8 +41,11 @@ SAME_PLACE = np.array([0.5, 0.5, 0.3])
 MUCH_LESS = 0.3
 # What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
 # map; or one has looked through it who should have seen it, by it straight or not; or it is seen where the map has not
-# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished.
+# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished. Among places of
+# such a map a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win
+# that are mapped well.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
+HALF = 0.5
 # Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
 # there.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
@@ -151,12 +154,13 @@ def find_places(
     known: Seen,
     seen: Seen,
     prior: Prior | None = None,
-    most_beyond: float = MOST_BEYOND,
     before: FloatArray | None = None,
+    *,
+    is_growing: bool = False,
 ) -> Places:
     """The poses in M from which things were seen, by what a map's views have seen, in M. prior: where that is thought
-    to be; None: anywhere in the map. most_beyond: what all that is seen where the map has not looked says at most.
-    before: (k, 3) poses that were likely before, when less was seen."""
+    to be; None: anywhere in the map. before: (k, 3) poses that were likely before, when less was seen. is_growing: the
+    map is not finished, and more of the right place than of a wrong one may be missing in it."""
     points = known.points
     if not len(points) or not tells_place(seen.points):
         return no_places()
@@ -183,19 +187,33 @@ def find_places(
     X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
-    log = log_odds(known, seen, X, most_beyond) + (0.0 if prior is None else prior.log(X))
-    of_none = 0.0 if prior is None else prior.elsewhere
-    most = max(log.max(), of_none)
-    odds = np.exp(log - most)
-    probability, order = odds / (odds.sum() + math.exp(of_none - most)), np.argsort(-log, kind="stable")
+    log, on, beyond = _agreement(known, seen, X)
+    log += 0.0 if prior is None else prior.log(X)
+    odds = log + _beyond(beyond, is_growing=is_growing)
+    of_none, of_any = 0.0 if prior is None else prior.elsewhere, float(np.logaddexp.reduce(odds))
+    among = log + HALF * ON * np.minimum(beyond, on) if is_growing else odds
+    probability = np.exp(among - np.logaddexp.reduce(among) - np.logaddexp(0.0, of_none - of_any))
+    order = np.argsort(-probability, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
     tells = across[:, 0] > LEAST_ACROSS * across[:, 1]
     return Places(X[order], information[order], probability[order], tells[order])
 
 
-def log_odds(known: Seen, seen: Seen, X: FloatArray, most_beyond: float = MOST_BEYOND) -> FloatArray:
+def log_odds(known: Seen, seen: Seen, X: FloatArray, *, is_growing: bool = False) -> FloatArray:
     """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's; see `find_places`."""
-    surfaces, cells, there, log = Surfaces(known.points), seen.staying(), known.staying(), np.empty(len(X))
+    log, _, beyond = _agreement(known, seen, X)
+    return np.asarray(log + _beyond(beyond, is_growing=is_growing))
+
+
+def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
+    """What so much surface (k,), m, where the map has not looked adds to the logarithm of the odds."""
+    return np.maximum(BEYOND * length, GROWING if is_growing else MOST_BEYOND)
+
+
+def _agreement(known: Seen, seen: Seen, X: FloatArray) -> FloatArray:
+    """(3, k) logarithm of the odds of each pose X (k, 3) by what either has looked at, and how much surface, m, is seen
+    on the map's and where the map has not looked."""
+    surfaces, cells, there, told = Surfaces(known.points), seen.staying(), known.staying(), np.empty((3, len(X)))
     against, against_there = (np.where(is_straight(one), AGAINST, MOVABLE) for one in (cells, there))
     mine, others = cKDTree(cells[:, :2]), cKDTree(there[:, :2])
     for k, pose in enumerate(X):
@@ -205,9 +223,9 @@ def log_odds(known: Seen, seen: Seen, X: FloatArray, most_beyond: float = MOST_B
         before[before] = others.query(at[before, :2])[0] > BESIDE
         through = looked_through(old, seen.eyes, seen.depth)
         through[through] = mine.query(old[through, :2])[0] > BESIDE
-        beyond = max(BEYOND * CELL * np.sum(~on & ~before), most_beyond)
-        log[k] = CELL * (ON * on.sum() + against[before].sum() + against_there[through].sum()) + beyond
-    return log
+        log = ON * on.sum() + against[before].sum() + against_there[through].sum()
+        told[:, k] = CELL * np.array([log, on.sum(), np.sum(~on & ~before)])
+    return told
 
 
 def is_straight(cells: FloatArray) -> BoolArray:

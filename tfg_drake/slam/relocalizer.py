@@ -48,8 +48,6 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, move
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import (
-    GROWING,
-    MOST_BEYOND,
     WRONG,
     Places,
     Prior,
@@ -197,7 +195,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
     sigma, carried = FROM_HERE if state.kidnapped else (DRIFTED, CARRIED)
     prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
-    found, places = _where(known, mapped, tags, seen, prior, GROWING)
+    found, places = _where(known, mapped, tags, seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
     here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
@@ -242,7 +240,7 @@ def doubted(state: EstimatorState) -> EstimatorState:
     if not points or not len(mapped.points):
         return state
     seen = nothing_seen().with_look(np.vstack(points), turn.X_MB)
-    if not len(seen.points) or log_odds(mapped, seen, np.zeros((1, 3)), GROWING)[0] > DOUBTFUL:
+    if not len(seen.points) or log_odds(mapped, seen, np.zeros((1, 3)), is_growing=True)[0] > DOUBTFUL:
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
 
@@ -279,7 +277,7 @@ def found_again(
     mapped = seen_by_keyframes(graph, range(j if j >= 0 else k))
     begun = at if lost else graph.X_MN[j + 1]
     prior, earlier = Prior(begun, *FROM_HERE, A_METRE, begun), state.hypotheses.X_KM
-    found, places = _where(known, mapped, tags, seen, prior, GROWING, earlier)
+    found, places = _where(known, mapped, tags, seen, prior, earlier, is_growing=True)
     if found is None:
         left = places.probability > WRONG
         return (
@@ -319,11 +317,12 @@ def _where(
     seen_tags: Tagged,
     seen: Seen,
     prior: Prior | None,
-    most_beyond: float = MOST_BEYOND,
     before: FloatArray | None = None,
+    *,
+    is_growing: bool = False,
 ) -> tuple[Placed | None, Places]:
     """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces, None where that
-    is not known; the places that it may be. before: as of `find_places`."""
+    is not known; the places that it may be. before, is_growing: as of `find_places`."""
     try:
         found = by_tags(tags, seen_tags)
     except BadInput:  # Ids that hang elsewhere: in another building they do.
@@ -332,7 +331,7 @@ def _where(
         only = np.ones(1)
         information = np.asarray(np.linalg.inv(found.covariance))
         return found, Places(found.X[None], information[None], only, only > 0.0)
-    places = find_places(mapped, seen, prior, most_beyond, before)
+    places = find_places(mapped, seen, prior, before, is_growing=is_growing)
     X = places.found()
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
@@ -342,7 +341,7 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
     said = None if known.since else known.said
     prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
     of_map, earlier = known.estimate.of_tags, state.hypotheses.X_KM
-    found, places = _where(of_map, known.seen, tags, seen, prior, before=earlier)
+    found, places = _where(of_map, known.seen, tags, seen, prior, earlier)
     at = state.at
     if at is not None and (not len(places.X) or places.near(at.X) > STILL):
         if known.since or not len(places.X):

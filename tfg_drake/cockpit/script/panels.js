@@ -88,7 +88,7 @@ function tell() {
     figures.unshift([
       "place in its map",
       places > 1 ? `one of ${places}` : "not found yet",
-      "Until the robot has found itself in the map that it began with it maps apart",
+      "Until the robot has found itself in its map it maps apart from that",
     ]);
   if (series.error.times.length)
     figures.push([
