@@ -41,9 +41,9 @@ SAME_PLACE = np.array([0.5, 0.5, 0.3])
 MUCH_LESS = 0.3
 # What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
 # map; or one has looked through it who should have seen it, by it straight or not; or it is seen where the map has not
-# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished. Among places of
-# such a map a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win
-# that are mapped well.
+# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished. Among its
+# places a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win that
+# are mapped well.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
 HALF = 0.5
 # Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
