@@ -43,9 +43,9 @@ MUCH_LESS = 0.3
 # map; or one has looked through it who should have seen it, by it straight or not; or it is seen where the map has not
 # looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished. Among its
 # places a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win that
-# are mapped well.
+# are mapped well. What is not mapped yet explains a share, ALIKE, of what the second place does.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
-HALF = 0.5
+HALF, ALIKE = 0.5, 0.3
 # Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
 # there.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
@@ -190,8 +190,11 @@ def find_places(
     log, on, beyond = _agreement(known, seen, X)
     log += 0.0 if prior is None else prior.log(X)
     odds = log + _beyond(beyond, is_growing=is_growing)
-    of_none, of_any = 0.0 if prior is None else prior.elsewhere, float(np.logaddexp.reduce(odds))
     among = log + HALF * ON * np.minimum(beyond, on) if is_growing else odds
+    # What is not mapped yet may look like other places as well as what is.
+    others = np.delete(on, np.argmax(among)).max(initial=0.0) if is_growing else 0.0
+    of_none = ALIKE * ON * others + (0.0 if prior is None else prior.elsewhere)
+    of_any = float(np.logaddexp.reduce(odds))
     probability = np.exp(among - np.logaddexp.reduce(among) - np.logaddexp(0.0, of_none - of_any))
     order = np.argsort(-probability, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
