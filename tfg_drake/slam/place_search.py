@@ -68,9 +68,10 @@ class Seen(NamedTuple):
 
     def with_look(self, points: FloatArray, X_AE: FloatArray) -> Seen:
         """With points (q, 4) in the frame E (3,) of an eye more."""
-        moved = moved_points(X_AE, points)
-        depth = np.vstack([self.depth, nearest(X_AE[:2], moved)])
-        return Seen(np.vstack([self.points, moved]), np.vstack([self.eyes, X_AE[:2]]), depth)
+        # One that may be written to, as others are: the kernel is compiled once.
+        moved, eye = moved_points(X_AE, points), np.array(X_AE[:2])
+        depth = np.vstack([self.depth, nearest(eye, moved)])
+        return Seen(np.vstack([self.points, moved]), np.vstack([self.eyes, eye]), depth)
 
     def staying(self) -> FloatArray:
         """Cells (n, 4) of surface that none of the eyes has looked through."""
