@@ -13,7 +13,7 @@ import numpy as np
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, Observation, replace
 from tfg_drake.slam.dissection import DissectionSolver, System
-from tfg_drake.slam.keyframe import Keyframe
+from tfg_drake.slam.keyframe import Keyframe, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift
 from tfg_drake.slam.map_update import distance_to, entropy_of, estimate_of
 from tfg_drake.slam.shared import SHARED, Shared, scale_of
@@ -33,8 +33,8 @@ MOST_HALVINGS = 10
 # Where no step can be made, what holds every unknown grows each time, so far at most.
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
-# The information on the way to what is adrift is taken for so many times as much, so that this stays where it begins.
-HELD = 1e10
+# Deviations, m, m, rad, of the way to what is adrift, so that this stays where it begins.
+HELD = np.array([1e-3, 1e-3, 1e-4])
 
 
 def solve(
@@ -78,9 +78,9 @@ def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGr
     begins: nothing says where that is, and rounding would move it about."""
     j = adrift(graph)
     if j >= 0:
-        one = graph.keyframes[j]
-        graph, _ = solved(_with_way(graph, j, replace(one, information=HELD * one.information)), local, node)
-        graph = _with_way(graph, j, one)
+        unknown = graph.keyframes[j]
+        graph, _ = solved(_with_way(graph, j, way(unknown.y_AD, np.diag(HELD**2))), local, node)
+        graph = _with_way(graph, j, unknown)
     tag_error, m = graph.tag_error, 2 * len(local)
     if graph.solver == "gtsam":
         # Its library is loaded only where it is asked for.
