@@ -45,7 +45,7 @@ MUCH_LESS = 0.3
 # places a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win that
 # are mapped well. What is not mapped yet explains a share, ALIKE, of what the second place does.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
-HALF, ALIKE = 0.5, 0.3
+HALF, ALIKE = 0.5, 0.6
 # Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
 # there.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
