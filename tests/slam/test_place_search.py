@@ -117,7 +117,7 @@ def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
 
 
 def test_in_an_unfinished_map_a_place_does_not_win_by_being_mapped_better():
-    """Of two equal rooms most of one is mapped: in a finished map the robot would be in the other."""
+    """A room that is mapped for the most part beside an equal one that is mapped whole."""
     most = moved_points(TURNED, points_along(np.array(ROOM).reshape(-1, 2, 2)[:4]))
     known, here = seen_from(EYES, np.vstack([surfaces(ROOM), most])), se2.compose(TURNED, HERE)
     look = nothing_seen().with_look(seen(ROOM, HERE), np.zeros(3))

@@ -42,7 +42,7 @@ def standing_in(saved: SavedMap) -> Standing:
 
 
 def seen_in(saved: SavedMap) -> Seen:
-    """What the views of a map have seen, in M; of a recording what its keyframes have."""
+    """The surfaces of a map as its views see them, in M; of a recording as its keyframes have seen them."""
     standing = standing_in(saved)
     return _all_of(standing) if len(standing.segments) else seen_by_keyframes(saved.graph)
 

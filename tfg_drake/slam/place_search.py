@@ -188,7 +188,7 @@ def find_places(
     X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
-    log, on, beyond = _agreement(known, seen, X)
+    log, on, beyond = _agreement(known, surfaces, seen, X)
     log += 0.0 if prior is None else prior.log(X)
     odds = log + _beyond(beyond, is_growing=is_growing)
     among = log + HALF * ON * np.minimum(beyond, on) if is_growing else odds
@@ -205,19 +205,19 @@ def find_places(
 
 def log_odds(known: Seen, seen: Seen, X: FloatArray, *, is_growing: bool = False) -> FloatArray:
     """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's; see `find_places`."""
-    log, _, beyond = _agreement(known, seen, X)
+    log, _, beyond = _agreement(known, Surfaces(known.points), seen, X)
     return np.asarray(log + _beyond(beyond, is_growing=is_growing))
 
 
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
-    """What so much surface (k,), m, where the map has not looked adds to the logarithm of the odds."""
+    """Logarithm of the odds (k,) of so much surface (k,), m, where the map has not looked."""
     return np.maximum(BEYOND * length, GROWING if is_growing else MOST_BEYOND)
 
 
-def _agreement(known: Seen, seen: Seen, X: FloatArray) -> FloatArray:
+def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
     """(3, k) logarithm of the odds of each pose X (k, 3) by what either has looked at, and how much surface, m, is seen
-    on the map's and where the map has not looked."""
-    surfaces, cells, there, told = Surfaces(known.points), seen.staying(), known.staying(), np.empty((3, len(X)))
+    on the map's, surfaces, and where the map has not looked."""
+    cells, there, told = seen.staying(), known.staying(), np.empty((3, len(X)))
     against, against_there = (np.where(is_straight(one), AGAINST, MOVABLE) for one in (cells, there))
     mine, others = cKDTree(cells[:, :2]), cKDTree(there[:, :2])
     for k, pose in enumerate(X):
