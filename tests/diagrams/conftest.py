@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.diagrams.rooms import ROOM
+from tests.diagrams.rooms import QUICK_LOOK, ROOM
 from tests.diagrams.rooms import room as divided_room
 from tfg_drake.diagrams.missions import run
 
@@ -14,9 +14,9 @@ def _compiled(compiled):
 
 @pytest.fixture
 def room(tmp_path):
-    """The path of a scenario: a bare room."""
+    """The path of a scenario: a bare room, mapped within 8 s."""
     path = tmp_path / "room.yaml"
-    path.write_text(ROOM)
+    path.write_text(ROOM + QUICK_LOOK)
     return str(path)
 
 

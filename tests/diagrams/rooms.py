@@ -20,7 +20,7 @@ seed: 3
 world:
   start: [2, 1.5, 0.3]
   walls: [[0, 0, 9, 0], [9, 0, 9, 4], [9, 4, 0, 4], [0, 4, 0, 0], [3, 2.2, 3, 4], [6, 0, 6, 2.6]]
-explorer: {first_look: 4, first_turns: 1}
+explorer: {first_look: 2, first_turns: 1}
 """
 
 MACHINE = {"wall_time_s", "cpu_time_s", "real_time_factor", "estimator_cpu_s", "planner_cpu_s", "simulator_cpu_s"}
@@ -33,8 +33,8 @@ def tagged(text):
 
 
 def room():
-    """The divided room, after a short look."""
-    return tagged(DIVIDED + SHORT_LOOK)
+    """The divided room, after a quick look: mapped within 21 s by five views, the first at 7.625 s."""
+    return tagged(DIVIDED + QUICK_LOOK)
 
 
 def lasting(summary):

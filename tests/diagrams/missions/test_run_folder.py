@@ -5,13 +5,14 @@ import errno
 import json
 import logging
 import os
+import resource
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from tests.diagrams.rooms import DIVIDED, SHORT_LOOK, room
+from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, room
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import report, run, run_folder
 from tfg_drake.diagrams.missions.run_folder import RESULTS, RunFolder, open_run_folder
@@ -152,7 +153,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
     monkeypatch.setattr(run, "write_report", end)
     monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     with pytest.raises(Ends):
-        run.run_mission(room(), method=FindMethod(method), max_time=100.0, out_dir=tmp_path, on_progress=look)
+        run.run_mission(room(), method=FindMethod(method), max_time=14.0, out_dir=tmp_path, on_progress=look)
     assert len(kept) >= 2
     assert all(stage - 1 <= of_map for stage, of_map in kept.items())
     assert len(list(tmp_path.glob("*.npz"))) == 1
@@ -160,7 +161,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
 
 def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_Keeper", _fail)
-    result = run.run_mission(room(), max_time=30.0, out_dir=tmp_path, record=False)
+    result = run.run_mission(room(), max_time=8.5, out_dir=tmp_path, record=False)
     assert load_map(tmp_path / "map.npz").stage == result.summary["stages"]
 
 
@@ -168,8 +169,8 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
     monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))
-    run.run_mission(room(), max_time=100.0, out_dir=tmp_path)
-    assert saved == [1]
+    run.run_mission(room(), max_time=14.0, out_dir=tmp_path)
+    assert saved == [1, 3]  # the last at the end
 
 
 @pytest.mark.parametrize("lost", [["map.npz"], ["summary.json"], ["figure.png"], ["trajectory.tum", "truth.tum"]])
@@ -177,8 +178,8 @@ def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monk
     writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}
     monkeypatch.setattr(report, writers.get(lost[0], "write_tum"), _fail)
     monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
-    (tmp_path / "room.yaml").write_text(DIVIDED + SHORT_LOOK)
-    arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 30, "--json"]
+    (tmp_path / "room.yaml").write_text(DIVIDED + QUICK_LOOK)
+    arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 11.5, "--json"]
     code, out, _ = call(*arguments, "--out", tmp_path / "run")
     assert code == (4 if lost[0] in ("map.npz", "summary.json") else 0)
     rows = [line for line in out.splitlines() if line.startswith("not whole")]
@@ -191,35 +192,23 @@ def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monk
     assert written - {path.name for path in (tmp_path / "run").iterdir()} == set(lost) - {"map.npz"}
 
 
-# A mission whose files may not grow beyond a size, as on a disk that fills up while they are written.
-LIMITED = """
-import json, resource, signal, sys
-from pathlib import Path
-from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-limit = {"set": False}
-
-def look(progress):
-    if progress.time >= 30.0 and not limit["set"]:
-        limit["set"] = True
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
-    if progress.outcome:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-
-scenario = ApplyWorldFile(LoadScenario(data=sys.argv[2]), tag_spacing=1.0)
-result = run.run_mission(scenario, name="room", max_time=100.0, out_dir=Path(sys.argv[1]), on_progress=look)
-print(json.dumps([result.summary["outcome"], result.summary["stages"], sorted(result.unwritten)]))
-"""
-
-
 def test_a_disk_that_fills_up_ends_neither_the_mission_nor_the_map(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, str(tmp_path), DIVIDED + SHORT_LOOK], capture_output=True, text=True
-    )
-    outcome, stages, unwritten = json.loads(done.stdout.splitlines()[-1])
-    assert outcome in ("complete", "time_limit")
-    assert unwritten == ["ports.mcap", "timeline.tfg"]
+    """This process's files may not grow beyond a size from the first view on, which stands for the disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def look(progress):
+        if progress.time == 8.0:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
+        if progress.outcome:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    try:
+        result = run.run_mission(room(), name="room", max_time=11.5, out_dir=tmp_path, on_progress=look)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert result.summary["outcome"] == "time_limit"
+    assert sorted(result.unwritten) == ["checkpoint.bin", "ports.mcap", "timeline.tfg"]
+    stages = result.summary["stages"]
     assert load_map(tmp_path / "map.npz").stage == stages > 1
     lines = (tmp_path / "stages.jsonl").read_text().splitlines()
     assert [json.loads(line)["stage"] for line in lines] == list(np.arange(1, stages + 1))
