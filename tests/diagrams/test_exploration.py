@@ -15,7 +15,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 import tfg_drake
 from examples.estimator import MakeTruthEstimator
-from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, ROOM, lasting, tagged
+from tests.diagrams.rooms import QUICK_LOOK, ROOM, lasting, room, tagged
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import compile_kernels
@@ -39,20 +39,16 @@ from tfg_drake.systems.slam_estimator import SlamEstimator
 LISTED = "must be one of gain_per_time, argmax, tour, nearest_frontier, random"
 
 
-def quick():
-    return tagged(DIVIDED + QUICK_LOOK)
-
-
 def bare():
     return tagged(ROOM + QUICK_LOOK)
 
 
 def test_a_kept_run_is_that_of_the_command_line_to_the_bit(call, tmp_path):
-    room = tmp_path / "room.yaml"
-    room.write_text(ROOM + QUICK_LOOK)
-    code, _, _ = call("explore", room, "--tag-spacing", 1, "--seed", 5, "--headless", "--out", tmp_path / "one")
+    file = tmp_path / "room.yaml"
+    file.write_text(ROOM + QUICK_LOOK)
+    code, _, _ = call("explore", file, "--tag-spacing", 1, "--seed", 5, "--headless", "--out", tmp_path / "one")
     assert code == 0
-    two = tfg_drake.explore(room, tag_spacing=1.0, seed=5, out=tmp_path / "two")
+    two = tfg_drake.explore(file, tag_spacing=1.0, seed=5, out=tmp_path / "two")
     assert (two.folder, two.outcome) == (tmp_path / "two", "complete")
     assert lasting(json.loads((tmp_path / "one" / "summary.json").read_text())) == lasting(two.summary)
     for name in ("stages.jsonl", "map.npz", "trajectory.tum", "truth.tum", "scenario.yaml"):
@@ -232,7 +228,7 @@ def MakeByHand(scenario, **parts):
 
 def test_the_truth_is_an_estimator_by_hand():
     simulator, explorer = MakeByHand(bare(), estimator=MakeTruthEstimator)
-    simulator.AdvanceTo(12.0)
+    simulator.AdvanceTo(8.0)
     estimate = explorer.GetOutputPort("map").Eval(explorer.GetMyContextFromRoot(simulator.get_context()))
     assert estimate.stage >= 1
     assert explorer.HasInputPort("truth.pose")
@@ -242,9 +238,9 @@ def test_a_diagram_by_hand_keeps_blas_to_one_thread_and_is_that_of_explore():
     with threadpoolctl.threadpool_limits(limits=2):
         simulator, explorer = MakeByHand(bare())
         assert {one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"} == {1}
-    simulator.AdvanceTo(15.0)
+    simulator.AdvanceTo(8.0)
     estimate = explorer.GetOutputPort("map").Eval(explorer.GetMyContextFromRoot(simulator.get_context()))
-    other = tfg_drake.explore(bare(), until=15.0).look("map")
+    other = tfg_drake.explore(bare(), until=8.0).look("map")
     assert (estimate.stage, estimate.entropy) == (other.stage, other.entropy)
 
 
@@ -271,7 +267,7 @@ def test_planner_selector_follower_and_plant_of_ones_own():
         return noted("plant", DifferentialDrivePlant(MakeWorld(scenario.world), scenario.robot))
 
     parts = {"planner": MakePlanner, "goal_selector": MakeSelector, "follower": MakeFollower, "plant": MakePlant}
-    mission = tfg_drake.explore(quick(), until=40.0, **parts)
+    mission = tfg_drake.explore(room(), until=14.0, **parts)
     assert sorted(made) == sorted(parts)
     stamps, X_WB = mission.X_WB_true
     speed = np.hypot(*np.diff(X_WB[:, :2], axis=0).T) / np.diff(stamps)
@@ -290,9 +286,9 @@ def test_a_goal_that_is_no_node_is_told_at_once(tmp_path):
         return Lost(GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer))
 
     with pytest.raises(ValueError, match="goal of stage 1: there is no node 1000000; choose one of the roadmap's"):
-        tfg_drake.explore(quick(), goal_selector=MakeLost)
+        tfg_drake.explore(room(), goal_selector=MakeLost)
     with pytest.raises(ValueError, match="there is no node 1000000"):
-        tfg_drake.explore(quick(), goal_selector=MakeLost, out=tmp_path / "run")
+        tfg_drake.explore(room(), goal_selector=MakeLost, out=tmp_path / "run")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["outcome"] == "fault"
 
 

@@ -86,13 +86,13 @@ def test_the_folder_has_the_map_that_it_began_with(first, second, tmp_path):
 
 def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
     scenario = rooms()
-    half = tfg_drake.explore(scenario, map=first.folder, until=12.0, out=tmp_path / "half")
+    half = tfg_drake.explore(scenario, map=first.folder, until=8.0, out=tmp_path / "half")
     assert half.summary["changes"]["found_at_s"] < 5.0
     before = cut_short(half.folder, tmp_path / "after")
     assert before.scenario.explorer.known_map == str(tmp_path / "after" / "known_map.npz")
-    after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=14.0)
+    after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=9.0)
     assert (after.folder / "known_map.npz").exists()
-    assert json.loads((after.folder / "summary.json").read_text())["resumed_at_s"] == [12.0]
+    assert json.loads((after.folder / "summary.json").read_text())["resumed_at_s"] == [8.0]
 
 
 def without_tags(folder):
@@ -113,16 +113,17 @@ def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp
         with Cockpit("", "rooms", rate=0.0) as cockpit:
             return run.run_mission(scenario, name="rooms", max_time=end, out_dir=out, cockpit=cockpit, before=state)
 
-    whole = driven(tmp_path / "whole", 12.0, asked=[()] * 8 + [[said]])
+    whole = driven(tmp_path / "whole", 8.0, asked=[()] * 8 + [[said]])
     half = driven(tmp_path / "half", 4.0, asked=[()] * 8 + [[said]])
-    after = driven(tmp_path / "after", 12.0, before=cut_short(half.folder, tmp_path / "after"))
+    after = driven(tmp_path / "after", 8.0, before=cut_short(half.folder, tmp_path / "after"))
     robot = ReplayRobot(read_recording(after.folder))
-    again = run.run_mission(scenario, name="rooms", max_time=12.0, out_dir=tmp_path / "again", robot=robot)
+    again = run.run_mission(scenario, name="rooms", max_time=8.0, out_dir=tmp_path / "again", robot=robot)
     for one in (whole, after, again):
         (heard,) = read_recording(one.folder).messages[SAID]
         assert (heard.stamp, heard.count, heard.X_WB.tolist()) == (0.5625, 1, said.X_WB.tolist())
         assert one.summary["changes"]["places"] == 1  # of two, had nobody said it
         assert (one.folder / "map.npz").read_bytes() == (whole.folder / "map.npz").read_bytes()
+        assert len(one.stages) == 1
         assert (one.folder / "stages.jsonl").read_bytes() == (whole.folder / "stages.jsonl").read_bytes()
 
 
