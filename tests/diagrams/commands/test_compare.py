@@ -10,7 +10,11 @@ from pathlib import Path
 import pytest
 
 from tfg_drake.comparison.runs import Run
+from tfg_drake.diagrams.commands import compare
 from tfg_drake.diagrams.commands.compare import closing_lines
+from tfg_drake.diagrams.missions import comparison_report
+from tfg_drake.diagrams.missions.sweep import attempt
+from tfg_drake.mission.interruption import NAMES
 
 
 @pytest.mark.parametrize(
@@ -47,7 +51,14 @@ def test_the_closing_lines_have_time_and_error_where_there_is_one():
     ]
 
 
-def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
+def in_this_process(tasks, out, _jobs, _interrupted):
+    """`run_local` without processes of its own, which test_sweep.py looks at."""
+    for task in tasks:
+        yield Run(task.method, task.seed, task.folder(out), *attempt(task, task.folder(out)))
+
+
+def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path, monkeypatch):
+    monkeypatch.setattr(compare, "run_local", in_this_process)
     out = tmp_path / "comparison"
     arguments = ["compare", room, "--tag-spacing", "1", "--methods", "tfg,tfg-nearest"]
     arguments += ["--seeds", "1", "--max-time", "9", "--out", str(out)]
@@ -55,9 +66,9 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
     assert (code, err) == (0, "")
     # In between it may say how far it is.
     expected = [
-        r"tfg, seed 0: time_limit; 1 of 2 runs, about .*",
-        r"tfg-nearest, seed 0: time_limit; 2 of 2 runs",
-        r"tfg           1 time_limit; time 9 s",
+        r"tfg, seed 0: complete; 1 of 2 runs, about .*",
+        r"tfg-nearest, seed 0: complete; 2 of 2 runs",
+        r"tfg           1 complete; time 8 s",
         re.escape(f"report: {out / 'report.html'}"),
     ]
     assert re.fullmatch(r"(?:.*\n)*" + r"\n(?:.*\n)*".join(expected) + r"\n", printed), printed
@@ -66,8 +77,8 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
         assert (out / f"{name}.pdf").stat().st_size > 2000
     rows = list(csv.DictReader((out / "runs.csv").open()))
     assert [(row["method"], row["seed"], row["outcome"]) for row in rows] == [
-        ("tfg", "0", "time_limit"),
-        ("tfg-nearest", "0", "time_limit"),
+        ("tfg", "0", "complete"),
+        ("tfg-nearest", "0", "complete"),
     ]
     page = (out / "report.html").read_text()
     assert not re.search(r"https?:|file:|(src|href)=\"(?!data:)", page)
@@ -76,6 +87,7 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path):
     assert command in page
     assert f"    {command}\n" in (out / "report.md").read_text()
 
+    monkeypatch.setattr(comparison_report, "write_comparison", lambda *_: None)
     code, printed, err = call(*arguments)
     assert (code, err, printed.splitlines()[0]) == (0, "", "2 of 2 runs are there already")
 
@@ -89,6 +101,7 @@ def blocked_in_missions(pid):
     """The masks of blocked signals of a comparison's processes that run a mission, at least one."""
     masks = []
     while not masks:
+        time.sleep(0.02)
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
             if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
                 status = Path(f"/proc/{child}/status").read_text()
@@ -96,35 +109,25 @@ def blocked_in_missions(pid):
     return masks
 
 
-@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
-def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(room, tmp_path, number, name):
+def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(call, room, tmp_path, monkeypatch):
+    """SIGTERM, as `timeout` sends it; a mission's process hears none of those that end a program."""
     out = tmp_path / "comparison"
-    arguments = [
-        "compare",
-        room,
-        "--seeds",
-        "20",
-        "--jobs",
-        "1",
-        "--max-time",
-        "9",
-        "--methods",
-        "tfg",
-        "--out",
-        str(out),
-    ]
+    arguments = ["compare", room, "--jobs", "1", "--max-time", "1", "--methods", "tfg", "--out", str(out), "--seeds"]
+    with monkeypatch.context() as patch:
+        patch.setattr(compare, "run_local", in_this_process)
+        patch.setattr(comparison_report, "write_comparison", lambda *_: None)
+        assert call(*arguments, 1)[0] == 0
     process = subprocess.Popen(
-        [sys.executable, "-m", "tfg_drake.diagrams.cli", *arguments],
+        [sys.executable, "-m", "tfg_drake.diagrams.cli", *arguments, "20"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
-    while not (out / "runs" / "tfg" / "seed-0" / "task.json").exists():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
-    assert all(mask >> (number - 1) & 1 for mask in blocked_in_missions(process.pid))
-    os.killpg(process.pid, number)
+    masks = blocked_in_missions(process.pid)
+    assert all(mask >> (number - 1) & 1 for mask in masks for number in NAMES)
+    os.killpg(process.pid, signal.SIGTERM)
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (128 + number, f"\ntfg-drake: stopping; {name} again leaves at once\n")
-    assert re.search(r"This report is partial: \d+ of 20 runs are done.", (out / "report.md").read_text())
+    stopping = "\ntfg-drake: stopping; SIGTERM again leaves at once\n"
+    assert (process.returncode, err) == (128 + signal.SIGTERM, stopping)
+    assert re.search(r"This report is partial: [1-9]\d* of 20 runs are done.", (out / "report.md").read_text())

@@ -1,11 +1,12 @@
 import pytest
 
 from tfg_drake.diagrams.commands import figures
-from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 
 def test_stages_hold_what_belongs_together_and_end_when_told():
-    scenario = LoadScenario(FindScenario("paper"))
+    quick = ["explorer.first_look=2", "explorer.first_turns=1"]
+    scenario = ApplySettings(LoadScenario(FindScenario("paper")), quick)
     stages, stamps, p_MB = figures.stages_of(scenario, lambda stage, time: stage == 2)
     assert [stage.goal.stage for stage in stages] == [1, 2]
     for stage in stages:

@@ -13,7 +13,7 @@ from tfg_drake.diagrams.missions import run
 @pytest.fixture(scope="module")
 def original(tmp_path_factory, compiled):
     return run.run_mission(
-        tagged(DIVIDED + QUICK_LOOK), name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=40.0
+        tagged(DIVIDED + QUICK_LOOK), name="room", out_dir=tmp_path_factory.mktemp("original"), max_time=15.0
     )
 
 

@@ -174,6 +174,8 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert len((out / "trajectory.tum").read_text().splitlines()) == 60
     assert (out / "map.npz").exists() == (method == "walls")
+    assert (out / "grid.npz").exists() == (method == "grid")
+    assert (summary["walls_mapped"] is None) == (method == "grid")
     if method == "walls":
         assert 4 <= summary["walls_mapped"] <= 6
         code, printed, complaint = call("map", "info", str(out))
