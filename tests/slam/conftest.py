@@ -84,7 +84,7 @@ class RingDrive:
         return TurnFrame(self.time, self.time, self.X_OB, no_detections(self.time))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def drive():
     """RingDrive, the class."""
     return RingDrive
@@ -94,7 +94,7 @@ def _nees(error, covariance):
     return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def nees():
     """Normalised squared error e' P^-1 e / n."""
     return _nees

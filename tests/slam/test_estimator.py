@@ -53,9 +53,9 @@ def test_exact_without_noise(drive):
         error[2] = se2.wrap_angle(error[2])
         assert np.abs(error).max() < 1e-6
 
-    robot, state = explore(drive, 1, 0.0, views=4, check=check)
+    robot, state = explore(drive, 1, 0.0, views=2, tags=120, check=check)
     estimate = state.map
-    assert estimate.stage == 4
+    assert estimate.stage == 2
     assert len(estimate.ids) > 60
     np.testing.assert_allclose(estimate.p_ML, robot.p_ML(estimate.ids), atol=1e-6)
     np.testing.assert_allclose(estimate.X_MD, robot.X_MB, atol=1e-6)
@@ -64,7 +64,7 @@ def test_exact_without_noise(drive):
 
 def test_gtsam_alone_comes_to_the_same_map(drive):
     expected, found = (
-        finished_map(explore(drive, 3, 1.0, views=4, solver=solver)[1]) for solver in ("dissection", "gtsam")
+        finished_map(explore(drive, 3, 1.0, views=2, solver=solver)[1]) for solver in ("dissection", "gtsam")
     )
     assert (expected.graph.solver, found.graph.solver) == ("dissection", "gtsam")
     np.testing.assert_array_equal(found.map.ids, expected.map.ids)
@@ -92,7 +92,8 @@ def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(d
     assert spread is not None or all_over.is_joint
 
 
-def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
+@pytest.mark.parametrize(("seeds", "views"), [(2, 3), pytest.param(6, 5, marks=pytest.mark.slow)])
+def test_consistent_with_the_systematic_errors_of_a_run(drive, nees, seeds, views):
     landmarks, poses, online = [], [], []
 
     def check(robot, state):
@@ -102,8 +103,8 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
             error[2] = se2.wrap_angle(error[2])
             online.append(nees(error, estimate.covariance))
 
-    for seed in range(6):
-        robot, state = explore(drive, seed, 1.0, views=5, check=check)
+    for seed in range(seeds):
+        robot, state = explore(drive, seed, 1.0, views=views, check=check)
         estimate = state.map
         assert len(state.rejected) == 0
         landmarks.append(nees((estimate.p_ML - robot.p_ML(estimate.ids)).ravel(), estimate.covariance[:-3, :-3]))
@@ -112,7 +113,8 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees):
         poses.append(nees(error, estimate.covariance[-3:, -3:]))
         assert np.sqrt(np.mean((estimate.p_ML - robot.p_ML(estimate.ids)) ** 2)) < 0.05
     assert 0.8 < np.mean(landmarks) < 1.2
-    assert np.mean(poses) < 2.0
+    # Three deviations of a mean of three squares a seed.
+    assert np.mean(poses) < 1.0 + 3.0 * np.sqrt(2.0 / (3.0 * seeds))
     assert 0.3 < np.mean(online) < 1.6
 
 

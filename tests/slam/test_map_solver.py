@@ -165,7 +165,7 @@ def test_errors_of_tags_are_known_where_keyframes_are_fused():
 
 def test_how_large_the_errors_of_tags_are_is_learnt():
     found = []
-    for seed in range(4):
+    for seed in range(2):
         keyframes, _, _ = ring(seed, views=40, tags=200, laps=2.0, tag_error=TAG_ERROR)
         graph = reckoned(keyframes)
         for _ in range(12):

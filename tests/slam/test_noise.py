@@ -41,7 +41,7 @@ def robot_with(seed, factor, tags=1.0, correlation=0.0, gaps=0.05):
     return robot
 
 
-def found(robot, pieces=16):
+def found(robot, pieces=12):
     """The noise after turns and pieces, in turn."""
     known = noise_by_data_sheet(WALKS)
     for k in range(pieces):
@@ -51,24 +51,25 @@ def found(robot, pieces=16):
 
 
 @pytest.mark.parametrize(
-    ("factor", "tags", "correlation"),
+    ("factor", "tags", "correlation", "seeds"),
     [
-        pytest.param((1.0, 1.0), 1.0, 0.0, marks=pytest.mark.slow),
-        pytest.param((3.0, 3.0), 1.0, 0.0, marks=pytest.mark.slow),
-        pytest.param((1.0, 1.0), 1.0, 0.9, marks=pytest.mark.slow),
-        ((1.5, 1.4), 0.8, 0.6),
+        pytest.param((1.0, 1.0), 1.0, 0.0, 4, marks=pytest.mark.slow),
+        pytest.param((3.0, 3.0), 1.0, 0.0, 4, marks=pytest.mark.slow),
+        pytest.param((1.0, 1.0), 1.0, 0.9, 4, marks=pytest.mark.slow),
+        pytest.param((1.5, 1.4), 0.8, 0.6, 4, marks=pytest.mark.slow),
+        ((1.5, 1.4), 0.8, 0.6, 1),
     ],
 )
-def test_the_noise_is_found(factor, tags, correlation):
+def test_the_noise_is_found(factor, tags, correlation, seeds):
     truth = np.array([*np.log(factor), np.log(tags), np.arctanh(correlation)])
     learnt = [DISTANCE, HEADING, TAGS, CORRELATION]
     errors = []
-    for seed in range(4):
+    for seed in range(seeds):
         known = found(robot_with(seed, factor, tags, correlation))
         errors.append((known.level[learnt] - truth) / known.sigma[learnt])
         assert known.sigma[HEADING] < 0.1
         assert known.sigma[TAGS] < 0.05
-    # Squares of 16 errors, three deviations beside one another.
+    # Squares of 16 errors, three deviations beside one another; of the four of one seed, as few.
     assert np.mean(np.square(errors)) < 2.1
     assert np.abs(errors).max() < 4.0
 

@@ -1,5 +1,6 @@
 """A session maps apart until it knows where it is in the map that it began with."""
 
+import copy
 import logging
 
 import numpy as np
@@ -46,17 +47,47 @@ def first():
     return robot.view(robot.drive(state, 0.3, 0.1, 25))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def known(first):
     one = as_one_keyframe(first.map, first.sheet).keyframes[0]
     return KnownMap(one, first.map.X_MD, first.map, seen_by_keyframes(first.graph), first.evidence, np.zeros((0, 2)))
+
+
+def viewed(robot, known):
+    """The robot, and its state after a view."""
+    return robot, robot.view(robot.begun(known))
+
+
+@pytest.fixture(scope="module")
+def of_the_same(known):
+    return viewed(Session(START, 7), known)
+
+
+@pytest.fixture(scope="module")
+def of_another(known):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.slam.test_reunion.ROOM", OTHER)
+        return viewed(Session([4.0, 1.0, 0.3], 8), known)
+
+
+@pytest.fixture
+def placed(of_the_same):
+    """A robot in the known building and its state after the first view."""
+    return copy.deepcopy(of_the_same[0]), of_the_same[1]
+
+
+@pytest.fixture
+def elsewhere(of_another, monkeypatch):
+    """A robot in another building and its state after the first view."""
+    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
+    return copy.deepcopy(of_another[0]), of_another[1]
 
 
 def in_K(X_WB):
     return se2.between(np.array([2.5, 1.5, 0.0]), X_WB)
 
 
-def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known):
+def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known, placed):
     robot = Session(START, 7)
     state = robot.begun(known)
     turning = robot.drive(begin_turn(state, robot.time), 0.0, 0.5, 100)
@@ -65,8 +96,7 @@ def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known
     assert 0.0 < turning.placed < robot.time
     np.testing.assert_allclose(pose_estimate(turning).X_MB, in_K(robot.X_WB), atol=0.05)
 
-    robot = Session(START, 7)
-    state = robot.view(robot.begun(known))
+    robot, state = placed
     assert (state.known.since, state.map.stage) == (1, 1)
     assert pose_estimate(state).places == -1
     assert np.all(np.abs(se2.between(in_K(START), state.map.X_MA[0])) < [0.03, 0.03, 0.01])
@@ -81,20 +111,18 @@ def test_it_finds_itself_in_the_first_turn_and_both_maps_become_one(first, known
     assert error @ np.linalg.solve(state.map.covariance[-3:, -3:], error) < 16.0
 
 
-def test_what_hangs_on_the_sessions_walls_stays_where_it_is(known):
+def test_what_hangs_on_the_sessions_walls_stays_where_it_is(placed):
     """Surfaces are told from a wall's anchor: that of the session's counts."""
-    alone, robot = Session(START, 7), Session(START, 7)
-    apart, together = alone.view(alone.begun()), robot.view(robot.begun(known))
+    _, apart = viewed(Session(START, 7), None)
+    _, together = placed
     rows = np.searchsorted(together.map.ids, apart.map.ids)
     np.testing.assert_array_equal(together.map.ids[rows], apart.map.ids)
     moved = se2.transform(together.map.X_MA[0], apart.map.anchor)
     np.testing.assert_allclose(together.map.anchor[rows], moved, atol=0.03)
 
 
-def test_in_another_building_it_maps_apart(known, monkeypatch):
-    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
-    robot = Session([4.0, 1.0, 0.3], 8)
-    state = robot.view(robot.begun(known))
+def test_in_another_building_it_maps_apart(known, elsewhere):
+    _, state = elsewhere
     assert (state.at, state.placed) == (None, -np.inf)
     assert state.known is known
     three = Hypotheses(np.zeros((3, 3)), np.full(3, 0.3), known.seen.points)
@@ -103,10 +131,8 @@ def test_in_another_building_it_maps_apart(known, monkeypatch):
     assert len(known_walls(state.map)[0]) == 4
 
 
-def test_a_place_that_what_follows_contradicts_is_taken_back(known, monkeypatch, caplog):
-    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
-    robot = Session([4.0, 1.0, 0.3], 8)
-    state = robot.view(robot.begun(known))
+def test_a_place_that_what_follows_contradicts_is_taken_back(elsewhere, caplog):
+    _, state = elsewhere
     wrong = replace(state, at=Placed(np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4), placed=1.0)
     with caplog.at_level(logging.WARNING, "tfg_drake.operator"):
         after = joined(wrong)
@@ -114,9 +140,8 @@ def test_a_place_that_what_follows_contradicts_is_taken_back(known, monkeypatch,
     assert "contradicts that place" in caplog.text
 
 
-def test_both_are_one_for_good_once_what_follows_agrees(known):
-    robot = Session(START, 7)
-    state = robot.view(robot.begun(known))
+def test_both_are_one_for_good_once_what_follows_agrees(placed):
+    robot, state = placed
     for stage in range(2, 2 + EACH_VIEW):
         assert (state.known is None, pose_estimate(state).places) == (False, -1)
         state = robot.view(robot.drive(state, 0.2, 0.1, 5))
@@ -124,11 +149,10 @@ def test_both_are_one_for_good_once_what_follows_agrees(known):
     assert (state.known, state.at) == (None, None)
 
 
-def test_both_become_two_again_where_what_follows_contradicts_that(known, monkeypatch, caplog):
+def test_both_become_two_again_where_what_follows_contradicts_that(known, elsewhere, caplog):
     """It is in another building, and was believed to be in the known one."""
-    monkeypatch.setattr("tests.slam.test_reunion.ROOM", OTHER)
-    robot, alone = Session([4.0, 1.0, 0.3], 8), Session([4.0, 1.0, 0.3], 8)
-    state, apart = robot.view(robot.begun(known)), alone.view(alone.begun())
+    robot, state = elsewhere
+    alone, apart = viewed(Session([4.0, 1.0, 0.3], 8), None)
     wrong = Placed(np.array([2.0, 0.0, -0.3]), np.diag(BY_WALLS**2))
     state = with_known(state, known, wrong)
     assert (state.known.since, pose_estimate(state).places) == (1, -1)
@@ -157,7 +181,7 @@ def test_both_become_two_again_where_what_follows_contradicts_that(known, monkey
     np.testing.assert_allclose(state.map.X_MD, se2.between(robot.start, robot.X_WB), atol=0.03)
 
 
-@pytest.mark.parametrize("off", [0.2, 3.0])
+@pytest.mark.parametrize("off", [pytest.param(0.2, marks=pytest.mark.slow), 3.0])
 def test_where_it_is_said_to_be_counts_less_than_what_it_sees(known, off, caplog):
     said = Placed(in_K(START) + np.array([off, 0.0, 0.0]), np.diag([0.25, 0.25, 0.09]))
     robot = Session(START, 7)

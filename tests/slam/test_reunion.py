@@ -59,7 +59,7 @@ class Robot:
         return state
 
     def view(self, state):
-        return end_turn(self.drive(begin_turn(state, self.time), 0.0, 0.5, 126), self.time)
+        return end_turn(self.drive(begin_turn(state, self.time), 0.0, 0.7, 90), self.time)
 
 
 @pytest.mark.parametrize("late", [False, True], ids=["at once", "a view later"])

@@ -554,7 +554,7 @@ def test_the_floor_is_found_by_walls_seen_again(level):
     assert walls.floor == pytest.approx(level, rel=0.3)
 
 
-@pytest.mark.parametrize("factor", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("factor", [1.0, pytest.param(3.0, marks=pytest.mark.slow), 8.0])
 def test_the_noise_of_looks_is_learnt_from_how_they_agree_in_a_turn(factor):
     """Looks that are off by so many times what their rays tell: outliers at first, all of them believed at last."""
     rng, known = np.random.default_rng(7), noise_by_data_sheet(NOISE.walks)
@@ -573,10 +573,11 @@ def test_the_noise_of_looks_is_learnt_from_how_they_agree_in_a_turn(factor):
     assert known.sigma[LOOKS] < 0.05
 
 
-def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry():
+@pytest.mark.parametrize("seeds", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_the_scanners_clock_is_no_excuse_for_the_noise_of_odometry(seeds):
     """A twist of a single step would have that step's noise in it: a late clock explained it, 18 deviations off."""
     sheet, found = by_data_sheet(OdometryConfig(), TagSensorConfig(), ScanConfig()), []
-    for seed in range(3):
+    for seed in range(seeds):
         state, _ = drive(initial_state(OdometryConfig(), 1.0, sheet), seed, 1.0, ROUND[:7])
         shared = state.graph.shared
         found.append((shared.mean / shared.sigma)[[SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP]])
