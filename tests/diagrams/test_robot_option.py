@@ -54,15 +54,16 @@ def test_what_cannot_be_driven_is_refused_in_one_line(call, arguments, line):
     assert call("explore", "--headless", *arguments) == (2, "", f"tfg-drake: {line}\n")
 
 
-def test_a_run_is_driven_through_once_more(call, tmp_path):
+def test_a_run_is_driven_through_once_more(call, room, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
-    code, _, _ = call("explore", "house", "--headless", "--max-time", "40", "--out", str(first))
+    code, _, _ = call("explore", room, "--tag-spacing", "1", "--headless", "--max-time", "7.8", "--out", str(first))
     assert code == 0
     code, out, _ = call("explore", "--robot", f"replay:{first}", "--headless", "--out", str(second), "--json")
     assert code == 0
     summary = json.loads(out.splitlines()[-1])
     assert (summary["outcome"], summary["reason"]) == ("time_limit", "the recording has ended")
     assert summary["world"] == str(first / "scenario.yaml")
+    assert summary["stages"] == 1
     for name in ("map.npz", "trajectory.tum", "stages.jsonl"):
         assert (first / name).read_bytes() == (second / name).read_bytes()
     before = (first / "ports.mcap").read_bytes()

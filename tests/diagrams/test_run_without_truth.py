@@ -7,7 +7,7 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import DiagramBuilder
 
-from tests.diagrams.rooms import ROOM, SHORT_LOOK, tagged
+from tests.diagrams.rooms import QUICK_LOOK, ROOM, tagged
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run, summary_words
 from tfg_drake.diagrams.robots import Robot
@@ -25,7 +25,7 @@ NOTHING = {"mean": None, "std": None, "max": None, "final": None}
 
 
 def room():
-    return tagged(ROOM + SHORT_LOOK)
+    return tagged(ROOM + QUICK_LOOK)
 
 
 def MakeTruthlessStation(scenario):
