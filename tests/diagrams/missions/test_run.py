@@ -263,7 +263,7 @@ def test_a_grid_mission_has_a_grid_and_no_landmarks(tmp_path):
     assert lasting(again) == lasting(summary)
 
 
-@pytest.mark.parametrize("name", ["weighted", "random"])
+@pytest.mark.parametrize("name", ["weighted", pytest.param("random", marks=pytest.mark.slow)])
 def test_other_methods_end_a_mission_too(name, tmp_path):
     summary = run.run_mission(room(), method=FindMethod(name), name="room", max_time=30.0, out_dir=tmp_path).summary
     assert summary["outcome"] in ("complete", "time_limit")
