@@ -114,24 +114,16 @@ def test_wheels_that_do_not_turn_as_they_are_told_lock_the_base(emulator, drivin
     assert driving.locked in (None, SILENT)
 
 
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        ({"overcurrent": 2}, "overcurrent of the right wheel: see what blocks the wheels"),
-        ({"charger": 6}, "the base stands in its dock: put it on the floor"),
-        ({"charger": 22}, "the base is charging by its adapter: pull the plug"),
-        ({"battery": 130}, "the battery is down to 13.2 V: charge it"),
-    ],
-)
-def test_what_the_base_says_against_driving_stops_it_until_it_is_over_and_enabled_anew(emulator, driving, said, words):
-    before = {name: getattr(emulator.base, name) for name in said}
+def test_what_the_base_says_against_driving_stops_it_until_it_is_over_and_enabled_anew(emulator, driving):
+    """test_alarms.py has all that it may say."""
+    words, before = "overcurrent of the right wheel: see what blocks the wheels", emulator.base.overcurrent
     begin = time.monotonic()
-    vars(emulator.base).update(said)
+    emulator.base.overcurrent = 2
     assert_stops(emulator, begin)
     wait_for(lambda: (driving.locked or "").startswith(words))
     with pytest.raises(DeviceError, match=words):
         driving.enable()
-    vars(emulator.base).update(before)
+    emulator.base.overcurrent = before
     time.sleep(0.2)
     assert driving.locked.startswith(words)
     go(emulator, driving)
@@ -303,7 +295,11 @@ def test_it_stops_when_the_base_is_silent(emulator, driving):
     wait_for(lambda: driving.locked == complaint)
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
+# Who ends in order and who does not.
+ENDS = [signal.SIGTERM, *(pytest.param(one, marks=pytest.mark.slow) for one in (signal.SIGINT, signal.SIGHUP))]
+
+
+@pytest.mark.parametrize("how", [*ENDS, signal.SIGKILL])
 def test_it_stops_when_its_process_ends(emulator, driving, how):
     begin = time.monotonic()
     os.kill(driving.process_id, how)
@@ -399,7 +395,7 @@ while True:
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)])
 def test_it_stops_when_its_parent_is(emulator, how):
     parent = subprocess.Popen([sys.executable, "-c", PARENT, emulator.device])
     try:
