@@ -97,7 +97,9 @@ def test_walls_without_tags_are_a_map_too(tool, scenario):
 
 
 def test_where_there_is_nothing_the_mission_ends(tool, scenario):
-    code, _, err, summary = tool(scenario("start: [0, 0, 0], walls: []"), "--max-time", 300)
+    code, _, err, summary = tool(
+        scenario("start: [0, 0, 0], walls: []"), "--max-time", 300, "--set", "robot.max_speed=2"
+    )
     assert (code, err, summary["outcome"]) == (1, "", "stuck")
     assert re.fullmatch(
         r"Neither a landmark nor a surface was seen on 5\d m of way: there is nothing to map.", summary["reason"]

@@ -18,17 +18,18 @@ WORLD = MakeWorld(LoadScenario("house").world)
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory):
-    """Enabled, stopped, enabled anew, paused, resumed, and ended."""
+    """A robot with a scanner alone: enabled, stopped, enabled anew, paused, resumed, and ended when it has mapped."""
     folder = tmp_path_factory.mktemp("run")
     marks = {}
     with Emulator(WORLD) as emulator:
-        explorer = Explorer(emulator, folder, 300.0)
+        explorer = Explorer(emulator, folder, 300.0, tags=False)
 
         def press(name, key, after):
             time.sleep(after)
             marks[name] = time.monotonic(), emulator.base.pose
             explorer.press(key)
 
+        explorer.wait_for("no source of them: walls are the landmarks")
         explorer.wait_for("nothing moves before it is enabled")
         marks["start"] = emulator.base.pose
         press("enabled", "e", 0.5)
@@ -41,7 +42,9 @@ def mission(tmp_path_factory):
         marks["stood again"] = stands(emulator, marks["paused"][0])
         press("resumed", "p", 1.0)
         moves(emulator, marks["resumed"][0])
+        explorer.wait_for(" walls ", goes_on=True)
         press("ended", "q", 1.0)
+        explorer.wait_for("walls  ")
         explorer.wait_for("files")
         assert explorer.process.wait(60.0) == 130  # as Ctrl-C ends it
         time.sleep(0.3)
@@ -62,19 +65,20 @@ def test_it_turns_only_while_it_may(mission):
     assert marks["stood again"] - marks["paused"][0] < 5.0
     assert all(any(a <= when <= b for a, b in intervals) for when in moving)
     assert all(any(a <= when <= b for when in moving) for a, b in intervals)
-    assert [line.partition(": ")[2] for line in lines if line.endswith((": enable", ": stop"))] == [
-        "enable",
-        "stop",
-        "enable",
-    ]
+    told = [line.partition(": ")[2] for line in lines if line.endswith((": enable", ": stop"))]
+    # A busy machine may have it enabled once more.
+    assert (told[:3], set(told[3:]) <= {"enable"}) == (["enable", "stop", "enable"], True)
 
 
-def test_it_maps_what_is_there(mission):
-    folder, _, _ = mission
+def test_it_maps_walls(mission):
+    folder, _, lines = mission
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["outcome"] == "interrupted"
     assert summary["landmark_rmse_m"] is None
     assert summary["contacts"] is None
+    assert summary["walls_mapped"] > summary["landmarks_mapped"] == 0
+    assert LoadScenario(folder / "scenario.yaml").explorer.landmarks == "walls"
+    assert not any(line.startswith("tags  ") for line in lines[-20:])
 
 
 def test_the_estimate_is_where_the_robot_is(mission):
@@ -122,35 +126,6 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
     assert [log.count(words) for words in told] == [1, 1, 1, 1]
 
 
-def test_an_empty_battery_ends_the_mission_by_a_word_of_its_own(tmp_path):
-    with Emulator(WORLD) as emulator:
-        explorer = Explorer(emulator, tmp_path, 300.0)
-        _drives(emulator, explorer)
-        emulator.base.battery = 130
-        explorer.wait_for("the battery is nearly empty, 13.0 V")
-        explorer.wait_for("files")
-        assert explorer.process.wait(60.0) == 0
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["outcome"] == "battery"
-    assert summary["reason"].startswith("The battery is nearly empty, 13.0 V: the robot stands at (")
-
-
-def test_a_robot_with_a_scanner_alone_maps_walls(tmp_path):
-    with Emulator(WORLD) as emulator:
-        explorer = Explorer(emulator, tmp_path, 300.0, tags=False)
-        explorer.wait_for("no source of them: walls are the landmarks")
-        _drives(emulator, explorer)
-        explorer.wait_for(" walls ", goes_on=True)
-        explorer.press("q")
-        explorer.wait_for("walls  ")
-        explorer.wait_for("files")
-        assert explorer.process.wait(60.0) == 130
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["walls_mapped"] > summary["landmarks_mapped"] == 0
-    assert LoadScenario(tmp_path / "scenario.yaml").explorer.landmarks == "walls"
-    assert not any(line.startswith("tags  ") for line in explorer.lines[-20:])
-
-
 @pytest.mark.slow
 def test_a_robot_with_a_scanner_alone_explores_the_house(tmp_path):
     with Emulator(WORLD) as emulator:
@@ -171,7 +146,7 @@ def _mirrored(scan):
     return replace(scan, angles=-scan.angles[::-1], ranges=scan.ranges[::-1])
 
 
-def test_a_mirrored_scan_stops_it_in_the_first_turn_until_somebody_enables_it_anew(tmp_path):
+def test_a_mirrored_scan_stops_it_until_it_is_enabled_anew_and_an_empty_battery_ends_it(tmp_path):
     with Emulator(WORLD) as emulator:
         emulator.faults = {"scan": _mirrored}
         explorer = Explorer(emulator, tmp_path, 300.0)
@@ -181,8 +156,13 @@ def test_a_mirrored_scan_stops_it_in_the_first_turn_until_somebody_enables_it_an
         over = stands(emulator, time.monotonic())
         explorer.press("e")
         moves(emulator, over)
-        explorer.press("q")
+        emulator.base.battery = 130
+        explorer.wait_for("the battery is nearly empty, 13.0 V", goes_on=True)
         explorer.wait_for("files")
+        assert explorer.process.wait(60.0) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["outcome"] == "battery"
+    assert summary["reason"].startswith("The battery is nearly empty, 13.0 V: the robot stands at (")
     assert sum("enabled anew: scans turn against" in line for line in explorer.lines) == 1
 
 
