@@ -3,7 +3,6 @@ the tests of a file have ended."""
 
 import contextlib
 import functools
-import math
 import os
 import runpy
 import subprocess
@@ -76,18 +75,11 @@ class Transport:
 
     def last_motion_told(self):
         """When the robot was last told to move."""
-        return max((t for t, v, w in self.order("report")["commands"] if v or w), default=-math.inf)
+        return self.order("moved")
 
     def stop_after(self, fault):
         """How long after the fault the robot was last told to move; it has been told to stand for half a second."""
-
-        def stands():
-            commands = self.order("report")["commands"]
-            moved = max((t for t, v, w in commands if v or w), default=-math.inf)
-            zeros = [t for t, v, w in commands if not (v or w) and t > max(fault, moved)]
-            return bool(zeros) and time.monotonic() - zeros[0] > 0.5
-
-        self.wait_for(stands)
+        self.wait_for(lambda: time.monotonic() - self.order("stands", fault) > 0.5)
         last = self.last_motion_told()
         assert last > fault - 10.0, "it did not move before the fault"
         print(f"{self.name}: last motion {last - fault:.3f} s after the fault")

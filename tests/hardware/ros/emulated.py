@@ -21,9 +21,13 @@ def make_robot():
 def orders(robot, connection, more=None):
     """For EmulatedTurtlebot.run: obeys what the test says until it lets go.
 
-    ("silent", topic keys), ("jump", s), ("report", None) and those of `more`, functions by name. The answer is the
-    report, what the function returns, or the time, s.
+    ("silent", topic keys), ("jump", s), ("report", None), ("moved", None), ("stands", time, s) and those of `more`,
+    functions by name. The answer is the report, when it was last told to move, since when it has been told to stand
+    after that time, what the function returns, or the time, s.
     """
+
+    def last_motion():
+        return next((t for t, v, w in reversed(robot.commands) if v or w), -math.inf)
 
     def go_on():
         while connection.poll():
@@ -38,6 +42,11 @@ def orders(robot, connection, more=None):
                 robot.clock += value
             elif name == "report":
                 answer = {"commands": list(robot.commands), "poses": list(robot.poses)}
+            elif name == "moved":
+                answer = last_motion()
+            elif name == "stands":
+                after = max(value, last_motion())
+                answer = min((t for t, v, w in robot.commands if not (v or w) and t > after), default=math.inf)
             else:
                 answer = more[name]() or answer
             connection.send(answer)
