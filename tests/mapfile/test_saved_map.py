@@ -157,7 +157,7 @@ def test_every_truncation_is_an_error_never_a_crash(path):
         assert error_of(path) == DAMAGED
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_byte_is_found_or_harmless(path, small_map, data):
     save_map(path, small_map)
@@ -179,7 +179,7 @@ def test_arrays_of_extremes_are_refused_or_summed_up(path):
     with np.load(path) as file:
         good = {name: file[name] for name in file.files}
     refused = 0
-    for _ in range(200):
+    for _ in range(80):
         name = draw.choice([name for name, array in good.items() if array.size])
         bad = good[name].copy()
         extremes = (0, -1, 10**6, 2**62) if bad.dtype.kind == "i" else (0, -1, 500, 1e5, 1e300, np.inf, np.nan)
@@ -189,7 +189,7 @@ def test_arrays_of_extremes_are_refused_or_summed_up(path):
             map_rows(load_map(path), path.stat().st_size)
         except MapFileError:
             refused += 1
-    assert 50 < refused < 200
+    assert 20 < refused < 80
 
 
 def test_an_array_of_zeros_is_not_unpacked(path):
