@@ -331,7 +331,9 @@ def test_a_rover_log_of_a_wider_scanner_sees_what_the_good_one_saw():
 
 
 @pytest.mark.skipif(not (DATA / "radish").is_dir(), reason="the raw logs are not at hand")
-@pytest.mark.parametrize(("name", "scans", "ahead"), [("aces", 7374, 0.0), ("fr079", 4934, -0.04)])
+@pytest.mark.parametrize(
+    ("name", "scans", "ahead"), [pytest.param("aces", 7374, 0.0, marks=pytest.mark.slow), ("fr079", 4934, -0.04)]
+)
 def test_the_real_raw_logs(name, scans, ahead):
     log = load_dataset(DATA / "radish" / f"{name}.clf.bz2")
     assert log.truth is None

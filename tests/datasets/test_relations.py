@@ -93,7 +93,12 @@ def test_files_that_are_none(tmp_path):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the raw logs are not at hand")
 @pytest.mark.parametrize(
-    ("name", "count", "metres"), [("aces", 1279, 0.549), ("intel", 2984, 7.4), ("fr079", 1685, 6.5)]
+    ("name", "count", "metres"),
+    [
+        ("aces", 1279, 0.549),
+        pytest.param("intel", 2984, 7.4, marks=pytest.mark.slow),
+        pytest.param("fr079", 1685, 6.5, marks=pytest.mark.slow),
+    ],
 )
 def test_the_wheels_of_real_logs_are_as_far_off_as_is_known(name, count, metres):
     log = load_dataset(DATA / f"{name}.clf.bz2")

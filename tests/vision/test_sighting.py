@@ -50,7 +50,7 @@ def test_the_mount_s_angles_are_those_of_the_body():
     np.testing.assert_allclose(CameraMount(pitch=0.5).R_BC @ [0, 0, 1], [np.cos(0.5), 0, -np.sin(0.5)], atol=1e-12)
 
 
-@pytest.mark.parametrize("incidence", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("incidence", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 1.0])
 def test_rendered_tags_are_where_they_are(incidence):
     """Markers, warps and projection are OpenCV's. Rendered corners err by far less than is stated for real ones."""
     rng, detector, noise = np.random.default_rng(3), TagDetector(), TagNoise(pixels=0.03, place=0.0005, unlike=0.0)

@@ -321,9 +321,9 @@ def test_furnish_replaces_only_what_is_given(tmp_path):
         ("Joydeepb-Home.vectormap.txt", 100, 60),
         ("LGRC1.vectormap.txt", 200, 400),
         ("NSHA.vectormap.txt", 1100, 400),
-        ("GDC3.vectormap.txt", 6500, 600),
+        pytest.param("GDC3.vectormap.txt", 6500, 600, marks=pytest.mark.slow),
         ("building_31.yaml", 5000, 200),
-        ("willow-2010-02-18-0.10.yaml", 5500, 300),
+        pytest.param("willow-2010-02-18-0.10.yaml", 5500, 300, marks=pytest.mark.slow),
     ],
 )
 def test_real_buildings_load(name, most_walls, least_tags):
