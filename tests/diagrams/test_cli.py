@@ -14,13 +14,15 @@ import numpy as np
 import pytest
 import typer
 
-from tests.diagrams.rooms import ROOM
+from tests.diagrams.rooms import ROOM, ROOMS
 from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli, compile_kernels
 from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
+from tfg_drake.mapfile.landmark_table import landmark_csv
+from tfg_drake.mapfile.saved_map import load_map, save_map
 from tfg_drake.mission.interruption import TOGETHER
 from tfg_drake.slam import estimator
 
@@ -241,7 +243,7 @@ def wait_for(process, path):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("module", ["yaml", "tfg_drake.diagrams.station"])
+@pytest.mark.parametrize("module", ["yaml", pytest.param("tfg_drake.diagrams.station", marks=pytest.mark.slow)])
 def test_ctrl_c_before_the_mission_begins_leaves_a_summary(room, tmp_path, module):
     arguments = ["explore", room, "--headless", "--json", "--out", str(tmp_path / "run")]
     out, err = (process := start(["-c", INTERRUPTED], module, *arguments)).communicate(timeout=120)
@@ -251,9 +253,10 @@ def test_ctrl_c_before_the_mission_begins_leaves_a_summary(room, tmp_path, modul
     assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted by Ctrl-C at 0 s")
 
 
-@pytest.mark.parametrize(("number", "name"), SIGNALS)
-def test_a_signal_while_driving_leaves_map_and_summary(tmp_path, number, name):
-    arguments = ["explore", "house", "--headless", "--json", "--realtime-rate", "8", "--out", str(tmp_path / "run")]
+def test_a_signal_while_driving_leaves_map_and_summary(tmp_path):
+    (tmp_path / "rooms.yaml").write_text(ROOMS)
+    arguments = ["explore", str(tmp_path / "rooms.yaml"), "--tag-spacing", "1", "--headless", "--json"]
+    arguments += ["--realtime-rate", "4", "--out", str(tmp_path / "run")]
     process = start(["-m", "tfg_drake.diagrams.cli"], *arguments)
     stages = tmp_path / "run" / "stages.jsonl"
     wait_for(process, stages)
@@ -261,28 +264,46 @@ def test_a_signal_while_driving_leaves_map_and_summary(tmp_path, number, name):
         assert process.poll() is None, process.communicate()
         time.sleep(0.02)
     # As `timeout` sends it: to the program, and to its group.
-    process.send_signal(number)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (128 + number, STOPPING.replace("Ctrl-C", name))
+    assert (process.returncode, err) == (128 + signal.SIGTERM, STOPPING.replace("Ctrl-C", "SIGTERM"))
     summary = json.loads(out.splitlines()[-1])
     assert summary["outcome"] == "interrupted"
-    assert summary["reason"].startswith(f"interrupted by {name} at ")
+    assert summary["reason"].startswith("interrupted by SIGTERM at ")
     assert summary["stages"] >= 1
     assert summary["map_bytes"] == (tmp_path / "run" / "map.npz").stat().st_size
     assert {"mission.html", "trajectory.tum", "figure.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
-@pytest.mark.parametrize(("number", "name"), SIGNALS[:2])
-def test_a_second_signal_leaves_at_once(room, tmp_path, number, name):
+@pytest.mark.parametrize(("number", "name"), SIGNALS)
+def test_every_signal_ends_a_mission_with_a_code_of_its_own(call, room, tmp_path, monkeypatch, number, name):
+    def interrupt(progress):
+        if not progress.outcome:
+            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), number)
+        return ""
+
+    told = []
+    monkeypatch.setattr(explore_command, "progress_line", interrupt)
+    monkeypatch.setattr(cli, "_tell_at_once", told.append)
+    code, out, err = call("explore", room, "--headless", "--json", "--out", tmp_path / "run")
+    assert (code, err) == (128 + number, "")
+    assert told == [f"stopping; {name} again leaves at once"]
+    summary = json.loads(out.splitlines()[-1])
+    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["outcome"], summary["reason"]) == ("interrupted", f"interrupted by {name} at 1 s")
+
+
+def test_a_second_signal_leaves_at_once(room, tmp_path):
     process = start(["-m", "tfg_drake.diagrams.cli"], "explore", room, "--headless", "--out", str(tmp_path / "run"))
     wait_for(process, tmp_path / "run")
-    process.send_signal(number)
-    assert process.stderr.readline() + process.stderr.readline() == STOPPING.replace("Ctrl-C", name)
+    process.send_signal(signal.SIGTERM)
+    assert process.stderr.readline() + process.stderr.readline() == STOPPING.replace("Ctrl-C", "SIGTERM")
     time.sleep(TOGETHER)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, out.count("Traceback")) == (128 + number, 0)
+    assert (process.returncode, out.count("Traceback")) == (128 + signal.SIGTERM, 0)
     assert err == "\ntfg-drake: interrupted; nothing more is written\n"
 
 
@@ -371,19 +392,32 @@ def run_in(folder, *arguments, before="", **given):
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", "<&- >&- 2>&-"])
-def test_closed_streams_change_nothing(room, tmp_path, closed):
+def test_a_mission_without_standard_streams_is_as_any(room, tmp_path):
     arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run"]
-    code, _, err = run_in(tmp_path, *arguments, before=f"exec {closed};")
+    code, _, err = run_in(tmp_path, *arguments, before="exec <&- >&- 2>&-;")
     assert (code, err) == (0, "")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["outcome"] == "time_limit"
 
 
-@pytest.mark.parametrize(
-    "environment",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
-)
-def test_names_that_the_terminal_cannot_show_are_spelled_out(room, tmp_path, environment):
+@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-"])
+def test_closed_streams_change_nothing(small_map, tmp_path, closed):
+    save_map(tmp_path / "map.npz", small_map)
+    code, _, err = run_in(tmp_path, "map", "export", "map.npz", "a.csv", before=f"exec {closed};")
+    assert (code, err) == (0, "")
+    assert (tmp_path / "a.csv").read_text() == landmark_csv(load_map(tmp_path / "map.npz"))
+
+
+def test_names_that_the_terminal_cannot_show_are_spelled_out(small_map, tmp_path):
+    save_map(tmp_path / "map.npz", small_map)
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    code, out, err = run_in(tmp_path, "map", "export", "map.npz", "a-\xfc.csv", env=environment)
+    assert (code, err) == (0, "")
+    assert out.startswith(r"a-\xfc.csv: ")
+    assert (tmp_path / "a-\xfc.csv").exists()
+
+
+def test_a_mission_in_a_locale_without_utf_8_spells_out_names(room, tmp_path):
+    environment = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run-\xfc"]
     code, out, err = run_in(tmp_path, *arguments, env=os.environ | environment)
     assert (code, err) == (0, "")

@@ -30,7 +30,7 @@ def tasks(seeds=2, methods=("tfg",), **changes):
     found = []
     for seed in range(seeds):
         scenario.seed = seed
-        basis = {"name": "room", "world_name": "room", "max_time": 9.0} | changes
+        basis = {"name": "room", "world_name": "room", "max_time": 3.0} | changes
         found += [Task(method, LoadScenario(data=ROOM, defaults=scenario), **basis) for method in methods]
     return found
 
@@ -59,11 +59,32 @@ def test_a_run_leaves_its_folder_and_receipt(one_job):
     assert runs[0].folder == out / "runs" / "tfg" / "seed-0"
     assert {"summary.json", "task.json", "truth.tum", "trajectory.tum"} < set(os.listdir(runs[0].folder))
     receipt = json.loads((runs[0].folder / "task.json").read_text())
-    assert (receipt["method"], receipt["seed"], receipt["max_time_s"]) == ("tfg", 0, 9.0)
+    assert (receipt["method"], receipt["seed"], receipt["max_time_s"]) == ("tfg", 0, 3.0)
 
 
-def test_two_at_a_time_make_the_same_bits(one_job, tmp_path):
-    runs = by_seed(run_local(tasks(), tmp_path, 2, threading.Event()))
+@pytest.fixture(scope="module")
+def two_jobs(tmp_path_factory):
+    """The same runs, both at a time, all signals sent to them at once."""
+
+    def signal_both():
+        signalled = set()
+        while len(signalled) < 2:
+            for process in multiprocessing.active_children():
+                if process.pid not in signalled:
+                    signalled.add(process.pid)
+                    for number in NAMES:
+                        os.kill(process.pid, number)
+            time.sleep(0.01)
+
+    sender = threading.Thread(target=signal_both)
+    sender.start()
+    runs = by_seed(run_local(tasks(), tmp_path_factory.mktemp("two"), 2, threading.Event()))
+    sender.join()
+    return runs
+
+
+def test_two_at_a_time_make_the_same_bits(one_job, two_jobs):
+    runs = two_jobs
     assert all_lasting(runs) == all_lasting(one_job[0])
     same = [(run.folder / "truth.tum").read_bytes() for run in (runs[0], one_job[0][0])]
     assert same[0] == same[1]
@@ -115,20 +136,9 @@ def test_a_killed_or_failed_run_stops_no_other(tmp_path):
     assert [run.seed for run in open_sweep(some, tmp_path)] == [1]
 
 
-def test_a_signal_to_the_whole_group_ends_no_run(tmp_path):
+def test_a_signal_to_the_whole_group_ends_no_run(two_jobs):
     """As `timeout` and clusters send it: whoever started the runs looks after it."""
-
-    def signal_first():
-        while not multiprocessing.active_children():
-            time.sleep(0.01)
-        for number in NAMES:
-            os.kill(multiprocessing.active_children()[0].pid, number)
-
-    sender = threading.Thread(target=signal_first)
-    sender.start()
-    runs = by_seed(run_local(tasks(1), tmp_path, 1, threading.Event()))
-    sender.join()
-    assert runs[0].outcome == "time_limit"
+    assert [two_jobs[seed].outcome for seed in range(2)] == ["time_limit", "time_limit"]
 
 
 def test_a_run_that_cannot_be_started_is_one_line(tmp_path, monkeypatch):
