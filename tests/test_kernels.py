@@ -28,7 +28,7 @@ def package(tmp_path, monkeypatch):
     for name, text in (
         ("caller", "from tfg_drake.part.called import (\n    f,\n)\n@njit(cache=True)\ndef g(x):\n    return f(x)\n"),
         ("called", "from tfg_drake.part import number\nY = number.Y\n@njit(cache=True)\ndef f(x):\n    return x + Y\n"),
-        ("number", "Y = 1\n"),
+        ("number", "Y = 1\nZ = 3\n"),
         ("other", "@njit(cache=True)\ndef h(x):\n    return x\n"),
     ):
         (folder / "part" / f"{name}.py").write_text(f"from numba import njit\n{text}")
@@ -38,7 +38,7 @@ def package(tmp_path, monkeypatch):
     kernels._read.cache_clear()
 
 
-def change(path, old="njit\n", new="njit  # changed\n"):
+def change(path, old, new):
     path.write_text(path.read_text().replace(old, new, 1))
     kernels._read.cache_clear()
 
@@ -108,22 +108,38 @@ assert config.OPT == 3
 def test_our_kernels_are_optimised_less_than_others(package, monkeypatch):
     monkeypatch.delenv("NUMBA_OPT", raising=False)
     called(package, first=LEVELS)
-    path = package / "part" / "called.py"
-    before = kernels.stamp([path])
+    kernel = package / "part" / "called.py", "f"
+    before = kernels.stamp([kernel])
     monkeypatch.setattr(kernels, "LEVEL", 3)
-    assert kernels.stamp([path]) != before
+    assert kernels.stamp([kernel]) != before
 
 
 @pytest.mark.parametrize(
-    ("changed", "stale"),
-    [("other", {"other"}), ("caller", {"caller"}), ("called", {"caller", "called"}), ("number", {"caller", "called"})],
+    ("changed", "old", "new", "stale"),
+    [
+        ("other", "return x", "return -x", {"h"}),
+        ("caller", "return f(x)", "return f(-x)", {"g"}),
+        ("called", "x + Y", "x - Y", {"f", "g"}),
+        ("called", "Y = number.Y", "Y = number.Z", {"f", "g"}),
+        ("number", "Y = 1", "Y = 2", {"f", "g"}),
+        ("number", "Z = 3", "Z = 4", set()),
+        ("called", "from numba", "import math\n\nTWO = 2\nfrom numba", set()),
+        ("called", "return x", "# Of Z.\n    return x", set()),
+        ("caller", "    f,\n", "    f,\n    Y,\n", set()),
+    ],
 )
-def test_an_edit_concerns_the_kernels_that_are_made_of_it(package, changed, stale):
-    files = {path.stem: path for path in kernels.kernel_files()}
-    assert files.keys() == {"caller", "called", "other"}
-    before = {name: kernels.stamp([path]) for name, path in files.items()}
-    change(package / "part" / f"{changed}.py")
-    assert {name for name, path in files.items() if kernels.stamp([path]) != before[name]} == stale
+def test_an_edit_concerns_the_kernels_that_are_made_of_it(package, changed, old, new, stale):
+    places = {name: (path, name) for path, name in kernels.all_kernels()}
+    assert places.keys() == {"f", "g", "h"}
+    before = {name: kernels.stamp([place]) for name, place in places.items()}
+    change(package / "part" / f"{changed}.py", old, new)
+    assert {name for name, place in places.items() if kernels.stamp([place]) != before[name]} == stale
+
+
+def test_a_kernel_that_has_moved_in_its_file_is_not_compiled_again(package):
+    assert called(package) == (2, 1)
+    change(package / "part" / "called.py", "from numba", "\n\nfrom numba")
+    assert called(package) == (2, 0)
 
 
 def test_what_was_compiled_of_other_sources_is_not_all(package, monkeypatch, tmp_path):
@@ -131,7 +147,7 @@ def test_what_was_compiled_of_other_sources_is_not_all(package, monkeypatch, tmp
     assert not kernels.are_compiled()
     kernels.note_compiled()
     assert kernels.are_compiled()
-    change(package / "part" / "number.py")
+    change(package / "part" / "number.py", "Y = 1", "Y = 2")
     assert not kernels.are_compiled()
 
 

@@ -1,10 +1,10 @@
 """Cache of numba's compiled kernels, and the sources of each.
 
-numba's own locators look at the time of the file that a kernel is in, and not at the files of the kernels and constants
-that it takes from elsewhere. `KernelLocator` stands in front of them (NUMBA_CACHE_LOCATOR_CLASSES): a kernel's stamp is
-the contents of its file and of all that this one imports of the package. So numba itself compiles after an edit what
-the edit concerns, and nothing else. Nothing is locked: of two processes that keep a kernel at the same instant one may
-lose its entry, which is then compiled once more.
+numba's own locators look at the time of the file that a kernel is in, and not at the kernels and constants that it
+takes from elsewhere. `KernelLocator` stands in front of them (NUMBA_CACHE_LOCATOR_CLASSES): a kernel's stamp is its
+text and that of every statement of the package whose name stands in it, or in one of these. So numba itself compiles
+after an edit what the edit concerns, and nothing else. Nothing is locked: of two processes that keep a kernel at the
+same instant one may lose its entry, which is then compiled once more.
 
 This module imports neither numba nor anything else that takes long.
 """
@@ -33,14 +33,20 @@ _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPyt
 # Of LLVM: at 3 they take a fifth longer to compile, and missions as long.
 LEVEL = 1
 _version = functools.cache(version)
-_IMPORT = re.compile(r"^from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
+_IMPORT = re.compile(r"^ *from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
+# Where the statements of a module begin, and decorators; the names that one defines; docstrings and comments.
+_STATEMENT = re.compile(r"^(?=[^\s)\]}])", re.MULTILINE)
+_NAMES = re.compile(r"^(?:(?:def|class) (\w+)|(\w+(?:, \w+)*)(?:: .+)? = )", re.MULTILINE)
+_SILENT = re.compile(r'"""(?s:.*?)"""|#.*')
+# A name in a file.
+Place = tuple[Path, str]
 
 
 class KernelLocator:
     """Tells numba of a kernel of this package where it is kept and what it is compiled of."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
-        self._py_file, self._line = py_file, py_func.__code__.co_firstlineno
+        self._place = Path(py_file), py_func.__name__
         self._path = folder() / Path(py_file).parent.name
 
     @classmethod
@@ -62,11 +68,11 @@ class KernelLocator:
 
     def get_source_stamp(self) -> str:
         """Digest that a compiled kernel must match to be used."""
-        return stamp([Path(self._py_file)])
+        return stamp([self._place])
 
     def get_disambiguator(self) -> str:
-        """Tells functions of one name in a file apart."""
-        return str(self._line)
+        """Tells functions of one name in a file apart: there are none."""
+        return ""
 
 
 @functools.cache
@@ -154,39 +160,62 @@ def _folder(given: str) -> Path:
     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), given or str(own))
 
 
-def kernel_files() -> list[Path]:
-    """The files with kernels."""
-    return [path for path in sorted(PACKAGE.glob("*/*.py")) if "\n@njit" in path.read_text(encoding="utf-8")]
+def all_kernels() -> list[Place]:
+    """The kernels of the package."""
+    files = [path for path in sorted(PACKAGE.glob("*/*.py")) if "\n@njit" in path.read_text(encoding="utf-8")]
+    return [(path, name) for path in files for name, text in _read(path)[0].items() if "@njit" in text]
 
 
-def sources(path: Path) -> set[Path]:
-    """A file of the package and all files of the package that it imports, at any remove."""
-    found, left = {path}, [path]
+def sources(places: list[Place]) -> dict[Place, str]:
+    """The statements of these names, and those of all names of the package that stand in them, at any remove."""
+    found: dict[Place, str] = {}
+    left, seen = list(places), set(places)
     while left:
-        new = _read(left.pop())[1] - found
-        found |= new
-        left += new
+        path, name = left.pop()
+        named, imported = _read(path)
+        if name in imported:
+            asked = [imported[name]]
+        else:
+            found[path, name] = named.get(name, "")
+            words = re.findall(r"\w+", found[path, name])
+            modules = [imported[word][0] for word in words if word in imported and not imported[word][1]]
+            asked = [
+                (file, word) for file in (path, *modules) for word in words if any(word in one for one in _read(file))
+            ]
+        left += set(asked) - seen
+        seen |= set(asked)
     return found
 
 
-def stamp(paths: list[Path]) -> str:
-    """Digest of some files, what they import, and numpy's version."""
-    files = sorted(set().union(*map(sources, paths)))
-    contents = (f"{path.relative_to(PACKAGE)} {_read(path)[0]}" for path in files)
-    return _digest("\n".join([_version("numpy"), str(LEVEL), *contents]))
+def stamp(places: list[Place]) -> str:
+    """Digest of what some kernels are made of, and numpy's version."""
+    texts = sorted(f"{path.relative_to(PACKAGE)} {name} {text}" for (path, name), text in sources(places).items())
+    return _digest("\n".join([_version("numpy"), str(LEVEL), *texts]))
 
 
 @functools.cache
-def _read(path: Path) -> tuple[str, frozenset[Path]]:
-    """A file's digest and the files of the package that it imports."""
-    text = path.read_text(encoding="utf-8")
-    modules = [
-        module
-        for package, names in _IMPORT.findall(text)
-        for module in (package, *(f"{package}.{name}" for name in re.findall(r"\w+", names)))
-    ]
-    files = (PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py") for module in modules)
-    return _digest(text), frozenset(filter(Path.is_file, files))
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Place]]:
+    """The statements of a file by the names that they define, without comments, and where in the package its other
+    names are from; that of a module is "" there."""
+    lines = _SILENT.sub("", path.read_text(encoding="utf-8")).splitlines()
+    text = "\n".join(line.rstrip() for line in lines if line.strip())
+    named: dict[str, str] = {}
+    imported: dict[str, Place] = {}
+    decorators = ""
+    for statement in _STATEMENT.split(text):
+        decorators += statement
+        if statement.startswith("@"):
+            continue
+        if found := _NAMES.search(decorators):
+            named |= {name: named.get(name, "") + decorators for name in (found[1] or found[2]).split(", ")}
+        decorators = ""
+    for module, names in _IMPORT.findall(text):
+        folder = PACKAGE.joinpath(*module.split(".")[1:])
+        for name, other in re.findall(r"(\w+)(?: as (\w+))?", names):
+            for place in ((folder / f"{name}.py", ""), (folder.with_suffix(".py"), name)):
+                if place[0].is_file():
+                    imported.setdefault(other or name, place)
+    return named, imported
 
 
 def _digest(text: str) -> str:
@@ -212,5 +241,5 @@ def _whole() -> str:
     with contextlib.suppress(OSError):
         lines += Path("/proc/cpuinfo").read_text().splitlines()
     processor = {line for line in lines if line.startswith(("model name", "flags", "Features"))} or lines[:1]
-    words = [sys.version, _version("numba"), _version("llvmlite"), stamp(kernel_files()), *sorted(processor)]
+    words = [sys.version, _version("numba"), _version("llvmlite"), stamp(all_kernels()), *sorted(processor)]
     return _digest("\n".join(words))
