@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.mapfile.changes import map_changes, told
 from tfg_drake.mapfile.known_map import begun_with
+from tfg_drake.mapfile.merge import merge
 from tfg_drake.mapfile.saved_map import restored_estimate
 from tfg_drake.messages import Odometry, TagDetections, replace
 from tfg_drake.slam.estimator import begin_turn, carried, end_turn, pose_estimate, process_detections, process_odometry
@@ -141,3 +143,16 @@ def test_surfaces_that_came_stand_where_there_was_free_space(small_map):
     assert len(map_changes(before, after)["surfaces_new"]) == 3
     assert map_changes(before, after)["surfaces_gone"] == []
     assert len(map_changes(after, before)["surfaces_gone"]) == 3
+
+
+def test_a_session_and_the_map_that_it_began_with_count_once(small_map):
+    """One is part of the other, though no look of it is left as it was."""
+    before = replace(small_map, graph=replace(small_map.graph, sessions=np.array([5])))
+    session = begun_with(before, initial_state(OdometryConfig()))
+    assert session.known is not None
+    np.testing.assert_array_equal(session.known.sessions, [5])
+    state = looked(session, small_map, np.zeros(3))
+    assert len(state.graph.sessions) == 2
+    both = replace(small_map, graph=replace(small_map.graph, keyframes=(), sessions=state.graph.sessions))
+    with pytest.raises(BadInput, match="both maps are of the same run"):
+        merge(before, both)

@@ -35,6 +35,7 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
         evidence=saved.evidence,
         facing=saved.facing,
         X_WK=saved.X_WM,
+        sessions=saved.graph.sessions,
     )
     state = replace(state, known=known)
     if len(at):

@@ -53,6 +53,8 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
         raise BadInput(f"the second map has {len(second.graph.ids)} landmarks; at most {MOST_LANDMARKS} are taken in")
     if shared := len(_looks(first) & _looks(second)):
         raise BadInput(f"{shared} looks are in both maps, and would count twice: merge maps of runs that share none")
+    if len(np.intersect1d(first.graph.sessions, second.graph.sessions)):
+        raise BadInput("both maps are of the same run, which would count twice: one began with the other; it has both")
     found = by_tags(first, second) or by_walls(standing_in(first), standing_in(second))
     if found is None:
         raise BadInput(
@@ -69,7 +71,9 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
     graph = extended(first.graph, unknown, found.X, is_view=False)
     graph = extended(graph, one, se2.compose(found.X, told.X_MD), is_view=False)
     view_keyframe = np.append(graph.view_keyframe[:views], np.full(len(X_BV), len(graph.keyframes) - 1))
-    graph = replace(graph, view_keyframe=view_keyframe, X_AV=np.vstack([graph.X_AV[:views], X_BV]))
+    sessions = np.union1d(first.graph.sessions, second.graph.sessions)
+    X_AV = np.vstack([graph.X_AV[:views], X_BV])
+    graph = replace(graph, view_keyframe=view_keyframe, X_AV=X_AV, sessions=sessions)
     graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
     wrong = found.moved
     for _ in range(MOST_TAKEN_BACK):

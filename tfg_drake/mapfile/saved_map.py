@@ -209,6 +209,7 @@ def load_map(path: Path) -> SavedMap:
     if schema not in (SCHEMA, OLDER):
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
         raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER} and {SCHEMA}: {mend}")
+    arrays.setdefault("graph.sessions", np.zeros(0, dtype=np.int64))  # Of a map from before they were told apart.
     if f"{SCATTER}@shape" not in arrays:  # Of a map from before a keyframe's scans were put together.
         count = np.size(arrays.get("graph.keyframes.unit", ()))
         arrays |= {SCATTER: np.zeros(9 * count), f"{SCATTER}@shape": np.full((count, 2), 3)}

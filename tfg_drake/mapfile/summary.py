@@ -67,6 +67,6 @@ def _walls(sigma: FloatArray) -> str:
 def _calibration(saved: SavedMap) -> str:
     """The tag sensor as the map's estimator has learnt it."""
     if not saved.compared:
-        return "none"
+        return "no range of a tag was compared with a scan"
     share, sigma = saved.graph.shared.mean[RANGE_SCALE], saved.graph.shared.sigma[RANGE_SCALE]
     return f"tag ranges {100.0 * share:+.2f} % (1\u03c3 {100.0 * sigma:.2f} %)"

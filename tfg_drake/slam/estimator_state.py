@@ -103,7 +103,7 @@ class KnownMap:
     keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. seen: what its
     views have seen. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
     says that the session begins. X_WK: (3,) where K lies in its world. since: the stage at which both became one, 0 as
-    long as they are apart.
+    long as they are apart. sessions: (s,) that K is of, as of `KeyframeGraph`.
     """
 
     keyframe: Keyframe
@@ -115,6 +115,7 @@ class KnownMap:
     said: Placed | None = None
     X_WK: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
     since: int = 0
+    sessions: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @message

@@ -33,7 +33,8 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
     names, walls = renamed(one, state.walls, told, se2.inverse(at.X), at.covariance)
     way, _ = unknown_way(se2.between(known.X_KD, at.X), np.sqrt(np.diag(at.covariance)))
     first = ((named(one, names), known.X_KD), (way.keyframe, at.X))
-    both = _moved(replace(graph, p_ML=told.p_ML), at.X, first, 0)
+    sessions = np.union1d(graph.sessions, known.sessions)
+    both = _moved(replace(graph, p_ML=told.p_ML, sessions=sessions), at.X, first, 0)
     others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))
     state = replace(
         state,
@@ -54,7 +55,8 @@ def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
     begin = OF_KNOWN + 1
     assert state.map is not None
     X_SM = se2.inverse(state.graph.X_MN[begin])
-    own = _moved(replace(state.graph, p_ML=state.map.p_ML), X_SM, (), begin)
+    sessions = np.setdiff1d(state.graph.sessions, known.sessions)
+    own = _moved(replace(state.graph, p_ML=state.map.p_ML, sessions=sessions), X_SM, (), begin)
     evidence = take(state.evidence, np.isin(state.evidence.ids, own.ids))
     own, estimate = solve(own, state.stamp, state.map.observation)
     state = replace(state, evidence=evidence, watch=_turned(state.watch, X_SM), known=replace(known, since=0))
@@ -87,6 +89,7 @@ def _moved(
         X_AV=graph.X_AV,
         tag_error=graph.tag_error,
         unevenness=graph.unevenness,
+        sessions=graph.sessions,
     )
 
 

@@ -10,6 +10,7 @@ grows with the building, and little with the time that the robot drives about in
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from typing import Annotated
 
@@ -47,7 +48,8 @@ class KeyframeGraph:
     of the landmarks, nats, entropy_beyond: what is to be added to that of the landmarks known jointly, of which it is
     all in a small map. prior: of the shared parameters, by all but the keyframes. shared: the same by everything.
     tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`. solver: what finds the values, one
-    of `config.SOLVERS`; no part of a saved map. unevenness: m, as of `scan_lines.unevenness_after`.
+    of `config.SOLVERS`; no part of a saved map. unevenness: m, as of `scan_lines.unevenness_after`. sessions: (s,) the
+    recordings or missions that it is of, each by a digest of its first view.
     """
 
     keyframes: Annotated[tuple[Keyframe, ...], "k"]
@@ -67,6 +69,7 @@ class KeyframeGraph:
     solver: str = dataclasses.field(default="dissection", metadata={"kept": False})
     ties: Ties = dataclasses.field(default_factory=no_ties, metadata={"kept": False})
     unevenness: float = 0.0
+    sessions: Annotated[IntArray, "s"] = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def X_MA(self) -> FloatArray:
@@ -103,6 +106,7 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
     order = np.argsort(ids, kind="stable")
     new, reach, again = int(np.count_nonzero(~known)), graph.reach.copy(), np.flatnonzero(known[: one.walls])
     at = row[again]
+    sessions = _session(one) if is_view and not len(graph.sessions) else graph.sessions
     reach[at] = joined_reach(graph.p_ML[at], graph.anchor[at], reach[at], anchor[again], one.reach[again])
     return replace(
         graph,
@@ -115,7 +119,14 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
         anchor=np.vstack([graph.anchor, anchor[~known]])[order],
         reach=np.vstack([reach, one.reach[~known]])[order],
         landmark_covariance=np.concatenate([graph.landmark_covariance, np.zeros((new, 2, 2))])[order],
+        sessions=sessions,
     )
+
+
+def _session(first: Keyframe) -> IntArray:
+    """(1,) the digest of what a session saw first: no two see the same to the bit."""
+    digest = hashlib.blake2b(first.y_AL.tobytes() + first.information.tobytes(), digest_size=8).digest()
+    return np.frombuffer(digest, dtype=np.int64)
 
 
 def moved_part(graph: KeyframeGraph, landmarks: BoolArray, move: FloatArray) -> KeyframeGraph:

@@ -210,7 +210,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         state = replace(state, localizer=without_local(state.localizer))
         return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
     if anywhere:
-        _tell_found(state, found, found.X)
+        _operator.warning("%.2f s: the robot has found itself in its map, by %s", stamp, found.by)
     else:
         x, y, turn = found.X - expected
         message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
@@ -360,15 +360,11 @@ def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen:
         if count > 1 and count != state.hypotheses.likely:
             _operator.warning("%.2f s: the robot may be in %d places of its map", state.stamp, count)
         return replace(state, hypotheses=hypotheses)
-    _tell_found(state, found, found.X if state.map is None else se2.compose(found.X, state.map.X_MD))
+    X_WM = se2.compose(known.X_WK, found.X)
+    x, y, _ = X_WM if state.map is None else se2.compose(X_WM, state.map.X_MD)
+    message = "%.2f s: the robot has found itself at (%.2f, %.2f) m in the world of its map, by %s"
+    _operator.warning(message, state.stamp, x, y, found.by)
     if said is not None and is_elsewhere(found.X[None], said.X)[0]:
         off = math.dist(found.X[:2], said.X[:2])
         _operator.warning("%.2f s: that is %.1f m from where it was said to be", state.stamp, off)
     return replace(state, at=found, placed=state.stamp, hypotheses=empty(Hypotheses))
-
-
-def _tell_found(state: EstimatorState, found: Placed, X_MB: FloatArray) -> None:
-    """Tells where in its map the robot has found itself."""
-    x, y, _ = X_MB
-    message = "%.2f s: the robot has found itself at (%.2f, %.2f) m of its map, by %s"
-    _operator.warning(message, state.stamp, x, y, found.by)
