@@ -50,9 +50,15 @@ def _map_file(path: Path) -> Path:
     return of_run(path, "map.npz")
 
 
+def _new_map(path: Path) -> Path:
+    if path.suffix != ".npz":
+        bad_input(f"{path}: a map is a .npz file; name one, and make other formats of it by tfg-drake map export")
+    return path
+
+
 MapArgument = Annotated[Path, argument("MAP", "A map or the folder of a run.", callback=_map_file)]
 OtherMap = Annotated[Path, argument("OTHER", "Another map, or the folder of a run.", callback=_map_file)]
-NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.")]
+NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.", callback=_new_map)]
 
 # What is less probable is not told.
 LIKELY = 0.001
@@ -238,7 +244,7 @@ def merge(first: MapArgument, second: OtherMap, out: NewMap) -> None:
     _save(both, out)
     tags = len(a.ids) + len(b.ids) - len(both.ids)
     walls = len(a.graph.ids) + len(b.graph.ids) - len(both.graph.ids) - tags
-    of_both = landmark_counts(len(both.ids), (len(both.graph.ids) - len(both.ids)) // 2)
+    of_both = landmark_counts(len(both.ids), len(both.graph.ids) - len(both.ids))
     print(f"{out}: {of_both}; in both maps: {landmark_counts(tags, walls)}")
     if disputed := sorted({*both.doubtful.tolist()} - {*a.doubtful.tolist(), *b.doubtful.tolist()}):
         print(f"doubtful, for they stand elsewhere in {second}: tags {', '.join(map(str, disputed))}")
@@ -246,7 +252,7 @@ def merge(first: MapArgument, second: OtherMap, out: NewMap) -> None:
 
 @map_app.command()
 def locate(map_file: MapArgument, other: OtherMap) -> None:
-    """Say where OTHER lies in MAP, and how sure that is; exit code 1 where it is not known."""
+    """Say where OTHER lies in MAP, in its world frame, and how sure that is; exit code 1 where it is not known."""
     from tfg_drake.bad_input import BadInput
     from tfg_drake.geometry.se2 import compose
     from tfg_drake.mapfile.placement import places_of
@@ -267,7 +273,7 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
         if probability > LIKELY:
             print(f"it begins at ({X[0]:.2f}, {X[1]:.2f}) m, {X[2]:.3f} rad: probability {probability:.4g}")
     none = 1.0 - float(places.probability.sum())
-    print(f"it is none of these: probability {none:.2g}")
+    print(f"{'it begins elsewhere' if none < 1.0 else 'it is not found in this map'}: probability {none:.2g}")
     if places.found() is None:
         raise typer.Exit(1)
 

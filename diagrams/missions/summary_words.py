@@ -42,8 +42,10 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("time", f"{summary['sim_time_s']:.1f} s, {told(summary['real_time_factor'], '{:.1f}')} x real time"),
         ("driven", f"{told(summary['distance_m'], '{:.1f} m')}, {summary['stages']} stages"),
     ]
-    if mapped or present or doubtful or not walls:
+    if mapped or present or doubtful:
         rows.append(("tags", tags))
+    elif not walls:
+        rows.append(("landmarks", "none mapped" if mapped == 0 else "-"))
     if walls:
         rows.append(("walls", f"{walls} mapped"))
     known, error, coverage, safety = "-", "-", "-", "-"
