@@ -7,6 +7,8 @@ import shapely
 
 from tfg_drake.world.world import World, WorldError, check_world, odd_tags, wall_distance
 
+RING = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+
 
 def make_world(walls=(), ids=(), positions=(), facing=(), start=(0.0, 0.0, 0.0)) -> World:
     return World(
@@ -71,6 +73,12 @@ def test_distance_to_walls():
             "world.start: (0, 0) is too near to the wall from (0.1, -5) to (0.1, 5): 0.100 m, the robot's radius is"
             " 0.18 m; start farther away",
         ),
+        (
+            # In a sofa.
+            make_world([*RING, [1, 1, 3, 1], [3, 1, 3, 1.8], [3, 1.8, 1, 1.8], [1, 1.8, 1, 1]], start=[1.1, 1.3, 0]),
+            "world.start: (1.1, 1.3) is too near to the wall from (1, 1.8) to (1, 1): 0.100 m, the robot's radius is"
+            " 0.18 m; start at (1.1, 0.7), the nearest free place",
+        ),
     ],
 )
 def test_a_bad_world_is_refused_in_one_line(world, message):
@@ -99,13 +107,10 @@ def test_the_place_that_is_named_is_the_nearest_free_one_on_this_side():
         assert not shapely.LineString([start, (x, y)]).intersects(lines)
 
 
-WALLS = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
-
-
 @pytest.mark.parametrize("backwards", [False, True])
 def test_tags_that_nobody_would_hang_so_are_told(backwards):
     """On walls that run either way: off the wall, on its line, in mid-room, and turned to the wall."""
-    walls = [[x1, y1, x0, y0] if backwards else [x0, y0, x1, y1] for x0, y0, x1, y1 in WALLS]
+    walls = [[x1, y1, x0, y0] if backwards else [x0, y0, x1, y1] for x0, y0, x1, y1 in RING]
     up = 0.5 * np.pi
     good = {1: (2, 0.01, up), 2: (3, 0, up), 3: (5.99, 2, -2 * up), 4: (5.95, 3.99, -up), 5: (4, 0.05, 0.3)}
     bad = {11: (3, 2, 0), 12: (1, 1, up), 21: (2, 0.01, -up), 22: (0.01, 2, 2 * up)}

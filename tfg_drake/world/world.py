@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tfg_drake.bad_input import not_radians
+from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import FloatArray, IntArray, message
 
 
@@ -42,8 +43,10 @@ FARTHEST = 1e8
 OUTSIDE = 10.0
 # A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
 _HANGS, _ON_IT = 0.1, 1e-6
-# A free place is looked for on a lattice of this step, m, within so many steps in x and y.
-_STEP, _STEPS = 0.1, 20
+# A free place is looked for on a lattice of this step, m, within so many steps in x and y. One is shut in, as in a
+# sofa, that sees less than this, m^2, within SIGHT, m.
+_STEP, _STEPS, _SHUT_IN, _SIGHT = 0.1, 20, 2.5, 3.0
+_ALL_ROUND = np.linspace(-np.pi, np.pi, 60, endpoint=False)
 
 
 def wall_distance(p_WP: FloatArray, walls: FloatArray) -> FloatArray:
@@ -112,17 +115,25 @@ def check_world(world: World, robot_radius: float) -> None:
 
 
 def _nearest_free(p_WS: FloatArray, walls: FloatArray, robot_radius: float) -> FloatArray | None:
-    """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), on its side of the wall that is
-    nearest of walls (m, 4), and where the robot stands free with a step to spare; outside the building only if there is
-    no other, and None where none is near."""
+    """The place (2,) on whole steps of a lattice, m, that is nearest to p_WS (2,), and where the robot stands free with
+    a step to spare; shut in, beyond the nearest of walls (m, 4) or outside the building only if there is no other, and
+    None where none is near."""
     around = np.indices((2 * _STEPS + 1, 2 * _STEPS + 1)).reshape(2, -1).T - _STEPS
     places = (_STEP * (np.round(p_WS / _STEP) + around)).round(2) + 0.0  # no -0
     a, b = walls[np.argmin(wall_distance(p_WS, walls))].reshape(2, 2)
     normal = np.array([a[1] - b[1], b[0] - a[0]])
-    places = places[((places - a) @ normal) * ((p_WS - a) @ normal) >= 0.0]
-    free = [p for p in places if wall_distance(p, walls).min() >= robot_radius + _STEP]
+    beyond = ((places - a) @ normal) * ((p_WS - a) @ normal) < 0.0
     low, high = walls.reshape(-1, 2).min(axis=0), walls.reshape(-1, 2).max(axis=0)
-    return min(free, key=lambda p: (bool(((p < low) | (p > high)).any()), np.linalg.norm(p - p_WS)), default=None)
+    outside = ((places < low) | (places > high)).any(axis=1)
+    order = np.lexsort((np.hypot(*(places - p_WS).T), outside, beyond))
+    free = [p for p in places[order] if wall_distance(p, walls).min() >= robot_radius + _STEP]
+    return next((p for p in free if _seen_area(p, walls) > _SHUT_IN), next(iter(free), None))
+
+
+def _seen_area(p_WS: FloatArray, walls: FloatArray) -> float:
+    """What is seen from a place (2,) within _SIGHT between walls (m, 4), m^2."""
+    ranges = np.minimum(cast_rays(walls, p_WS, _ALL_ROUND, _SIGHT), _SIGHT)
+    return float(np.pi * np.mean(ranges**2))
 
 
 def odd_tags(world: World) -> tuple[str, ...]:
