@@ -4,8 +4,8 @@
     python benchmarks/results.py --tables offices flat --data FOLDER
     python benchmarks/results.py --tables missions --rows house paper_real --seeds 3 --dry
 
-A table is what one benchmark prints after its last empty line, with the command and the commit; the tables missions and
-deviations are made here, a row a world. All runs are in --out, which has the commit in its name unless it is given:
+A table is what one benchmark prints after its last empty line, below the command and the commit; the tables missions
+and deviations are made here, a row a world. All runs are in --out, which has the commit in its name unless it is given:
 what is there is not run again, so that a run that was ended goes on. FOLDER has recordings and floors that are not the
 project's; tables that need it stay as they are without it. A table goes to docs/tables, and from there into the
 document. --dry prints the tables and leaves both alone.
@@ -120,13 +120,13 @@ def version() -> str:
 
 
 def replaced(text: str, name: str, table: str) -> str:
-    """The document with a table between the marks of its name."""
-    begin, end = f"<!-- {name}: made by benchmarks/results.py -->\n", f"<!-- end of {name} -->"
-    before, _, rest = text.partition(begin)
-    _, _, after = rest.partition(end)
-    if not after:
-        raise SystemExit(f"{DOCUMENT}: has no marks {begin.strip()} and {end}")
-    return f"{before}{begin}{table}\n{end}{after}"
+    """The document with a table from the mark of its name to the next empty line."""
+    mark = f"<!-- {name}: made by benchmarks/results.py -->\n"
+    before, found, rest = text.partition(mark)
+    if not found:
+        raise SystemExit(f"{DOCUMENT}: has no mark {mark.strip()}")
+    _, _, after = rest.partition("\n\n")
+    return f"{before}{mark}{table}\n{after}"
 
 
 def printed(name: str, data: Path | None, out: Path) -> str | None:
@@ -145,7 +145,7 @@ def printed(name: str, data: Path | None, out: Path) -> str | None:
         print(f"{name}: exit code {done.returncode}", flush=True)
         return None
     table = done.stdout.rstrip().rsplit("\n\n", 1)[-1]
-    return f"`python benchmarks/{arguments}`, `{version()}`:\n\n```\n{table}\n```\n"
+    return f"```\n$ python benchmarks/{arguments}  # {version()}\n{table}\n```\n"
 
 
 def of_missions(name: str, options: argparse.Namespace) -> str | None:
@@ -158,7 +158,8 @@ def of_missions(name: str, options: argparse.Namespace) -> str | None:
             if runs:
                 lines[row] = line(row, runs)
     ruled = "|" + "---|" * (HEADER.count("|") - 1)
-    return "\n".join([f"Version `{version()}`.\n", HEADER, ruled, *lines.values(), ""]) if lines else None
+    header = HEADER.replace("world", f"world (`{version()}`)")
+    return "\n".join([header, ruled, *lines.values(), ""]) if lines else None
 
 
 def main() -> None:
