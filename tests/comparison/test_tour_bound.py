@@ -44,7 +44,7 @@ def test_what_is_seen_at_once_needs_no_way():
     assert tour_bound(world().walls, np.array([1.0, 1.0]), see, ROBOT) == (0.0, 0.0)
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(st.integers(0, 2**32 - 1))
 def test_no_tour_of_a_world_drawn_at_random_is_below_its_bound(seed):
     rng = np.random.default_rng(seed)

@@ -12,7 +12,7 @@ from tfg_drake.diagrams import compile_kernels
 CALLED = r"""
 import tfg_drake
 from benchmarks.mission_kernels import called
-tfg_drake.explore("house", seed=1, until=40.0)
+tfg_drake.explore("house", seed=1, until=25.0)
 print(*map("\t".join, called()), sep="\n")
 """
 

@@ -10,6 +10,7 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.analysis import Simulator
 
 import tfg_drake
+from tests.diagrams.rooms import room
 from tests.hardware.fake_robot import FakeDevice, base_state
 from tfg_drake.diagrams.hardware_station import MakeHardwareStation
 from tfg_drake.diagrams.missions.real_robot import DevicesOf
@@ -97,14 +98,15 @@ def test_hardware_is_one_word_away():
 @pytest.mark.parametrize("enable", [False, True])
 def test_a_real_robot_explores_from_python(enable, tmp_path, caplog):
     """An emulated one: in real time, within its limits, moving only where that was asked for, closed at the end."""
-    with Emulator(MakeWorld(LoadScenario("house").world)) as emulator:
-        scenario = LoadScenario("house", data="explorer: {first_look: 0, first_turns: 1}")
+    scenario = room()
+    with Emulator(MakeWorld(scenario.world)) as emulator:
+        scenario.explorer.first_look = 0.0
         scenario.robot.max_speed = 4.0
         scenario.hardware.port = emulator.device
         scenario.hardware.tags = scenario.hardware.scan = "socket:{}:{}".format(*emulator.sensors)
         started, station = time.monotonic(), functools.partial(MakeTurtlebotStation, hardware=True)
-        run = tfg_drake.explore(scenario, station=station, enable=enable, until=4.0, out=tmp_path / "run")
-        assert time.monotonic() - started > 4.0
+        run = tfg_drake.explore(scenario, station=station, enable=enable, until=3.0, out=tmp_path / "run")
+        assert time.monotonic() - started > 3.0
     assert run.scenario.robot.max_speed < 1.0
     assert run.outcome == "time_limit"
     turned = np.ptp(run.X_WB[1][:, 2])

@@ -394,9 +394,12 @@ def test_redraws_a_stage_once_and_only_when_it_changes(meshcat, monkeypatch):
     assert shown == [1, 2, 1]
 
 
+QUICK_LOOK = ["explorer.first_look=2", "explorer.first_turns=1"]
+
+
 def test_a_mission_is_the_same_with_and_without_it(meshcat):
     def driven(**shown):
-        mission = tfg_drake.explore("house", until=45.0, **shown)
+        mission = tfg_drake.explore("house", until=14.0, settings=QUICK_LOOK, **shown)
         return mission.look("truth.pose"), mission.map.p_ML, mission.stages
 
     for with_it, without in zip(driven(meshcat=meshcat), driven(), strict=True):

@@ -99,7 +99,7 @@ def without_tags(folder):
     """Elsewhere in the rooms of a map, with nothing but walls to be found by."""
     scenario = rooms()
     scenario.seed, scenario.world.start, scenario.world.tags = 4, [7.5, 3.0, 2.0], []
-    scenario.explorer.known_map = str(folder)
+    scenario.explorer.known_map, scenario.explorer.first_look = str(folder), 0.0
     return scenario
 
 
@@ -113,11 +113,11 @@ def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp
         with Cockpit("", "rooms", rate=0.0) as cockpit:
             return run.run_mission(scenario, name="rooms", max_time=end, out_dir=out, cockpit=cockpit, before=state)
 
-    whole = driven(tmp_path / "whole", 8.0, asked=[()] * 8 + [[said]])
-    half = driven(tmp_path / "half", 4.0, asked=[()] * 8 + [[said]])
-    after = driven(tmp_path / "after", 8.0, before=cut_short(half.folder, tmp_path / "after"))
+    whole = driven(tmp_path / "whole", 6.0, asked=[()] * 8 + [[said]])
+    half = driven(tmp_path / "half", 3.0, asked=[()] * 8 + [[said]])
+    after = driven(tmp_path / "after", 6.0, before=cut_short(half.folder, tmp_path / "after"))
     robot = ReplayRobot(read_recording(after.folder))
-    again = run.run_mission(scenario, name="rooms", max_time=8.0, out_dir=tmp_path / "again", robot=robot)
+    again = run.run_mission(scenario, name="rooms", max_time=6.0, out_dir=tmp_path / "again", robot=robot)
     for one in (whole, after, again):
         (heard,) = read_recording(one.folder).messages[SAID]
         assert (heard.stamp, heard.count, heard.X_WB.tolist()) == (0.5625, 1, said.X_WB.tolist())

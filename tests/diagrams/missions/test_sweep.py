@@ -64,11 +64,11 @@ def test_a_run_leaves_its_folder_and_receipt(one_job):
 
 @pytest.fixture(scope="module")
 def two_jobs(tmp_path_factory):
-    """The same runs, both at a time, all signals sent to them at once."""
+    """The same runs, both at a time; either is sent every signal at once."""
+    over, signalled = threading.Event(), set()
 
     def signal_both():
-        signalled = set()
-        while len(signalled) < 2:
+        while len(signalled) < 2 and not over.is_set():
             for process in multiprocessing.active_children():
                 if process.pid not in signalled:
                     signalled.add(process.pid)
@@ -79,7 +79,9 @@ def two_jobs(tmp_path_factory):
     sender = threading.Thread(target=signal_both)
     sender.start()
     runs = by_seed(run_local(tasks(), tmp_path_factory.mktemp("two"), 2, threading.Event()))
+    over.set()
     sender.join()
+    assert len(signalled) == 2
     return runs
 
 
