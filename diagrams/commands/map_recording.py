@@ -17,7 +17,7 @@ from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.evaluation import hits, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.figure import draw_laser_map
 from tfg_drake.datasets.recording import OnProgress, Recording
-from tfg_drake.datasets.relations import read_relations, relation_errors
+from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
 from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
@@ -80,7 +80,10 @@ def map_recording(
         EstimateLost: the estimate became nonsense; what there was before is kept.
     """
     scenario = RecordedScenario(recording, ApplySettings(Scenario(seed=seed), settings))
-    told = None if relations is None else read_relations(relations)
+    at, told = np.array([scan.stamp for scan in recording.scans]), None
+    if relations is not None:
+        told = read_relations(relations)
+        off_relations(at, np.zeros((len(at), 3)), told, recording.told_stamps)  # Rather now than when all is mapped.
     way, start, end = WayKeeper(), start_of(recording), length_of(recording)
     ended = (interrupted or threading.Event()).is_set
 
@@ -105,7 +108,7 @@ def map_recording(
     mission, folder = result.mission, result.folder
     if mission.failure is not None:
         raise mission.failure
-    at, truth = np.array([scan.stamp for scan in recording.scans]), recording.truth
+    truth = recording.truth
     stamps, X_MB, X_BS = way.poses(mission)
     online_stamps, online = mission.estimated_poses()
     X_MB, state = poses_between(recording, stamps + start, X_MB), mission.estimator_state()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.messages import FloatArray, IntArray
@@ -20,6 +22,8 @@ _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
 _MOST_NAMES = 100
 # Hits that are drawn: more are one grey.
 _MOST_HITS = 60_000
+# A wall is drawn where something was met no farther from it than this, in steps of so much, m.
+BESIDE, STEP = 0.15, 0.05
 
 
 def draw_slam(
@@ -87,12 +91,24 @@ def draw_laser_map(
     figure, axes = _plan(title, np.vstack([shown, p_MS]))
     axes.plot(*shown.T, ".", color="0.45", alpha=0.5, markersize=1.5, markeredgewidth=0, rasterized=True)
     axes.plot([], [], ".", color="0.45", markersize=5, label="hits of the scans")
-    if len(walls):
-        axes.add_collection(LineCollection(list(walls), colors=css(WALL_LANDMARK), linewidths=1.3, label="wall"))
+    if len(pieces := met(walls, p_MH)):
+        axes.add_collection(LineCollection(list(pieces), colors=css(WALL_LANDMARK), linewidths=1.3, label="wall"))
     if len(p_MS_true):
         axes.plot(*p_MS_true.T, color=_TRUTH, linewidth=1.8, label="reference path")
     axes.plot(*p_MS.T, color=_ONLINE, linewidth=0.7, label="path")
     _write(path, figure)
+
+
+def met(walls: FloatArray, p_MH: FloatArray) -> FloatArray:
+    """The pieces (n, 2, 2) of walls (w, 2, 2) beside which scans met something at p_MH (h, 2), m: what lies on one
+    straight line, such as the legs of chairs in a row, may be one wall, which is not there in between."""
+    pieces, tree = [np.zeros((0, 2, 2))], cKDTree(p_MH)
+    for a, b in walls:
+        points = a + np.linspace(0.0, 1.0, 2 + int(math.dist(a, b) / STEP))[:, None] * (b - a)
+        near = tree.query(points, distance_upper_bound=BESIDE)[0] < BESIDE
+        ends = np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2)
+        pieces.append(np.stack([points[ends[:, 0]], points[ends[:, 1] - 1]], axis=1))
+    return np.concatenate(pieces)
 
 
 def _plan(title: str, points: FloatArray) -> tuple[Figure, Axes]:
