@@ -14,6 +14,7 @@ from tfg_drake.storage.trajectory import poses_at
 run = tfg_drake.load_run(sys.argv[1])
 print(run.summary["outcome"], "after", run.summary["sim_time_s"], "s")
 
+# The truth has stamps of its own.
 true = poses_at(run.stamps, run.true_stamps, run.X_WB_true)
 error = np.hypot(*(run.X_WB - true)[:, :2].T)
 for quarter in np.array_split(np.arange(len(error)), 4):

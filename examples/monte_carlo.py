@@ -9,6 +9,7 @@ rows = []
 for seed in range(5):
     mission = tfg_drake.explore("corridor", seed=seed, until=90.0)
     stamps, X_WB = mission.X_WB
+    # The truth has stamps of its own.
     off = X_WB - poses_at(stamps, *mission.X_WB_true)
     rows.append(np.hypot(off[:, 0], off[:, 1]).mean())
     print(f"seed {seed}: {mission}, position error {rows[-1]:.4f} m")
