@@ -71,10 +71,11 @@ def message(cls: type[T]) -> type[T]:
 class Odometry:
     """Dead reckoning by wheels and gyro.
 
-    stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame. V_B: (2,) measured forward speed (m/s)
-    and turn rate (rad/s). at_rest: no wheel has turned since the message before: the encoders know that the robot
-    stands, while the gyro's angle wanders on. breaks: how often so far the way from one message to the next was not
-    known, as odometry was reset, jumped or was silent; X_OB goes on by a guess.
+    stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame O, the pose where odometry began: in
+    simulation it starts at zero, so O equals M then. V_B: (2,) measured forward speed (m/s) and turn rate (rad/s).
+    at_rest: no wheel has turned since the message before: the encoders know that the robot stands, while the gyro's
+    angle wanders on. breaks: how often so far the way from one message to the next was not known, as odometry was
+    reset, jumped or was silent; X_OB goes on by a guess.
     """
 
     stamp: float
