@@ -302,7 +302,7 @@ class Exploration:
 
     @property
     def X_WB_true(self) -> tuple[FloatArray, FloatArray]:
-        """The same, the truth."""
+        """The same, the truth, with stamps of its own."""
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:

@@ -14,6 +14,9 @@ from tfg_drake.messages import MissionStatus, Roadmap, TfgMap, replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.systems.ports import declare_message_input, declare_message_output, eval_message
 
+# A goal this near to the one before, m, is the same.
+SAME = 0.5
+
 
 class FarthestFrontierSelector(LeafSystem):
     """Inputs tfg, roadmap, mission; output goal: a GoalChoice. The explorer connects them by name."""
@@ -38,11 +41,15 @@ class FarthestFrontierSelector(LeafSystem):
         if not asked or not mission.stage == tfg.stage == roadmap.stage:
             return
         # The places within reach from which some frontier can be seen.
-        nodes = np.flatnonzero(roadmap.reachable & (np.diff(roadmap.frontier_offsets) > 0))
+        rows = np.flatnonzero(roadmap.reachable & (np.diff(roadmap.frontier_offsets) > 0))
         choice = replace(empty_choice(), stage=mission.stage)
-        if len(nodes):
-            node = int(nodes[np.argmax(roadmap.travel_time[nodes])])
-            choice = replace(choice, node=node, p_MG=roadmap.points[node], reason="The farthest frontier is next.")
+        if len(rows):
+            # It is asked at every glance, too: a goal is kept while it sees a frontier, or the robot would turn round.
+            apart = np.hypot(*(roadmap.points[rows] - self.choice(context).p_MG).T)
+            kept = self.choice(context).node >= 0 and apart.min() < SAME
+            row = rows[np.argmin(apart) if kept else np.argmax(roadmap.travel_time[rows])]
+            node, reason = int(roadmap.node_ids(row[None])[0]), "The farthest frontier is next."
+            choice = replace(choice, node=node, p_MG=roadmap.points[row], reason=reason)
         else:
             choice = replace(choice, verdict="complete", reason="No frontier is left within reach.")
         state.get_mutable_abstract_state(int(self.goal)).set_value(choice)

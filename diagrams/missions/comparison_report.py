@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tfg_drake import __version__
 from tfg_drake.comparison.curves import Band, Curve, averaged, band, coverage_curve, error_curves
 from tfg_drake.comparison.figures import FinalMap, draw_costs, draw_coverage, draw_errors, draw_maps
 from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
@@ -52,7 +53,7 @@ def write_comparison(
         runs=runs,
         planned=len(tasks),
         command=command,
-        versions=f"tfg-drake {version('tfg-drake')}, Python {platform.python_version()}, {packages};"
+        versions=f"tfg-drake {__version__}, Python {platform.python_version()}, {packages};"
         f" {platform.system()} on {platform.machine()}.",
     )
     pictures = list(_pictures(methods, runs, {task.seed: task.scenario for task in tasks}, out))

@@ -84,9 +84,10 @@ def left_open_rows(summary: dict[str, Any], named: int = ON_SCREEN) -> list[tupl
     counts = Counter(one["why"] for one in openings)
     rows = [("left open", ", ".join(f"{count} {why}" for why, count in counts.most_common()) or "nothing")]
     for one in openings[:named]:
-        (x, y), lacks = one["p_WO"], f" by {one['missing_m']:.2f} m to either side" if one["missing_m"] else ""
-        behind = f"{one['unknown_m2']:.0f} m2 unknown behind"
-        rows.append(("", f"{one['width_m']:.1f} m wide at ({x:.1f}, {y:.1f}), {behind}: {one['why']}{lacks}"))
+        (x, y), behind, why = one["p_WO"], f"{one['unknown_m2']:.0f} m2 unknown behind", one["why"]
+        if one["missing_m"]:
+            why = f"the way there is {why} by {one['missing_m']:.2f} m to either side"
+        rows.append(("", f"{one['width_m']:.1f} m wide at ({x:.1f}, {y:.1f}), {behind}: {why}"))
     stated = ", ".join(f"{one['probability']:.2f} of {one['area_m2']:g} m2" for one in rooms)
     return [*rows, ("unseen room", f"probability that there is one to enter, at least so large: {stated}")]
 

@@ -100,6 +100,18 @@ def test_markdown_names_figures_and_command(comparison):
     assert "| b | 2 | failed | killed by SIGKILL |" in written
 
 
+def test_it_is_said_who_sees_tags(comparison):
+    runs = [
+        run("a", 0, landmarks_mapped=9),
+        run("b", 0, landmarks_mapped=None),
+        FAILED,
+        run("c", 0, landmarks_mapped=9),
+    ]
+    said = markdown(dataclasses.replace(comparison, methods=["a", "b", "c"], runs=runs), [])
+    assert "\n\nThe world's tags are seen by a, c, not by b: --tag-spacing none is fairer.\n\n" in said
+    assert "world's tags" not in markdown(comparison, [])
+
+
 def test_a_partial_report_says_so(comparison):
     partial = Comparison(comparison.title, comparison.methods, [], 8, "", "")
     assert "This report is partial: 0 of 8 runs are done." in markdown(partial, [])

@@ -173,15 +173,6 @@ def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path)
     assert lines[-1] == f"page        {tmp_path / 'run' / 'mission.html'}"
 
 
-def test_a_mission_is_drawn_in_meshcat_too(room, tmp_path):
-    """In a process of its own: Drake's log is set up once."""
-    arguments = ["explore", room, "--headless", "--meshcat", "--max-time", "1", "--out", tmp_path / "run"]
-    command = [sys.executable, "-m", "tfg_drake.diagrams.cli", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert re.search(r"^Meshcat: http://localhost:\d+$", done.stdout, re.MULTILINE)
-
-
 def test_a_port_that_somebody_else_has(call, room, tmp_path):
     with socket.create_server(("127.0.0.1", 17433)):
         code, out, err = call("explore", room, "--page-port", "17433", "--out", str(tmp_path / "run"))
@@ -416,11 +407,13 @@ def test_names_that_the_terminal_cannot_show_are_spelled_out(small_map, tmp_path
     assert (tmp_path / "a-\xfc.csv").exists()
 
 
-def test_a_mission_in_a_locale_without_utf_8_spells_out_names(room, tmp_path):
+def test_a_mission_in_a_locale_without_utf_8_is_drawn_in_meshcat_and_spells_out_names(room, tmp_path):
+    """In a process of its own: Drake's log is set up once."""
     environment = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run-\xfc"]
+    arguments = ["explore", room, "--headless", "--meshcat", "--max-time", "1", "--out", "run-\xfc"]
     code, out, err = run_in(tmp_path, *arguments, env=os.environ | environment)
     assert (code, err) == (0, "")
+    assert re.search(r"^Meshcat: http://localhost:\d+$", out, re.MULTILINE)
     assert re.search(r"^files +run-(\\xfc|\\udcc3\\udcbc)$", out, re.MULTILINE)
     assert (tmp_path / "run-\xfc" / "summary.json").exists()
 
@@ -513,7 +506,7 @@ def test_a_process_that_cannot_be_started_to_compile_is_named(call, monkeypatch,
         (
             "house --start 2,3,1",
             "world.start: (2, 3) is too near to the wall from (2.6, 3.1) to (1.6, 3.1): 0.100 m, the robot's radius is "
-            "0.18 m; start at (2, 2.8), the nearest free place",
+            "0.18 m; start at (1.3, 3), the nearest free place",
         ),
         ("house --page-port 70000", "port 70000: must be between 1 and 65535"),
     ],

@@ -1,4 +1,4 @@
-"""The examples run as they are written, for a shorter time."""
+"""The examples run as they are written, for a shorter time and with a shorter first look."""
 
 import json
 import re
@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.diagrams.rooms import QUICK_LOOK
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIOS = EXAMPLES.parent / "diagrams" / "scenarios"
 
 
 @pytest.fixture(autouse=True)
@@ -20,16 +22,28 @@ def _compiled(compiled):
 
 
 @pytest.fixture
-def run_example(tmp_path, monkeypatch, capsys):
+def quick(tmp_path, monkeypatch):
+    """In an empty folder with scenarios of a quick look: gives an example's text with these for the shipped ones, and
+    other changes."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("house", "corridor"):
+        (tmp_path / f"{name}.yaml").write_text((SCENARIOS / f"{name}.yaml").read_text() + QUICK_LOOK)
+
+    def changed(text, *changes):
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        return re.sub('"(house|corridor)"', r'"\1.yaml"', text)
+
+    return changed
+
+
+@pytest.fixture
+def run_example(quick, tmp_path, monkeypatch, capsys):
     """Runs an example in an empty folder, its times and numbers of seeds replaced, and gives what it prints."""
 
     def run_it(name, *arguments, **shorter):
-        text = (EXAMPLES / name).read_text()
-        for old, new in shorter.values():
-            assert old in text
-            text = text.replace(old, new)
-        (tmp_path / name).write_text(text)
-        monkeypatch.chdir(tmp_path)
+        (tmp_path / name).write_text(quick((EXAMPLES / name).read_text(), *shorter.values()))
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
         runpy.run_path(str(tmp_path / name), run_name="__main__")
         return capsys.readouterr().out
@@ -38,63 +52,59 @@ def run_example(tmp_path, monkeypatch, capsys):
 
 
 def test_a_mission(run_example, tmp_path, caplog):
-    said = run_example("mission.py", begin=("until=60.0", "until=40.0"), more=("advance(540.0)", "advance(2.0)"))
+    said = run_example("mission.py", begin=("until=60.0", "until=12.0"), more=("advance(540.0)", "advance(2.0)"))
     assert re.search(
-        r"<house, seed 3: \w+ after 42 s, \d+ stages, \d+ tags, \d+ walls> while the clone stands at 40.0 s", said
+        r"<house, seed 3: \w+ after 14 s, \d+ stages, \d+ tags, \d+ walls> while the clone stands at 12.0 s", said
     )
     assert (tmp_path / "mission.png").stat().st_size > 10_000
     assert not [line for line in caplog.messages if "see whether" in line]
 
 
-def test_the_notebook(tmp_path, monkeypatch):
+def test_the_notebook(quick):
     """Its cells, one after the other, for a shorter time."""
-    monkeypatch.chdir(tmp_path)
     cells = json.loads((EXAMPLES / "mission.ipynb").read_text())["cells"]
     cells = [cell for cell in cells if cell["cell_type"] == "code"]
     # It is kept as it was run, so that a reader sees its pictures.
     assert sum("image/png" in output.get("data", {}) for cell in cells for output in cell["outputs"]) == 2
     text = "\n".join("".join(cell["source"]) for cell in cells)
-    for old, new in (("until=60.0", "until=40.0"), ("advance(540.0)", "advance(2.0)")):
-        assert old in text
-        text = text.replace(old, new)
     names = {}
-    exec(text, names)
-    assert names["clone"].get_time() == 40.0 < names["house"].time
+    exec(quick(text, ("until=60.0", "until=12.0"), ("advance(540.0)", "advance(2.0)")), names)
+    assert names["clone"].get_time() == 12.0 < names["house"].time
     assert "animation" in names["meshcat"].StaticHtml()
 
 
 def test_a_diagram_as_in_hardware_sim(run_example, tmp_path):
-    said = run_example("robot_sim.py", "house", "--max-time", 40, "--graphviz", "house.dot")
-    assert re.search(r"\n\d\d tags, \d+ walls after 40 s\n\d+ m driven, 0 contacts\n$", said)
+    said = run_example("robot_sim.py", "house.yaml", "--max-time", 12, "--graphviz", "house.dot")
+    assert re.search(r"\n\d\d tags, \d+ walls after 12 s\n\d+ m driven, 0 contacts\n$", said)
     assert (tmp_path / "house.dot").read_text().startswith("digraph")
 
 
 def test_a_monitor_ends_it_when_so_many_landmarks_are_mapped(run_example):
-    said = run_example("robot_sim.py", "house", "--max-time", 60, "--landmarks", 5)
+    said = run_example("robot_sim.py", "house.yaml", "--max-time", 30, "--landmarks", 5)
     mapped, time = map(int, re.search(r"5 landmarks are mapped.\n(\d+) tags.* after (\d+) s", said).groups())
     assert mapped >= 5
-    assert time < 60
+    assert time < 30
 
 
 def test_a_multibody_plant(run_example):
-    said = run_example("multibody_plant.py", time=("until=600.0", "until=42.0"))
-    assert re.search(r"<house, seed 0: \w+ after 42 s, \d+ stages, \d\d tags, \d+ walls>, 0 contacts\n$", said)
+    said = run_example("multibody_plant.py", time=("until=600.0", "until=12.0"))
+    assert re.search(r"<house, seed 0: \w+ after 12 s, \d+ stages, \d\d tags, \d+ walls>, 0 contacts\n$", said)
 
 
 def test_another_estimator(run_example):
-    said = run_example("estimator.py", time=("until=600.0", "until=42.0"))
-    assert re.findall(r"^(.*): <house, seed 0: \w+ after 42 s", said, re.M) == ["as it is", "the truth"]
+    said = run_example("estimator.py", time=("until=600.0", "until=12.0"))
+    assert re.findall(r"^(.*): <house, seed 0: \w+ after 12 s", said, re.M) == ["as it is", "the truth"]
 
 
 def test_another_goal_selector(run_example):
-    said = run_example("goal_selector.py", time=("until=300.0", "until=42.0"))
-    assert re.findall(r"^(.*): <house, seed 0: \w+ after 42 s", said, re.M) == ["as it is", "the farthest first"]
+    said = run_example("goal_selector.py", time=("until=300.0", "until=12.0"))
+    assert re.findall(r"^(.*): <house, seed 0: \w+ after 12 s", said, re.M) == ["as it is", "the farthest first"]
 
 
 def test_another_plant(run_example):
-    said = run_example("plant.py", time=("until=120.0", "until=42.0"))
+    said = run_example("plant.py", time=("until=120.0", "until=15.0"))
     one, other = (line.partition(": ")[2] for line in said.splitlines())
-    assert "42 s" in one
+    assert "15 s" in one
     assert one != other
 
 
@@ -116,7 +126,7 @@ def test_a_run_without_tags_analysed(run_example, tmp_path):
 
 
 def test_a_monte_carlo(run_example):
-    said = run_example("monte_carlo.py", seeds=("range(5)", "range(2)"), time=("until=90.0", "until=25.0"))
+    said = run_example("monte_carlo.py", seeds=("range(5)", "range(2)"), time=("until=90.0", "until=12.0"))
     assert said.count("seed") == 4
     assert "standard deviation" in said
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from tfg_drake.comparison.measures import MEASURES, Measure
 from tfg_drake.comparison.runs import Run, paired, sample, values
-from tfg_drake.comparison.statistics import Interval, Spread, difference, ratio, spread
+from tfg_drake.comparison.statistics import RESAMPLES, Interval, Spread, difference, ratio, spread
 
 # Pairs from which on a bootstrap interval is wide enough to be believed.
 _ENOUGH = 8
@@ -122,6 +122,13 @@ def _introduction(comparison: Comparison) -> list[str]:
         " same world, the same start and the same random numbers. All errors are those of the online estimate against"
         " the truth, at every odometry period, turns included."
     ]
+    tags = {run.method: run.summary.get("landmarks_mapped") for run in runs if run.summary}
+    by_tags = [method for method in methods if tags.get(method)]
+    if by_tags and (others := [method for method in methods if method in tags and tags[method] is None]):
+        lines.append(
+            f"The world's tags are seen by {', '.join(by_tags)}, not by {', '.join(others)}: "
+            "--tag-spacing none is fairer."
+        )
     if len(runs) < comparison.planned:
         lines.append(f"This report is partial: {len(runs)} of {comparison.planned} runs are done.")
     return lines
@@ -142,7 +149,10 @@ def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
     for measure in _measures(runs):
         spreads = [spread(sample(runs, method, measure.read)) for method in methods]
         rows.append([measure.label, *(text(one, measure) for one in spreads)])
-    note = "Mean ± standard deviation over the runs, and the 95 % bootstrap interval of the mean."
+    note = (
+        "Mean ± standard deviation over the runs (n - 1), and the 95 % interval of the mean: Efron's BCa bootstrap, "
+        f"{RESAMPLES} resamples; of fewer than {_ENOUGH} runs it is too narrow to be quoted."
+    )
     return Table("Figures", note, ("", *methods), rows)
 
 

@@ -38,7 +38,7 @@ surfaces     1 on walls or between tags, 2.0 m
              1 without a landmark, 1.1 m
 free space   {area} m2
 frontiers    1 open, 0.4 m
-calibration  none
+calibration  no range of a tag was compared with a scan
 file size    {size} kB
 """
 
@@ -245,8 +245,9 @@ def test_a_map_is_not_merged_with_itself(call, path, tmp_path, monkeypatch):
 
 def test_merge(call, path, tmp_path, small_map, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    another = [replace(one, information=1.01 * one.information) for one in small_map.graph.keyframes]
-    save_map(tmp_path / "b.npz", replace(small_map, graph=replace(small_map.graph, keyframes=tuple(another))))
+    another = tuple(replace(one, information=1.01 * one.information) for one in small_map.graph.keyframes)
+    graph = replace(small_map.graph, keyframes=another, sessions=np.array([7]))
+    save_map(tmp_path / "b.npz", replace(small_map, graph=graph))
     said = call("map", "merge", path, "b.npz", "none/both.npz")
     assert said == (2, "", "tfg-drake: none/both.npz: cannot be written: no such file or directory\n")
     code, out, err = call("map", "merge", path, "b.npz", "both.npz")
@@ -302,6 +303,10 @@ def test_align(call, path, tmp_path, monkeypatch):
         ("export map.npz none/a.png", "none/a.png: cannot be written: no such file or directory"),
         ("export map.npz", "missing argument 'OUT'; see tfg-drake map export --help"),
         ("merge map.npz none.npz both.npz", "none.npz: no such file; name the folder of a run that was recorded"),
+        (
+            "merge map.npz map.npz both.yaml",
+            "both.yaml: a map is a .npz file; name one, and make other formats of it by tfg-drake map export",
+        ),
         ("align map.npz out.npz", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags a --plan b", "name either --tags or --plan; see tfg-drake map align --help"),
         ("align map.npz out.npz --tags none.csv", "none.csv: cannot be read: no such file or directory"),

@@ -29,7 +29,11 @@ def test_reasons_are_counted_and_the_first_openings_named():
     rows = left_open_rows({"openings": openings, "undiscovered": ROOMS}, named=2)
     assert rows[:3] == [
         ("left open", "2 tried in vain, 1 too narrow for the robot"),
-        ("", "0.4 m wide at (1.0, -2.0), 12 m2 unknown behind: too narrow for the robot by 0.03 m to either side"),
+        (
+            "",
+            "0.4 m wide at (1.0, -2.0), 12 m2 unknown behind: the way there is too narrow for the robot by 0.03 m"
+            " to either side",
+        ),
         ("", "0.4 m wide at (2.0, -2.0), 12 m2 unknown behind: tried in vain"),
     ]
     assert [name for name, _ in rows[3:]] == ["unseen room"]
