@@ -203,10 +203,9 @@ def find_places(
     return Places(X[order], information[order], probability[order], tells[order])
 
 
-def log_odds(known: Seen, seen: Seen, X: FloatArray, *, is_growing: bool = False) -> FloatArray:
-    """Logarithm of the odds (k,) of each pose X (k, 3), against none of the map's; see `find_places`."""
-    log, _, beyond = _agreement(known, Surfaces(known.points), seen, X)
-    return np.asarray(log + _beyond(beyond, is_growing=is_growing))
+def log_odds(known: Seen, seen: Seen, X: FloatArray) -> float:
+    """Logarithm of the odds of a pose X (3,) by what both have looked at: where the map has not says nothing of it."""
+    return float(_agreement(known, Surfaces(known.points), seen, X[None])[0, 0])
 
 
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:

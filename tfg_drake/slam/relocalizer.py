@@ -90,8 +90,8 @@ HERE = np.array([0.05, 0.05, 0.02])
 DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
 # The prior of one that is elsewhere.
 FROM_HERE = np.zeros(3), 0.0
-# A pose is looked at more closely whose odds by a turn, as a logarithm, are no better, for which views are asked that
-# are no farther away than this, m.
+# A pose is contradicted whose odds, as a logarithm, are no better by what the views see that are no farther away than
+# this, m.
 DOUBTFUL, AROUND = -1.5, 8.0
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
@@ -198,7 +198,11 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     found, places = _where(known, mapped, tags, seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
-    here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
+    # A place that nothing contradicts may be one of which the map knows little yet.
+    here = not state.kidnapped and (
+        places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
+        or not ((found and found.tags) or _contradicted(graph, seen, expected))
+    )
     # One that is lost, and maps apart, cannot be more lost.
     if here or (begin and found is None and not state.kidnapped):
         return replace(state, contradictions=0, suspect=None)
@@ -235,14 +239,16 @@ def doubted(state: EstimatorState) -> EstimatorState:
     X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
     points = [moved_points(se2.compose(X_AB, X_BS), some[some[:, 2:].any(axis=1)]) for X_AB, some in looks]
-    views = graph.view_keyframe[np.hypot(*(graph.X_MA - turn.X_MB)[:, :2].T) < AROUND]
-    mapped = seen_by_keyframes(graph, np.unique(views))
-    if not points or not len(mapped.points):
-        return state
-    seen = nothing_seen().with_look(np.vstack(points), turn.X_MB)
-    if not len(seen.points) or log_odds(mapped, seen, np.zeros((1, 3)), is_growing=True)[0] > DOUBTFUL:
+    if not points or not _contradicted(graph, nothing_seen().with_look(np.vstack(points), np.zeros(3)), turn.X_MB):
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
+
+
+def _contradicted(graph: KeyframeGraph, seen: Seen, X_MA: FloatArray) -> bool:
+    """Whether what the views round a pose (3,) have seen says that things were not seen from there."""
+    views = graph.view_keyframe[np.hypot(*(graph.X_MA - X_MA)[:, :2].T) < AROUND]
+    mapped = seen_by_keyframes(graph, np.unique(views[views > adrift(graph)]))
+    return len(seen.points) > 0 and len(mapped.points) > 0 and log_odds(mapped, seen, X_MA) < DOUBTFUL
 
 
 def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
