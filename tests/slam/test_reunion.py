@@ -123,6 +123,14 @@ def test_what_a_turn_sees_is_held_against_the_map(monkeypatch):
         assert doubted(state) is state
 
 
+def test_what_is_seen_where_the_map_has_not_looked_contradicts_no_pose(monkeypatch):
+    """The next room, nothing of the first in view."""
+    monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
+    state = turned_round(np.zeros(3))
+    beyond = replace(state, contradictions=0, open=replace(state.open, X_MB=np.array([7.5, 0.0, 0.0])))
+    assert doubted(beyond) is beyond
+
+
 def test_a_robot_in_another_place_than_it_believes_finds_itself_at_the_end_of_a_turn():
     unfelt = np.array([1.2, 1.5, 0.8])
     state = turned_round(unfelt)
