@@ -38,6 +38,13 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y
 
 LOGS = ("aces", "intel", "fr079")
 METHODS = ("walls", "grid", "karto")
+# m and degrees, by Hess et al., ICRA 2016, and Kuemmerle et al., Autonomous Robots 2009.
+PUBLISHED = {
+    "Cartographer": {"aces": "0.0375 0.373", "intel": "0.0229 0.453", "fr079": "0.0452 0.538"},
+    "Graph Mapping": {"aces": "0.044 0.4", "intel": "0.031 1.3", "fr079": "0.056 0.6"},
+    "Graph FLIRT": {"intel": "0.02 0.3", "fr079": "0.06 0.8"},
+    "GMapping": {"aces": "0.060", "intel": "0.070", "fr079": "0.061"},
+}
 # Karto: a node after so much way or turn, m and rad; scans that it matches with, m within which it looks for loops, the
 # least response of one; rays that are longer tell it nothing, m.
 NODE_STEP, NODE_TURN = 0.2, 0.1
@@ -113,12 +120,14 @@ def row(data: Path, name: str, method: str) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """All rows, one a line."""
-    lines = [f"{'log':<8}{'method':<8}{'relations':>10}{'m':>18}{'degrees':>18}{'CPU s':>8}"]
+    """All rows, one a line, beside what is published."""
+    others = "".join(f"{name:>16}" for name in PUBLISHED)
+    lines = [f"{'log':<8}{'method':<8}{'relations':>10}{'m':>18}{'degrees':>18}{'CPU s':>8}{others}"]
     for one in rows:
         metres, degrees = (f"{one[of]['mean']:.4f} +- {one[of]['std']:.4f}" for of in ("translation_m", "rotation_deg"))
         lines.append(
             f"{one['log']:<8}{one['method']:<8}{one['count']:>10}{metres:>18}{degrees:>18}{one['cpu_time_s']:>8.0f}"
+            + "".join(f"{told.get(one['log'], ''):>16}" for told in PUBLISHED.values())
         )
     return "\n".join(lines)
 

@@ -19,10 +19,11 @@ def test_ezdxf_reads_the_map_back(small_map):
     def flat(*points):
         return np.array([[p.x, p.y] for p in points])
 
-    walls = np.array([flat(line.dxf.start, line.dxf.end) for line in space.query('LINE[layer=="WALL"]')])
-    # None of the small map's walls goes on in another.
-    expected = tfg.segments.reshape(-1, 2, 2)
-    np.testing.assert_allclose(sorted(walls.tolist()), sorted(expected.tolist()), atol=1e-9)
+    # None of the small map's surfaces goes on in another.
+    for layer, some in (("WALL", tfg.segment_kind < 2), ("SURFACE", tfg.segment_kind == 2)):
+        found = [flat(line.dxf.start, line.dxf.end).tolist() for line in space.query(f'LINE[layer=="{layer}"]')]
+        expected = tfg.segments[some].reshape(-1, 2, 2).tolist()
+        np.testing.assert_allclose(sorted(found), sorted(expected), atol=1e-9)
     (frontier,) = space.query('POINT[layer=="frontier"]')
     np.testing.assert_allclose(flat(frontier.dxf.location), [[5.0, 1.0]], atol=1e-9)
     for layer, rows in (("tag", [0, 1, 2]), ("doubtful_tag", [3])):

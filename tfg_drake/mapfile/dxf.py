@@ -5,21 +5,24 @@ from __future__ import annotations
 import io
 
 import ezdxf
+import numpy as np
 from ezdxf.enums import TextEntityAlignment
 
 from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.mapfile.wall_lines import wall_lines
 
-# The layers with their colours by AutoCAD's numbers: black or white, green, violet, blue.
-LAYERS = {"WALL": 7, "tag": 94, "doubtful_tag": 200, "frontier": 5}
+# The layers with their colours by AutoCAD's numbers: black or white, grey, green, violet, blue.
+LAYERS = {"WALL": 7, "SURFACE": 8, "tag": 94, "doubtful_tag": 200, "frontier": 5}
+# TfgMap.segment_kind of those without a landmark.
+BARE = 2
 # Length of the line that says which side a tag faces, and height of its number, m.
 FACING, NUMBER = 0.2, 0.12
 
 
 def dxf_text(saved: SavedMap) -> str:
-    """The file's contents, the same on any day: a straight wall as one line, tags as points with their number and a
-    line to the side that they face, frontiers as points."""
+    """The file's contents, the same on any day: a wall that is a landmark as lines on its own one, surfaces without a
+    landmark apart, tags as points with their number and a line to the side that they face, frontiers as points."""
     before, text = ezdxf.options.write_fixed_meta_data_for_testing, io.StringIO()
     ezdxf.options.write_fixed_meta_data_for_testing = True  # else the time and random identifiers
     try:
@@ -34,8 +37,11 @@ def _drawing(saved: SavedMap) -> ezdxf.document.Drawing:
     space = drawing.modelspace()
     for name, colour in LAYERS.items():
         drawing.layers.add(name, color=colour)
-    for wall in wall_lines(tfg.segments):
-        space.add_line(wall[:2], wall[2:], {"layer": "WALL"})
+    walls, bare = np.unique(tfg.segment_ids[:, 0][tfg.segment_kind < BARE]), tfg.segment_kind == BARE
+    parts = [("WALL", (tfg.segment_ids[:, 0] == wall) & ~bare) for wall in walls]
+    for layer_name, of_part in (*parts, ("SURFACE", bare)):
+        for line in wall_lines(tfg.segments[of_part]):
+            space.add_line(line[:2], line[2:], {"layer": layer_name})
     for p in tfg.frontiers:
         space.add_point(p, {"layer": "frontier"})
     columns = (saved.ids.tolist(), landmarks_in_world(saved)[0], tfg.facing, saved.is_doubtful.tolist())
