@@ -166,11 +166,15 @@ def make_kernels_ready() -> None:
 
 def _compile(folder: Path) -> None:
     """Compile of the list what no other process has begun, by the files of a folder: NUMBER is one that is begun,
-    NUMBER.made one that was compiled, NUMBER.kept one that there was already, or that is of another version."""
+    NUMBER.made one that was compiled, NUMBER.kept one that there was already, or that is of another version. It ends
+    with the process that has started it."""
     from numba.core.errors import NumbaError
 
+    parent = os.getppid()
     for number, one in enumerate(listed()):
         begun = folder / str(number)
+        if os.getppid() != parent:
+            return
         try:
             begun.touch(exist_ok=False)
         except FileExistsError:
