@@ -947,6 +947,7 @@ def test_a_page_that_cannot_draw_stops_the_robot_all_the_same(driver):
         assert requests == ["stop"]
 
 
+@pytest.mark.slow
 def test_where_no_wall_is_a_landmark_no_layer_is_named(driver, small_map, tmp_path):
     write_map_timeline(small_map, tmp_path / "timeline.tfg", "tags")
     export_page(tmp_path / "timeline.tfg", tmp_path / "map.html", "tags", viewer_script())

@@ -454,6 +454,7 @@ def test_what_the_machine_refuses_is_one_line(call, monkeypatch, tmp_path, error
     assert call("export", str(tmp_path), str(tmp_path / "a.mp4")) == (2, "", f"tfg-drake: {complaint}\n")
 
 
+@pytest.mark.slow
 def test_a_full_disk_behind_the_output_is_one_line(room, tmp_path):
     arguments = ["explore", room, "--tag-spacing", "1", "--headless", "--max-time", "1", "--out", "run"]
     said = run_in(tmp_path, *arguments, before="exec >/dev/full;")

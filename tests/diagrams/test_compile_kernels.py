@@ -28,6 +28,7 @@ def test_each_is_there_with_such_types_and_after_what_it_calls():
         assert not later & set(called_by(kernel)) - {kernel}, kernel
 
 
+@pytest.mark.slow
 def test_it_has_what_another_mission_calls():
     done = subprocess.run([sys.executable, "-c", CALLED], capture_output=True, text=True, check=True)
     called = {tuple(line.split("\t")) for line in done.stdout.splitlines()}

@@ -95,7 +95,7 @@ def test_hardware_is_one_word_away():
         station.GetSubsystemByName("base").devices.close()
 
 
-@pytest.mark.parametrize("enable", [False, True])
+@pytest.mark.parametrize("enable", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_real_robot_explores_from_python(enable, tmp_path, caplog):
     """An emulated one: in real time, within its limits, moving only where that was asked for, closed at the end."""
     scenario = room()

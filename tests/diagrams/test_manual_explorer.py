@@ -95,6 +95,7 @@ def test_a_stick_is_a_share_of_the_robots_most():
     assert steered((0.1, 0.3), manual_drive.stick(0.0, 0.0), robot) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_the_robot_drives_by_itself_where_its_driver_sends_it(tmp_path, monkeypatch):
     asked = iter([()] * 120 + [[(3.0, 1.0)]])
     monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))

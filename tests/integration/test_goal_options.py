@@ -31,7 +31,12 @@ def test_every_rule_and_every_gain_is_driven():
     assert {gain for _, gain in DRIVEN} == set(GAINS)
 
 
-@pytest.mark.parametrize(("rule", "gain"), DRIVEN)
+SLOW = ("nearest_frontier", "random")
+
+
+@pytest.mark.parametrize(
+    ("rule", "gain"), [pytest.param(*one, marks=[pytest.mark.slow] if one[0] in SLOW else []) for one in DRIVEN]
+)
 def test_the_robot_explores(tmp_path, rule, gain):
     result = mission(tmp_path, 20.0, f"explorer.goal={rule}", f"explorer.gain={gain}", *DRIVEN[rule, gain])
     assert result.summary["outcome"] == "time_limit"

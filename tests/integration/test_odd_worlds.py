@@ -57,7 +57,7 @@ def test_a_robot_among_posts_that_it_does_not_fit_between_says_so(tool, scenario
     assert re.match(r"The robot cannot reach any other place\. Frontier is left: [\d.]+ m where", summary["reason"])
 
 
-@pytest.mark.parametrize(("time", "outcome"), [(9.0, "stuck"), (80.0, "complete")])
+@pytest.mark.parametrize(("time", "outcome"), [(9.0, "stuck"), pytest.param(80.0, "complete", marks=pytest.mark.slow)])
 def test_what_lies_behind_a_door_that_shut_is_named(tool, scenario, time, outcome):
     """While the robot has only looked through it, or when all is mapped."""
     change = f"reality: {{changes: [{{time: {time}, walls: [[4, 1.5, 4, 2.7]]}}]}}\n"
@@ -96,6 +96,7 @@ def test_walls_without_tags_are_a_map_too(tool, scenario):
     assert summary["surface_coverage"] > 0.99
 
 
+@pytest.mark.slow
 def test_where_there_is_nothing_the_mission_ends(tool, scenario):
     code, _, err, summary = tool(
         scenario("start: [0, 0, 0], walls: []"), "--max-time", 300, "--set", "robot.max_speed=2"

@@ -54,6 +54,7 @@ def mission(tmp_path_factory):
     return folder, marks, explorer.lines
 
 
+@pytest.mark.slow
 def test_it_turns_only_while_it_may(mission):
     _, marks, lines = mission
     np.testing.assert_allclose(marks["enabled"][1], marks["start"])

@@ -13,7 +13,7 @@ from tfg_drake.planning.budget import AT_HOME
 FAR = 2.0
 
 
-@pytest.mark.parametrize("return_home", [True, False])
+@pytest.mark.parametrize("return_home", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_robot_that_is_called_back(return_home):
     scenario = ApplySettings(LoadScenario("house"), [f"explorer.return_home={return_home}"])
     world = MakeWorld(scenario.world)

@@ -141,6 +141,7 @@ def test_a_grid_of_a_run_with_keep_out_areas_has_a_mask_for_nav2_beside_it(call,
     assert not (tmp_path / "b_keepout.yaml").exists()
 
 
+@pytest.mark.slow
 def test_what_was_explored_is_explored_again_by_its_grid(call, tmp_path, finished):
     assert call("map", "export", finished.folder, tmp_path / "room.yaml")[0] == 0
     scenario = ApplyWorldFile(LoadScenario(data=QUICK_LOOK), tmp_path / "room.yaml", 1.0, (2.0, 1.5, 0.3))

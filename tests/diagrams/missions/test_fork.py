@@ -31,7 +31,7 @@ def finish(simulator):
         simulator.AdvanceTo(simulator.get_context().get_time() + 1.0)
 
 
-@pytest.mark.parametrize("stage", [1, 4])
+@pytest.mark.parametrize("stage", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_a_fork_that_changes_nothing_ends_as_the_run_did(original, stage):
     simulator = tfg_drake.fork(original.folder, stage)
     assert look(simulator, "goal", GoalChoice).stage == stage

@@ -103,6 +103,7 @@ def without_tags(folder):
     return scenario
 
 
+@pytest.mark.slow
 def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp_path, monkeypatch):
     scenario, said = without_tags(first.folder), SaidPose(X_WB=np.array([7.4, 3.1, 1.9]))
 

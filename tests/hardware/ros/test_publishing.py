@@ -112,6 +112,7 @@ def test_rosbridge(rosbridge, room):
     np.testing.assert_allclose(X_MB, messages["pose"].X_MB, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_process_of_the_watchdog_publishes_nothing():
     assert issubclass(SensorDriver, Publisher)
     assert not issubclass(GraphBaseDriver, Publisher)
