@@ -110,7 +110,7 @@ def test_where_the_map_ends_what_is_seen_beyond_hardly_matters():
     known = seen_from(EYES, both())
     beyond = surfaces([[20.0 + 4.0 * k, 30, 23 + 4.0 * k, 30] for k in range(30)])
     seen_now = seen_from(EYES, np.vstack([known.points, beyond]))
-    assert log_odds(known, seen_now, np.zeros(3)) == pytest.approx(log_odds(known, known, np.zeros(3)))
+    assert log_odds(known, seen_now) == pytest.approx(log_odds(known, known))
     for most, is_growing in ((place_search.MOST_BEYOND, False), (place_search.GROWING, True)):
         assert place_search._beyond(np.array([0.0, 90.0]), is_growing=is_growing).tolist() == [0.0, most]
 
@@ -131,11 +131,11 @@ def test_what_either_has_looked_through_speaks_against_a_place_if_it_is_straight
     posts = np.vstack([surfaces([[3.0, 0.5 + y, 3.0, 0.2 + y]]) for y in (0.0, 0.8, 1.6, 2.4)])
     room, eye = surfaces(ROOM), np.array([[4.5, 2.0]])
     bare = seen_from(eye, room)
-    agrees = log_odds(bare, bare, np.zeros(3))
+    agrees = log_odds(bare, bare)
     for more, least, most in ((across, 3.0, 8.0), (posts, -0.1, 1.0)):
         with_more = seen_from(eye, np.vstack([room, more]))
         for known, seen_now in ((bare, with_more), (with_more, bare)):
-            assert least < agrees - log_odds(known, seen_now, np.zeros(3)) < most
+            assert least < agrees - log_odds(known, seen_now) < most
 
 
 def test_what_others_of_its_own_eyes_have_looked_through_does_not_stay():

@@ -203,9 +203,10 @@ def find_places(
     return Places(X[order], information[order], probability[order], tells[order])
 
 
-def log_odds(known: Seen, seen: Seen, X: FloatArray) -> float:
-    """Logarithm of the odds of a pose X (3,) by what both have looked at: where the map has not says nothing of it."""
-    return float(_agreement(known, Surfaces(known.points), seen, X[None])[0, 0])
+def log_odds(known: Seen, seen: Seen) -> float:
+    """Logarithm of the odds that things were seen from where they seem to be, in M, by what both have looked at: where
+    the map has not says nothing of it."""
+    return float(_agreement(known, Surfaces(known.points), seen, np.zeros((1, 3)))[0, 0])
 
 
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:

@@ -186,7 +186,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if not by_surfaces and not len(suspect.frames[-1].detections.ids):
         return state
     newest = newest_of(suspect)
-    tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
+    keyframe = reduced_now(state, newest).keyframe
+    tags, seen = _seen_of(keyframe, state, np.zeros(3))
     by_surfaces = by_surfaces and tells_place(seen.points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
@@ -201,7 +202,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     # A place that nothing contradicts may be one of which the map knows little yet.
     here = not state.kidnapped and (
         places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
-        or not ((found and found.tags) or _contradicted(graph, seen, expected))
+        or not ((found and found.tags) or _contradicted(graph, _seen_of(keyframe, state, expected)[1]))
     )
     # One that is lost, and maps apart, cannot be more lost.
     if here or (begin and found is None and not state.kidnapped):
@@ -239,16 +240,16 @@ def doubted(state: EstimatorState) -> EstimatorState:
     X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
     points = [moved_points(se2.compose(X_AB, X_BS), some[some[:, 2:].any(axis=1)]) for X_AB, some in looks]
-    if not points or not _contradicted(graph, nothing_seen().with_look(np.vstack(points), np.zeros(3)), turn.X_MB):
+    if not points or not _contradicted(graph, nothing_seen().with_look(np.vstack(points), turn.X_MB)):
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
 
 
-def _contradicted(graph: KeyframeGraph, seen: Seen, X_MA: FloatArray) -> bool:
-    """Whether what the views round a pose (3,) have seen says that things were not seen from there."""
-    views = graph.view_keyframe[np.hypot(*(graph.X_MA - X_MA)[:, :2].T) < AROUND]
+def _contradicted(graph: KeyframeGraph, seen: Seen) -> bool:
+    """Whether what the views round the newest eye have seen says that things were not seen from there, in M."""
+    views = graph.view_keyframe[np.hypot(*(graph.X_MA[:, :2] - seen.eyes[-1]).T) < AROUND]
     mapped = seen_by_keyframes(graph, np.unique(views[views > adrift(graph)]))
-    return len(seen.points) > 0 and len(mapped.points) > 0 and log_odds(mapped, seen, X_MA) < DOUBTFUL
+    return len(seen.points) > 0 and len(mapped.points) > 0 and log_odds(mapped, seen) < DOUBTFUL
 
 
 def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
