@@ -114,8 +114,7 @@ def main(described: str | None = __doc__, rows_of: Rows = ROWS, out: Path = Path
                 write_atomic(options.out, "".join(json.dumps(each) + "\n" for each in rows))
                 print(json.dumps(row), flush=True)
 
-    print(f"\nVersion {version}")
-    print(f"{'':37s}{'NEES: online pose':>21s}{'departures':>21s}{'landmarks, jointly':>21s}")
+    print(f"\n{'':37s}{'NEES: online pose':>21s}{'departures':>21s}{'landmarks, jointly':>21s}")
     print(
         f"{'':24s}   n complete{3 * '   mean median  worst'}     rmse position  surface  phantom   time    cpu contacts"
         "  false walls"

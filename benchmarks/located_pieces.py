@@ -89,14 +89,13 @@ def main() -> None:
                 rows.append((places.probability[0], right, places.found() is not None))
         probability, right, claimed = np.array(rows, dtype=float).T
         claimed, right = claimed.astype(bool), right.astype(bool)
-        print(
-            f"{name}: {len(rows)} pieces, {claimed.sum()} claimed, {np.sum(claimed & right)} of them right", flush=True
-        )
-        wrong = 1.0 - probability
+        wrong, told = 1.0 - probability, []
         for low, high in itertools.pairwise(BINS):
             some = (wrong >= low) & (wrong < high) & (probability > 0.0)
             if some.any():
-                print(f"  stated {low:g} to {high:g} wrong: {some.sum()} pieces, {1.0 - right[some].mean():.3f} wrong")
+                told.append(f"{low:g} to {high:g}: {1.0 - right[some].mean():.3f} of {some.sum()}")
+        claims = f"{name}: {len(rows)} pieces, {claimed.sum()} claimed, {np.sum(claimed & right)} of them right"
+        print(f"{claims}; wrong where stated {', '.join(told)}", flush=True)
 
 
 if __name__ == "__main__":
