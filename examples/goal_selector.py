@@ -55,5 +55,5 @@ def MakeExplorer(scenario):
 
 
 if __name__ == "__main__":
-    for selector in (None, lambda _: FarthestFrontierSelector()):
-        print(tfg_drake.explore("house", goal_selector=selector, until=300.0))
+    for name, selector in {"as it is": None, "the farthest first": lambda _: FarthestFrontierSelector()}.items():
+        print(f"{name}: {tfg_drake.explore('house', goal_selector=selector, until=300.0)}")
