@@ -91,8 +91,8 @@ DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
 # The prior of one that is elsewhere.
 FROM_HERE = np.zeros(3), 0.0
 # A pose is contradicted whose odds, as a logarithm, are no better by what the views see that are no farther away than
-# this, m. Of 310 turns of robots that nobody carried, among people and none, the worst have -0.1 and 0.2; of 18 that
-# were the best has -0.5.
+# this, m. Of 310 turns of robots that nobody carried the worst has -0.1, without people 0.2; 18 that were carried have
+# -0.5 and less at the first turn or the second.
 DOUBTFUL, AROUND = -0.3, 8.0
 # Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
 PLACED = np.array([0.1, 0.1, 0.03])
