@@ -187,8 +187,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if not by_surfaces and not len(suspect.frames[-1].detections.ids):
         return state
     newest = newest_of(suspect)
-    keyframe = reduced_now(state, newest).keyframe
-    tags, seen = _seen_of(keyframe, state, np.zeros(3))
+    tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
     by_surfaces = by_surfaces and tells_place(seen.points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
@@ -200,11 +199,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     found, places = _where(known, mapped, tags, seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
-    # A place that nothing contradicts may be one of which the map knows little yet.
-    here = not state.kidnapped and (
-        places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
-        or not ((found and found.tags) or _contradicted(graph, _seen_of(keyframe, state, expected)[1]))
-    )
+    here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
     # One that is lost, and maps apart, cannot be more lost.
     if here or (begin and found is None and not state.kidnapped):
         return replace(state, contradictions=0, suspect=None)
@@ -241,16 +236,14 @@ def doubted(state: EstimatorState) -> EstimatorState:
     X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
     points = [moved_points(se2.compose(X_AB, X_BS), some[some[:, 2:].any(axis=1)]) for X_AB, some in looks]
-    if not points or not _contradicted(graph, nothing_seen().with_look(np.vstack(points), turn.X_MB)):
+    views = graph.view_keyframe[np.hypot(*(graph.X_MA - turn.X_MB)[:, :2].T) < AROUND]
+    mapped = seen_by_keyframes(graph, np.unique(views))
+    if not points or not len(mapped.points):
+        return state
+    seen = nothing_seen().with_look(np.vstack(points), turn.X_MB)
+    if not len(seen.points) or log_odds(mapped, seen) > DOUBTFUL:
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
-
-
-def _contradicted(graph: KeyframeGraph, seen: Seen) -> bool:
-    """Whether what the views round the newest eye have seen says that things were not seen from there, in M."""
-    views = graph.view_keyframe[np.hypot(*(graph.X_MA[:, :2] - seen.eyes[-1]).T) < AROUND]
-    mapped = seen_by_keyframes(graph, np.unique(views[views > adrift(graph)]))
-    return len(seen.points) > 0 and len(mapped.points) > 0 and log_odds(mapped, seen) < DOUBTFUL
 
 
 def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
