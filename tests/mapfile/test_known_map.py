@@ -154,5 +154,5 @@ def test_a_session_and_the_map_that_it_began_with_count_once(small_map):
     state = looked(session, small_map, np.zeros(3))
     assert len(state.graph.sessions) == 2
     both = replace(small_map, graph=replace(small_map.graph, keyframes=(), sessions=state.graph.sessions))
-    with pytest.raises(BadInput, match="both maps are of the same run"):
+    with pytest.raises(BadInput, match="both maps hold the same session"):
         merge(before, both)

@@ -54,7 +54,10 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
     if shared := len(_looks(first) & _looks(second)):
         raise BadInput(f"{shared} looks are in both maps, and would count twice: merge maps of runs that share none")
     if len(np.intersect1d(first.graph.sessions, second.graph.sessions)):
-        raise BadInput("both maps are of the same run, which would count twice: one began with the other; it has both")
+        raise BadInput(
+            "both maps hold the same session, which would count twice: one began with the other, or both with a third; "
+            "use one alone"
+        )
     found = by_tags(first, second) or by_walls(standing_in(first), standing_in(second))
     if found is None:
         raise BadInput(
