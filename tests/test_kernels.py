@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tfg_drake import kernels
-from tfg_drake.diagrams.compile_kernels import MODULE
+from tfg_drake.diagrams.compile_kernels import MODULE, listed, resolved
 
 PACKAGE = Path(kernels.__file__).parent
 
@@ -134,6 +134,18 @@ def test_an_edit_concerns_the_kernels_that_are_made_of_it(package, changed, old,
     before = {name: kernels.stamp([place]) for name, place in places.items()}
     change(package / "part" / f"{changed}.py", old, new)
     assert {name for name, place in places.items() if kernels.stamp([place]) != before[name]} == stale
+
+
+def test_whatever_a_kernel_names_is_among_its_sources():
+    """Against the names that Python itself has compiled: else a kernel of old sources would be used."""
+    for one in listed():
+        function = resolved(one)[0].py_func
+        sources = {name for _, name in kernels.sources([(Path(function.__code__.co_filename), function.__name__)])}
+        for name in function.__code__.co_names:
+            value = function.__globals__.get(name)
+            is_ours = getattr(value, "__module__", "").startswith("tfg_drake.") or isinstance(value, (int, float))
+            if name in function.__globals__ and is_ours:
+                assert name in sources, (one.module, one.name, name)
 
 
 def test_a_kernel_that_has_moved_in_its_file_is_not_compiled_again(package):

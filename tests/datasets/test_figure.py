@@ -1,4 +1,4 @@
-"""What a figure of a recording draws."""
+"""Walls in the figure of a recording."""
 
 import numpy as np
 

@@ -44,7 +44,7 @@ OUTSIDE = 10.0
 # A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
 _HANGS, _ON_IT = 0.1, 1e-6
 # A free place is looked for on a lattice of this step, m, within so many steps in x and y. One is shut in, as in a
-# sofa, that sees less than this, m^2, within SIGHT, m.
+# sofa, that sees less than this, m^2, within _SIGHT, m.
 _STEP, _STEPS, _SHUT_IN, _SIGHT = 0.1, 20, 2.5, 3.0
 _ALL_ROUND = np.linspace(-np.pi, np.pi, 60, endpoint=False)
 
@@ -131,7 +131,7 @@ def _nearest_free(p_WS: FloatArray, walls: FloatArray, robot_radius: float) -> F
 
 
 def _seen_area(p_WS: FloatArray, walls: FloatArray) -> float:
-    """What is seen from a place (2,) within _SIGHT between walls (m, 4), m^2."""
+    """Area, m^2, in sight of a place (2,) between walls (m, 4), as far as _SIGHT."""
     ranges = np.minimum(cast_rays(walls, p_WS, _ALL_ROUND, _SIGHT), _SIGHT)
     return float(np.pi * np.mean(ranges**2))
 
