@@ -164,7 +164,7 @@ def test_a_tour_does_not_turn_round_on_a_large_map_before_it_is_done_with_what_i
         assert place_of(choose(now, before).node, now) == goal
 
 
-@pytest.mark.parametrize(("length", "verdict"), [(0.2, "complete"), (0.4, "goal")])
+@pytest.mark.parametrize(("length", "verdict"), [(0.4, "complete"), (0.5, "goal")])
 def test_a_sliver_is_left(length, verdict):
     # Of what is 6 m off the view goes on behind it for 4 m of the 5 m that count in full.
     assert choose(alcoves({-4.0: length}), empty_choice()).verdict == verdict

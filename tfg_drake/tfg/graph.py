@@ -85,6 +85,8 @@ BARE_TAG = 0.1
 LOST_BINS = 4
 # Where a building has shown no tag on so much surface that was inspected, m, none is looked for.
 WITHOUT_TAGS = 30.0
+# Then a metre of face that was not seen is worth this much frontier: no room lies behind it.
+FACE_WORTH = 1.0 / 3.0
 
 
 @message
@@ -374,10 +376,12 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate))
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
-    if not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks):
+    tagless = not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks)
+    if tagless:
         graph = replace(graph, uninspected=empty(FrontierPoints))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
     frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
+    worth = np.where(frontier.on_surface & tagless, FACE_WORTH, 1.0)
     bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
     posts = tag_ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
@@ -395,7 +399,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         segment_ids=np.vstack([ids[placed.here], np.stack([posts, np.full(len(posts), -1)], axis=1)]),
         facing=facing,
         frontiers=frontier.p,
-        frontier_length=frontier.length,
+        frontier_length=worth * frontier.length,
         frontier_normal=frontier.normal,
         star_offsets=placed.stars.offsets,
         star_vertices=placed.stars.vertices,
