@@ -34,13 +34,16 @@ def package(tmp_path, monkeypatch):
         (folder / "part" / f"{name}.py").write_text(f"from numba import njit\n{text}")
     monkeypatch.setattr(kernels, "PACKAGE", folder)
     kernels._read.cache_clear()
+    kernels._statement.cache_clear()
     yield folder
     kernels._read.cache_clear()
+    kernels._statement.cache_clear()
 
 
 def change(path, old, new):
     path.write_text(path.read_text().replace(old, new, 1))
     kernels._read.cache_clear()
+    kernels._statement.cache_clear()
 
 
 def called(package, first="", **environment):

@@ -171,20 +171,26 @@ def sources(places: list[Place]) -> dict[Place, str]:
     found: dict[Place, str] = {}
     left, seen = list(places), set(places)
     while left:
-        path, name = left.pop()
-        named, imported = _read(path)
-        if name in imported:
-            asked = [imported[name]]
-        else:
-            found[path, name] = named.get(name, "")
-            words = re.findall(r"\w+", found[path, name])
-            modules = [imported[word][0] for word in words if word in imported and not imported[word][1]]
-            asked = [
-                (file, word) for file in (path, *modules) for word in words if any(word in one for one in _read(file))
-            ]
-        left += set(asked) - seen
-        seen |= set(asked)
+        place = left.pop()
+        text, asked = _statement(place)
+        if text is not None:
+            found[place] = text
+        left += asked - seen
+        seen |= asked
     return found
+
+
+@functools.cache
+def _statement(place: Place) -> tuple[str | None, set[Place]]:
+    """The statement of a name, none where another file has it, and the names of the package that stand in it."""
+    path, name = place
+    named, imported = _read(path)
+    if name in imported:
+        return None, {imported[name]}
+    words = set(re.findall(r"\w+", named.get(name, "")))
+    modules = [imported[word][0] for word in words if word in imported and not imported[word][1]]
+    asked = {(file, word) for file in (path, *modules) for word in words if any(word in one for one in _read(file))}
+    return named.get(name, ""), asked
 
 
 def stamp(places: list[Place]) -> str:
