@@ -27,6 +27,7 @@ def run(monkeypatch, capsys):
     return make
 
 
+@pytest.mark.slow
 def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
     lines = run("planning_time.py", "paper", "--seeds", "1", "--max-time", "20", *QUICK).splitlines()
     assert int(lines[0].split()[0]) >= 2
@@ -35,6 +36,7 @@ def test_planning_time_sees_all_parts_of_a_stage(run) -> None:
     assert all(float(line.split()[1]) > 0.0 for line in lines[1:7])
 
 
+@pytest.mark.slow
 def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
     arguments = ("paper", "--max-time", "20", "--rollouts", "100", "--paths", "1", *QUICK)
     rows = [line.split() for line in run("chance_constraint.py", *arguments).splitlines()[1:]]
@@ -42,6 +44,7 @@ def test_chance_constraint_rolls_out_along_paths_of_every_stage(run) -> None:
     assert all(int(row[2]) >= 2 and int(row[3]) > 50 for row in rows)
 
 
+@pytest.mark.slow
 def test_gains_compares_every_formula_with_the_exact_one(run) -> None:
     lines = run("gains.py", "paper", "--seeds", "1", "--set", "explorer.budget_time=60", *QUICK).splitlines()
     assert int(lines[0].split()[0]) >= 2

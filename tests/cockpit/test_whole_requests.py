@@ -269,6 +269,7 @@ def under_flood(folder, limit, count, seconds):
             mission.kill()
 
 
+@pytest.mark.slow
 def test_a_flood_of_half_requests_takes_the_mission_nothing(tmp_path):
     took, opened, descriptors = under_flood(tmp_path, limit=256, count=300, seconds=3.0)
     assert opened > 300

@@ -286,6 +286,7 @@ def test_every_signal_ends_a_mission_with_a_code_of_its_own(call, room, tmp_path
     assert (summary["outcome"], summary["reason"]) == ("interrupted", f"interrupted by {name} at 1 s")
 
 
+@pytest.mark.slow
 def test_a_second_signal_leaves_at_once(room, tmp_path):
     process = start(["-m", "tfg_drake.diagrams.cli"], "explore", room, "--headless", "--out", str(tmp_path / "run"))
     wait_for(process, tmp_path / "run")
@@ -383,6 +384,7 @@ def run_in(folder, *arguments, before="", **given):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_a_mission_without_standard_streams_is_as_any(room, tmp_path):
     arguments = ["explore", room, "--headless", "--max-time", "1", "--out", "run"]
     code, _, err = run_in(tmp_path, *arguments, before="exec <&- >&- 2>&-;")
@@ -390,6 +392,7 @@ def test_a_mission_without_standard_streams_is_as_any(room, tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["outcome"] == "time_limit"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-"])
 def test_closed_streams_change_nothing(small_map, tmp_path, closed):
     save_map(tmp_path / "map.npz", small_map)
@@ -398,6 +401,7 @@ def test_closed_streams_change_nothing(small_map, tmp_path, closed):
     assert (tmp_path / "a.csv").read_text() == landmark_csv(load_map(tmp_path / "map.npz"))
 
 
+@pytest.mark.slow
 def test_names_that_the_terminal_cannot_show_are_spelled_out(small_map, tmp_path):
     save_map(tmp_path / "map.npz", small_map)
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
@@ -407,6 +411,7 @@ def test_names_that_the_terminal_cannot_show_are_spelled_out(small_map, tmp_path
     assert (tmp_path / "a-\xfc.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_mission_in_a_locale_without_utf_8_is_drawn_in_meshcat_and_spells_out_names(room, tmp_path):
     """In a process of its own: Drake's log is set up once."""
     environment = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}

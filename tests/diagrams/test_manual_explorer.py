@@ -58,6 +58,7 @@ def test_the_robot_goes_where_it_is_driven_and_the_map_grows(driven):
     assert driven.summary["method"] == "manual"
 
 
+@pytest.mark.slow
 def test_the_keys_are_kept_and_drive_once_more_to_the_bit(driven, tmp_path):
     keys = driven.folder / "keys.csv"
     assert [one.key for one in read_drive(keys)] == [one.key for one in DRIVE]

@@ -74,6 +74,7 @@ def test_trajectory_tools_find_the_error_of_the_summary(finished):
     assert error.max() == pytest.approx(told["max"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_ended_ends_there_again(tmp_path):
     one = run.run_mission(room(), name="room", out_dir=tmp_path / "one", max_time=8.5)
     robot = ReplayRobot(read_recording(one.folder))
@@ -85,6 +86,7 @@ def test_a_run_that_was_ended_ends_there_again(tmp_path):
     assert said(two) == said(one)
 
 
+@pytest.mark.slow
 def test_another_method_on_it_ends_with_the_recording(finished, tmp_path):
     robot = ReplayRobot(read_recording(finished.folder))
     summary = run.run_mission(room(), out_dir=tmp_path, robot=robot, method=FindMethod("grid-nearest")).summary

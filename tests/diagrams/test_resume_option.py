@@ -102,6 +102,7 @@ def test_the_checkpoint_stands_for_its_folder(call, cut):
     assert call("explore", "--resume", cut / "checkpoint.bin", "--headless") == said
 
 
+@pytest.mark.slow
 def test_a_mission_goes_on_and_the_next_one_begins_with_its_map(call, room, tmp_path):
     half, whole = tmp_path / "half", tmp_path / "whole"
     arguments = ["--headless", "--json"]

@@ -54,6 +54,7 @@ def test_what_cannot_be_driven_is_refused_in_one_line(call, arguments, line):
     assert call("explore", "--headless", *arguments) == (2, "", f"tfg-drake: {line}\n")
 
 
+@pytest.mark.slow
 def test_a_run_is_driven_through_once_more(call, room, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     code, _, _ = call("explore", room, "--tag-spacing", "1", "--headless", "--max-time", "7.8", "--out", str(first))

@@ -116,6 +116,7 @@ def test_a_run_analysed(run_example, tmp_path):
     assert said.count("position error") == 4
 
 
+@pytest.mark.slow
 def test_a_run_without_tags_analysed(run_example, tmp_path):
     short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
     short.world.tags = []

@@ -57,6 +57,7 @@ def test_the_robot_is_home_before_its_budget_ends(tmp_path, key, limit):
     assert np.hypot(*(truth[-1, 1:3] - truth[0, 1:3])) < 0.5
 
 
+@pytest.mark.slow
 def test_without_the_way_home_more_of_a_budget_is_spent_on_goals(tmp_path):
     summary = mission(tmp_path, 300.0, "explorer.budget_time=40").summary
     assert (summary["outcome"], summary["sim_time_s"] <= 40.0) == ("budget", True)

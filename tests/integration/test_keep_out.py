@@ -31,6 +31,7 @@ def explore(call, tmp_path):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["tfg", "grid-nearest"])
 def test_what_lies_behind_a_barred_corridor_keeps_no_mission_from_its_end(explore, method):
     code, err, summary, way = explore(CORRIDOR, [BAR], "--method", method, "--max-time", 400)

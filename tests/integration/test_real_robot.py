@@ -100,6 +100,7 @@ def _drives(emulator, explorer):
     moves(emulator, begin)
 
 
+@pytest.mark.slow
 def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
     with Emulator(WORLD) as emulator:
         explorer = Explorer(emulator, tmp_path, 300.0)
@@ -147,6 +148,7 @@ def _mirrored(scan):
     return replace(scan, angles=-scan.angles[::-1], ranges=scan.ranges[::-1])
 
 
+@pytest.mark.slow
 def test_a_mirrored_scan_stops_it_until_it_is_enabled_anew_and_an_empty_battery_ends_it(tmp_path):
     with Emulator(WORLD) as emulator:
         emulator.faults = {"scan": _mirrored}
@@ -167,6 +169,7 @@ def test_a_mirrored_scan_stops_it_until_it_is_enabled_anew_and_an_empty_battery_
     assert sum("enabled anew: scans turn against" in line for line in explorer.lines) == 1
 
 
+@pytest.mark.slow
 def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
     with Emulator(WORLD) as emulator:
         emulator.faults, emulator.base.bumper = {"scan": _mirrored}, 4

@@ -46,6 +46,7 @@ def drawn(stage):
     }
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_in_every_format_the_same_each_time(stage, tmp_path):
     written = []
     for figures in (drawn(stage), drawn(stage)):

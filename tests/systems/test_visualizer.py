@@ -436,6 +436,7 @@ CORNERS = 18  # of the top of a landmark: six triangles
 LONG_LOOK = ["reality.people=1", "explorer.first_look=20", "explorer.first_turns=3"]
 
 
+@pytest.mark.slow
 def test_a_published_recording_plays_the_mission(driver, tmp_path):
     meshcat = Meshcat(MeshcatParams(host="localhost"))
     mission = tfg_drake.explore("house", meshcat=meshcat, until=0.0, settings=LONG_LOOK)

@@ -109,6 +109,7 @@ def blocked_in_missions(pid):
     return masks
 
 
+@pytest.mark.slow
 def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(call, room, tmp_path, monkeypatch):
     """SIGTERM, as `timeout` sends it; a mission's process hears none of those that end a program."""
     out = tmp_path / "comparison"

@@ -4,6 +4,7 @@ from tfg_drake.diagrams.commands import figures
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 
+@pytest.mark.slow
 def test_stages_hold_what_belongs_together_and_end_when_told():
     quick = ["explorer.first_look=2", "explorer.first_turns=1"]
     scenario = ApplySettings(LoadScenario(FindScenario("paper")), quick)

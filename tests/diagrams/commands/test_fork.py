@@ -17,6 +17,7 @@ def original(tmp_path_factory, compiled):
     )
 
 
+@pytest.mark.slow
 def test_nothing_changed_is_no_difference(call, original, tmp_path):
     out = tmp_path / "fork"
     code, said, _ = call("fork", original.folder, "--stage", 2, "--out", out)
@@ -28,6 +29,7 @@ def test_nothing_changed_is_no_difference(call, original, tmp_path):
     assert all(line.endswith("=") for line in table)
 
 
+@pytest.mark.slow
 def test_another_goal_makes_another_run(call, original, tmp_path):
     out = tmp_path / "fork"
     code, said, _ = call("fork", original.folder, "--stage", 2, "--goal", "1,3", "--out", out, "--json")

@@ -47,6 +47,7 @@ def test_emulate_prints_device_and_address_and_ends_with_the_truth():
     assert at_the_end == truth
 
 
+@pytest.mark.slow
 def test_emulate_with_sensors_of_its_own(tmp_path):
     """A scanner and a camera that drivers open as those of a robot, and what can happen to them."""
     pytest.importorskip("robotpy_apriltag", reason="robotpy-apriltag is not installed: pip install 'tfg-drake[camera]'")

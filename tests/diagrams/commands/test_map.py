@@ -340,6 +340,7 @@ for command in " ".join(sys.argv[1:]).split(" and "):
 """
 
 
+@pytest.mark.slow
 def test_no_drake_is_needed_and_without_a_keyboard_the_view_stays_until_a_signal(path):
     """SIGTERM; test_view.py ends a view by Ctrl-C."""
     picture = path.with_suffix(".png")

@@ -54,6 +54,7 @@ def test_the_context_can_be_cloned_and_driven_on(original):
     assert one.tobytes() == two.tobytes()
 
 
+@pytest.mark.slow
 def test_the_robot_drives_to_another_candidate_and_looks_round_there(original):
     change = Fork(2, candidate=3)
     result = run.run_mission(

@@ -58,6 +58,7 @@ def test_it_finds_itself_and_tells_what_has_changed(first, second):
     assert summary["map_bytes"] < 2.0 * first.summary["map_bytes"]
 
 
+@pytest.mark.slow
 def test_in_another_building_it_maps_apart_and_says_so(first, tmp_path):
     scenario = rooms()
     scenario.world.walls = [[0, 0, 5, 0], [5, 0, 5, 3], [5, 3, 2, 3], [2, 3, 2, 4], [2, 4, 0, 4], [0, 4, 0, 0]]
@@ -84,6 +85,7 @@ def test_the_folder_has_the_map_that_it_began_with(first, second, tmp_path):
     moved.rename(result.folder)
 
 
+@pytest.mark.slow
 def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
     scenario = rooms()
     half = tfg_drake.explore(scenario, map=first.folder, until=8.0, out=tmp_path / "half")

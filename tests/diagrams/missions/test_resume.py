@@ -89,6 +89,7 @@ def test_a_resumed_mission_ends_as_if_it_had_not_been_cut(whole, after):
     assert sorted(set(now)) == sorted(set(before))
 
 
+@pytest.mark.slow
 def test_a_resumed_run_replays(after, tmp_path):
     robot = ReplayRobot(read_recording(after.folder))
     again = run.run_mission(scenario(), robot=robot, name="rooms", max_time=END, out_dir=tmp_path / "again")
@@ -110,6 +111,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(whole, half, tmp_path):
     assert (after.folder / "stages.jsonl").read_bytes() == (whole.folder / "stages.jsonl").read_bytes()
 
 
+@pytest.mark.slow
 def test_from_python_a_run_goes_on_where_it_is(half, tmp_path):
     copy = shutil.copytree(half.folder, tmp_path / "copy")
     mission = tfg_drake.explore(resume=copy, until=CUT + 2.0)
@@ -159,6 +161,7 @@ METHODS_TRIED = ("grid-nearest", "random", "scripted", "manual")
 OTHERS = tuple(pytest.param(name, marks=pytest.mark.slow) for name in ("tfg", "paper", "weighted"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*METHODS_TRIED, *OTHERS])
 def test_every_method_goes_on_to_the_bit(name, tmp_path):
     rooms = ApplySettings(scenario(), ["drive=[[4, 1], [4.5, 3]]"])

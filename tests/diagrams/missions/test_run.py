@@ -166,6 +166,7 @@ def test_before_the_first_stage_there_is_no_map_but_a_summary(tmp_path):
     assert not (tmp_path / "map.npz").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "name"), NAMES.items())
 def test_a_signal_leaves_a_usable_result(tmp_path, number, name):
     def interrupt(progress):

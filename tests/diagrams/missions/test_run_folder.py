@@ -165,6 +165,7 @@ def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
     assert load_map(tmp_path / "map.npz").stage == result.summary["stages"]
 
 
+@pytest.mark.slow
 def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
@@ -173,6 +174,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
     assert saved == [1, 3]  # the last at the end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [["map.npz"], ["summary.json"], ["figure.png"], ["trajectory.tum", "truth.tum"]])
 def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monkeypatch, lost):
     writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}

@@ -85,6 +85,7 @@ def two_jobs(tmp_path_factory):
     return runs
 
 
+@pytest.mark.slow
 def test_two_at_a_time_make_the_same_bits(one_job, two_jobs):
     runs = two_jobs
     assert all_lasting(runs) == all_lasting(one_job[0])
@@ -124,6 +125,7 @@ def test_another_sweeps_folder_is_refused(one_job):
     assert str(caught.value) == f"{out}: holds another comparison (scenario's values differ); {mend}"
 
 
+@pytest.mark.slow
 def test_a_killed_or_failed_run_stops_no_other(tmp_path):
     some = tasks(3)
     some[2].folder(tmp_path).parent.mkdir(parents=True)

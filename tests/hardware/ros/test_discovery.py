@@ -105,6 +105,7 @@ def test_nothing_leaves_the_machine(machines):
         assert ask(driven(machines, stack)) == {"commands": 0, "published": []}
 
 
+@pytest.mark.slow
 def test_whoever_wants_the_network_has_it(machines):
     with ExitStack() as stack:
         there = driven(machines, stack, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
