@@ -541,6 +541,21 @@ def test_of_a_recording_neither_camera_nor_wheels_are_shown(driver, tmp_path):
     assert page("return [groups.camera.children.length, element('layer-camera').parentElement.hidden]") == [0, True]
 
 
+def test_the_floor_of_a_grid_is_its_free_cells(driver, tmp_path):
+    with TimelineWriter(tmp_path / "timeline.tfg") as writer:
+        begin(writer)
+        for time, last in ((1.0, 0.05), (3.0, 1.95)):
+            drive(writer, time)
+            runs = {
+                "free": np.array([[0.05, 0.05, last, 0.05], [0.05, 0.15, 1.95, 0.15]]),
+                "occupied": np.zeros((0, 4)),
+            }
+            writer.write("grid", time, runs, resolution=0.1, stage=1)
+    export_page(tmp_path / "timeline.tfg", tmp_path / "room.html", "room", viewer_script())
+    page = Page(driver, (tmp_path / "room.html").as_uri())
+    np.testing.assert_allclose(page("return [value(area, 1.5), value(area, 3.0)]"), [0.21, 0.4], atol=1e-6)
+
+
 def test_where_a_session_is_in_its_map_is_told_until_it_is_found(driver, tmp_path):
     with TimelineWriter(tmp_path / "timeline.tfg") as writer:
         begin(writer)

@@ -40,6 +40,16 @@ function addStars(record) {
   area.values.push(seen.size * CELL * CELL);
 }
 
+/** Of a grid: runs of free cells, from the middle of the first to that of the last. */
+function addFreeCells(record) {
+  const { free } = arrays(record),
+    size = record.told.resolution;
+  let length = 0;
+  for (let i = 0; i < free.length; i += 4) length += free[i + 2] - free[i] + size;
+  area.times.push(record.time);
+  area.values.push(length * size);
+}
+
 /** Takes note of the cells whose middle is in a polygon round its first point. */
 function fill(points) {
   const corners = points.length / 2 - 1;

@@ -85,6 +85,8 @@ timeline.listeners.push((layer, record) => {
     if (arrays(record).kind.includes(3)) element("layer-keep_out").parentElement.hidden = false;
   } else if (layer === "free") {
     addStars(record);
+  } else if (layer === "grid") {
+    addFreeCells(record);
   } else if (layer === "scan") {
     if (firstLook(record.time)) addGlimpse(record);
   } else if (layer === "world") {
