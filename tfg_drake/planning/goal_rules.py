@@ -55,8 +55,8 @@ def tour(
     candidates that are not in it.
 
     1. Goals are chosen one after the other. Of the frontier that a candidate sees some is new, seen by no goal chosen
-       before it: its gain, nats, counts by the share that is new. The most of that over the time, s, that the tour of
-       those chosen so far grows by, and the stay, s, is the next goal.
+       before it. The most metres of that over the time, s, that the tour of those chosen so far grows by, and the
+       stay, s, are the next goal.
     2. They are visited in the order that takes least time, with the one farthest from the robot last: exploring goes on
        from there.
     3. The first goal is replaced by the candidate that lies best on the way to the second, among those that see almost
@@ -64,13 +64,10 @@ def tour(
 
     gain: (c,) nats. time: (c,) s, of going to each from the robot. frontier: (c, f) m that each candidate sees of each
     frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the roadmap; speed: m/s. Where no
-    frontier is left, gain per time decides; where no candidate that sees enough has any gain, as by an approximation
-    with few tags in view, the metres of frontier do.
+    frontier is left, gain per time decides.
     """
-    seen, way = frontier.sum(axis=1), _TimesTo(time, nodes, roadmap, speed)
-    goals, looked_at, order = _most_by_time(gain, frontier, least, stay, way)
-    if not order:
-        goals, looked_at, order = _most_by_time(seen, frontier, least, stay, way)
+    way = _TimesTo(time, nodes, roadmap, speed)
+    goals, looked_at, order = _most_by_time(frontier, least, stay, way)
     if not order:
         return gain_per_time(gain, time + stay), np.ones(frontier.shape[1], dtype=np.bool_)
     value, arrival, to_next = np.full(len(time), -np.inf), 0.0, time
@@ -112,7 +109,7 @@ def stops(value: FloatArray, first: int) -> IntArray:
 
 
 def _most_by_time(
-    gain: FloatArray, frontier: FloatArray, least: float, stay: float, way: _TimesTo
+    frontier: FloatArray, least: float, stay: float, way: _TimesTo
 ) -> tuple[list[int], list[BoolArray], list[int]]:
     """The goals of a tour, TOUR_GOALS at the most, which frontier points (f,) each is the first to see, and the order
     in which to visit them.
@@ -120,7 +117,6 @@ def _most_by_time(
     Step 1 of `tour`. frontier: (c, f) m that each candidate sees of each frontier point. stay: s at each goal. least:
     m, as of `tour`.
     """
-    seen = np.maximum(frontier.sum(axis=1), 1e-9)
     detour = way.time
     left = np.ones(frontier.shape[1], dtype=np.bool_)
     goals: list[int] = []
@@ -128,8 +124,8 @@ def _most_by_time(
     order: list[int] = []
     while len(goals) < TOUR_GOALS:
         new = frontier @ left
-        rate = np.where(new >= least, gain * new / seen / (detour + stay), -np.inf)
-        if rate.max(initial=-np.inf) <= 0.0:
+        rate = np.where(new >= least, new / (detour + stay), 0.0)
+        if rate.max(initial=0.0) == 0.0:
             break
         goal = int(np.argmax(rate))
         goals.append(goal)
