@@ -23,6 +23,7 @@ import json
 import math
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ def run(floor: Floor, start: int, method: str, out: Path) -> dict[str, Any]:
         scenario.world.start = [*p.tolist(), 0.0]
         found = {"way": kept_tour(scenario, out.with_suffix("") / "tours", lambda line: None).tour.X_WB[:, :2]}
     else:
-        found = mission(floor, p, EXACT if method == "exact" else (), folder, 1500.0 if method == "exact" else 6000.0)
+        found = mission(floor, p, EXACT if method == "exact" else (), folder, 1000.0 if method == "exact" else 6000.0)
     way = found.pop("way")
     covered = floor.coverage(way)
     length = float(np.hypot(*np.diff(way, axis=0).T).sum())
@@ -214,10 +215,15 @@ def main() -> None:
         some = [rows[*which, method] for which in kept]
         at = np.array([[reached(row, share) for share in SHARES] for row in some])
         means = " ".join(f"{np.nanmean(column):6.1f}" if np.isfinite(column).any() else "   nan" for column in at.T)
-        print(f"{method:9s} {np.mean([area(row) for row in some]):.3f} {means}; {np.isfinite(at).sum(axis=0)}")
-    if set(METHODS) - {"ours"} <= set(options.methods):
-        a, b, c = (np.mean([area(rows[*which, m]) for which in kept]) for m in ("nearest", "exact", "tour"))
-        print(f"closed {(b - a) / (c - a):.2f}; over nearest {b / a:.3f}")
+        ends = Counter(row["outcome"] for row in some if "outcome" in row)
+        ended = "".join(f"; {ends[name]} {name}" for name in sorted(ends))
+        print(f"{method:9s} {np.mean([area(row) for row in some]):.3f} {means}; {np.isfinite(at).sum(axis=0)}{ended}")
+    areas = {m: np.mean([area(rows[*which, m]) for which in kept]) for m in options.methods}
+    if {"nearest", "exact"} <= set(areas):
+        print(f"exact over nearest {areas['exact'] / areas['nearest']:.3f}")
+    if {"nearest", "exact", "tour"} <= set(areas):
+        nearest, exact, tour = (areas[m] for m in ("nearest", "exact", "tour"))
+        print(f"closed {(exact - nearest) / (tour - nearest):.2f}")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,18 @@ import pytest
 
 from tests.arrays import frozen
 from tests.planning.test_roadmap import ROBOT
+from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import LaserScan, replace
-from tfg_drake.planning.path import BODY, STRAYS, path_is_free, seen_past, shortcut, unmapped_obstacles
+from tfg_drake.planning.path import (
+    BODY,
+    STRAYS,
+    lines_between,
+    path_is_free,
+    round_corners,
+    seen_past,
+    shortcut,
+    unmapped_obstacles,
+)
 from tfg_drake.planning.roadmap import in_free_space
 from tfg_drake.tfg.graph import empty_map
 
@@ -63,7 +73,7 @@ def test_a_shortcut_does_not_lead_through_what_was_never_seen():
         star_vertices=corridors,
         star_centers=np.array([[0.0, 0], [3, 0]]),
     )
-    short = shortcut(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), tfg, np.zeros((0, 4)), 0.35)
+    short = shortcut(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), tfg, np.zeros((0, 4)), 0.35, 0.0)
     assert in_free_space(np.hstack([short[:-1], short[1:]]), tfg).all()
 
 
@@ -82,3 +92,17 @@ def test_an_obstacle_is_gone_when_a_scan_sees_past_it():
     # Half of the rays still end at it.
     ranges = np.where(angles + 0.3 < 0.0, 0.5, 3.0)
     assert seen_past(obstacles, LaserScan(0.0, angles, ranges, 10.0, 0.015), pose)[0].tolist() == [False] * 3
+
+
+def test_no_shortcut_leads_nearer_to_a_wall_than_the_robot_is_wide():
+    # The map has a wall go on too far into a door: the robot has come through with 0.1 m to its left. A line past the
+    # other side of the door must not come as near to that.
+    square = np.array([[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]])
+    walls = np.array([[-4.0, 1.0, -0.1, 1.0], [0.3, 1.0, 4.0, 1.0]])
+    tfg = replace(empty_map(), star_offsets=np.array([0, 4]), star_vertices=square, star_centers=np.zeros((1, 2)))
+    for least in (0.0, 0.23):
+        short = shortcut(np.array([[2.4, 0.4], [0.0, 0.4], [0.0, 2.8]]), tfg, walls, 0.35, least)
+        for line in (short, round_corners(short, walls, 0.35, least)):
+            aside = np.abs(line[:-1, 0]) > 1e-9
+            room = clearance(lines_between(line[:-1], line[1:])[aside], walls, 1.0)
+            assert (room.min() >= 0.23) == (least > 0.0)

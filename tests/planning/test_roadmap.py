@@ -456,8 +456,8 @@ def test_shortcuts_and_rounding_lose_no_clearance():
     _, tfg = known(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     detour = np.array([[-5.0, 1.5], [-4, -1.2], [-3, 1.2], [-0.6, 0], [0.6, 0], [2, -1.4], [5, 0]])
     segments = tfg.segments.copy()
-    short = shortcut(detour, tfg, segments, 0.35)
-    smooth = round_corners(short, segments, 0.35)
+    short = shortcut(detour, tfg, segments, 0.35, 0.0)
+    smooth = round_corners(short, segments, 0.35, 0.0)
     walls = shapely.multilinestrings(shapely.linestrings(tfg.segments.reshape(-1, 2, 2)))
     assert shapely.LineString(short).length < 0.8 * shapely.LineString(detour).length
     assert shapely.LineString(short).distance(walls) >= 0.35 - 1e-9

@@ -200,7 +200,7 @@ def plan_path(grid: GridMap, ways: Ways, p_MB: FloatArray, p_MG: FloatArray) -> 
     if len(points) + len(start) < 2:
         return np.zeros((0, 2))
     blocks = occupied_near(grid, ways.cells, points, SHORTCUT_CLEARANCE + grid.resolution)
-    points = round_corners(_shorten(grid, ways.cells, points, blocks), blocks, SHORTCUT_CLEARANCE)
+    points = round_corners(_shorten(grid, ways.cells, points, blocks), blocks, SHORTCUT_CLEARANCE, 0.0)
     return resample(np.vstack([start, points]), PATH_STEP)
 
 

@@ -75,19 +75,24 @@ def _insert(points: FloatArray, step: float) -> FloatArray:
     return np.vstack([*pieces, points[-1:]])
 
 
-def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float) -> FloatArray:
+def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float, least: float) -> FloatArray:
     """A polyline (n, 2) with detours cut out, where the straight line is as safe as what it replaces.
 
     segments: (m, 4) all obstacles, m in M. The line keeps the clearance of the part it replaces or `enough` (m),
-    whichever is less, and lies in known free space.
+    whichever is less, but at least `least` (m), and lies in known free space.
     """
     points = _insert(points, SHORTCUT_STEP)
-    return points[_shortest(points, segments, enough, tfg.star_offsets, tfg.star_vertices)]
+    return points[_shortest(points, segments, enough, least, tfg.star_offsets, tfg.star_vertices)]
 
 
 @njit(cache=True)
 def _shortest(
-    points: FloatArray, segments: FloatArray, enough: float, star_offsets: IntArray, star_vertices: FloatArray
+    points: FloatArray,
+    segments: FloatArray,
+    enough: float,
+    least: float,
+    star_offsets: IntArray,
+    star_vertices: FloatArray,
 ) -> IntArray:
     """The points (k,) of a polyline (n, 2) that are left when its detours are cut out, see shortcut."""
     grid, stars = segment_grid(segments), star_index(star_offsets, star_vertices)
@@ -105,7 +110,8 @@ def _shortest(
         following = i + 1
         for j in range(last, i + 1, -1):
             ax, ay, bx, by = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
-            if room_beside(ax, ay, bx, by, segments, grid, enough) < replaced[j - i - 1] - 1e-9:
+            needed = max(least, replaced[j - i - 1]) - 1e-9
+            if room_beside(ax, ay, bx, by, segments, grid, enough) < needed:
                 continue
             if line_in_stars(ax, ay, bx, by, star_offsets, star_vertices, stars, near):
                 following = j
@@ -124,7 +130,7 @@ def _room(a: FloatArray, b: FloatArray, segments: FloatArray, grid: SegmentGrid,
 
 @read_only_arguments
 @njit(cache=True)
-def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> FloatArray:
+def round_corners(points: FloatArray, segments: FloatArray, enough: float, least: float) -> FloatArray:
     """A polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut) allows."""
     grid, arc = segment_grid(segments), np.empty((ARC_POINTS, 2))
     smooth, count = np.empty((ARC_POINTS * len(points), 2)), 1
@@ -133,7 +139,7 @@ def round_corners(points: FloatArray, segments: FloatArray, enough: float) -> Fl
         corner, back, on = points[i], points[i - 1] - points[i], points[i + 1] - points[i]
         to_back, to_on = math.hypot(back[0], back[1]), math.hypot(on[0], on[1])
         sharp = _room(corner, points[i - 1], segments, grid, enough)
-        sharp = min(sharp, _room(corner, points[i + 1], segments, grid, enough))
+        sharp = max(least, min(sharp, _room(corner, points[i + 1], segments, grid, enough)))
         cut, rounded = min(ROUNDING, 0.5 * min(to_back, to_on)), False
         while cut > 0.05 and not rounded:
             a, b = corner + back / to_back * cut, corner + on / to_on * cut
@@ -178,6 +184,7 @@ def plan_path(
         X_MS = X_MB
     before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
     paths: list[FloatArray] = []
+    room = robot.radius + NODE_MARGIN
     for _ in range(WAYS_TRIED):
         segments = np.vstack([tfg.obstacles, obstacles])
         ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
@@ -185,7 +192,8 @@ def plan_path(
         if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
             break
         enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
-        smooth = round_corners(np.vstack([before, shortcut(way, tfg, segments, enough)]), segments, enough)
+        straight = np.vstack([before, shortcut(way, tfg, segments, enough, room)])
+        smooth = round_corners(straight, segments, enough, room)
         for points in (smooth, np.vstack([before, way])):
             paths.append(resample(points, PATH_STEP))
             narrow = too_narrow(paths[-1], estimate, tfg, parameters)
