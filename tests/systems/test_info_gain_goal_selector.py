@@ -396,7 +396,7 @@ def test_an_opening_tried_in_vain_counts_only_where_the_robot_can_come_up_to_it(
 def test_a_sliver_of_frontier_is_not_worth_a_visit():
     estimate, tfg = half_known_room()
     estimate = dataclasses.replace(estimate, covariance=1e-6 * np.eye(9))
-    for total, verdict in ((0.2, "complete"), (0.3, "goal")):
+    for total, verdict in ((0.3, "complete"), (0.4, "goal")):
         selector = Selector()
         selector.ready(map=estimate, tfg=dataclasses.replace(tfg, frontier_length=np.full(15, total / 15)))
         assert selector.goal().verdict == verdict
@@ -404,7 +404,7 @@ def test_a_sliver_of_frontier_is_not_worth_a_visit():
 
 def test_a_sliver_far_off_promises_more_than_nothing_as_the_robot_finds_its_place_again_on_its_way():
     estimate, tfg = half_known_room()
-    sliver = dataclasses.replace(tfg, frontier_length=np.full(15, 0.02))
+    sliver = dataclasses.replace(tfg, frontier_length=np.full(15, 0.03))
     far = np.array([100.0, 80.0, 2.0])
     estimate = dataclasses.replace(
         estimate, X_MD=far, local=np.zeros(0, dtype=np.int64), covariance=np.diag([1.0, 1.0, 0.01])
