@@ -467,8 +467,8 @@ class ExplorerConfig:
 
     # The formula of the information gain, one of GAINS.
     gain: Annotated[str, OneOf(GAINS)] = "exact"
-    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose, and how many known
-    # tags a goal should have in view.
+    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose (of a tour, where no
+    # frontier is left), and how many known tags a goal should have in view.
     pose_price: bool = True
     least_tags: int = 0
     # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.

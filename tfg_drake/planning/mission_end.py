@@ -18,7 +18,8 @@ from tfg_drake.tfg.frontier import PUSH, ROOT
 
 # The robot could drive straight up to the edge of a frontier from a place this near, m.
 AT_HAND = 1.0
-# Less live frontier than this is not worth a visit, m: the robot would not fit through.
+# Less live frontier than this is not worth a visit, m: a TurtleBot would not fit through. A wider robot's is as much:
+# what it does not fit through is no frontier (`tfg.frontier.find_frontiers`).
 ENOUGH_FRONTIER = 0.36
 # More frontier than this behind passages that have, or had, room for the robot keeps a mission from being complete, m.
 MOST_LEFT = 2.0
