@@ -67,17 +67,22 @@ def test_what_the_robot_sees(device, source, transport):
 
 def test_messages_wait_until_they_are_taken(device, transport):
     """None is lost while nobody reads, none comes before its time, none twice."""
+    transport.wait_for(lambda: device.newest(Odometry))
     first = device.take(Odometry, math.inf)[-1].stamp
-    transport.wait_for(lambda: device.newest(Odometry).stamp > first + 1.2)
+    arrived = set()
+
+    def goes_on():
+        arrived.add(device.newest(Odometry).stamp)
+        return max(arrived) > first + 1.2
+
+    transport.wait_for(goes_on)
     middle = first + 0.9
     early, late = device.take(Odometry, middle), device.take(Odometry, math.inf)
     stamps = [one.stamp for one in (*early, *late)]
     assert all(first < stamp <= middle for stamp in stamps[: len(early)])
     assert all(stamp > middle for stamp in stamps[len(early) :])
     assert (np.diff(stamps) > 0.0).all()
-    # On a loaded machine the robot itself pauses.
-    pauses = np.diff([stamp for stamp, _ in transport.order("report")["poses"] if stamp > first - 1.0])
-    assert np.diff(stamps).max() < pauses.max() + 0.15
+    assert arrived - {first} <= set(stamps)
     assert early
     assert late
 
