@@ -13,7 +13,7 @@ from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
 from tfg_drake.table import empty
 from tfg_drake.tfg.feature_graph import TfgGraph
-from tfg_drake.tfg.graph import UnmappedSightings, empty_map, note_sightings, resolve, update
+from tfg_drake.tfg.graph import empty_map, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 
 # Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
@@ -22,13 +22,11 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The graph, and it resolved in the newest map; since the last view, scans of the running turn and tags sighted on
-    the way."""
+    """The graph, and it resolved in the newest map; since the last view, scans of the running turn."""
 
     graph: TfgGraph
     tfg: TfgMap
     scans: tuple[LaserScan, ...]
-    sightings: UnmappedSightings
 
 
 class TfgBuilder(LeafSystem):
@@ -41,15 +39,14 @@ class TfgBuilder(LeafSystem):
         - scan
         - map
         - landmarks
-        - pose
         - mission
         output_ports:
         - tfg
         - tfg_graph
 
-    scan: LaserScan, map: MapEstimate, pose: PoseEstimate, mission: MissionStatus. landmarks: MapEstimate of tags and
-    walls, optional: without it surfaces hang on views alone. tfg: TfgMap, in M. tfg_graph: TfgGraph in the coordinates
-    of its walls and views, for whoever keeps the map.
+    scan: LaserScan, map: MapEstimate, mission: MissionStatus. landmarks: MapEstimate of tags and walls, optional:
+    without it surfaces hang on views alone. tfg: TfgMap, in M. tfg_graph: TfgGraph in the coordinates of its walls and
+    views, for whoever keeps the map.
 
     tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
     was missed.
@@ -67,10 +64,9 @@ class TfgBuilder(LeafSystem):
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
-        self._inputs = MessageInputs(self, "scan", "map", "landmarks", "pose", "mission")
+        self._inputs = MessageInputs(self, "scan", "map", "landmarks", "mission")
         # One value: Drake copies every abstract state at every event of any system.
-        initial = _BuilderState(empty(TfgGraph), empty_map(), (), empty(UnmappedSightings))
-        self._state = MessageState(self, initial)
+        self._state = MessageState(self, _BuilderState(empty(TfgGraph), empty_map(), ()))
         self._state.declare_outputs(self, "tfg", tfg_graph=lambda now: now.graph)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
@@ -86,22 +82,15 @@ class TfgBuilder(LeafSystem):
         return self._state.set(state, after)
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
-        pose = self._inputs(context, "pose")
-        sightings = note_sightings(now.sightings, pose) if len(pose.new_ids) else now.sightings
-        scans = now.scans
-        if phase == "observe" or (phase == "glance" and len(scans) < GLANCE_SCANS):
+        if phase == "observe" or (phase == "glance" and len(now.scans) < GLANCE_SCANS):
             scan = self._inputs(context, "scan")
-            if math.isfinite(scan.stamp) and (not scans or scan.stamp > scans[-1].stamp):
-                scans = (*scans, scan)
-        if scans is now.scans and sightings is now.sightings:
-            return now
-        return replace(now, scans=scans, sightings=sightings)
+            if math.isfinite(scan.stamp) and (not now.scans or scan.stamp > now.scans[-1].stamp):
+                return replace(now, scans=(*now.scans, scan))
+        return now
 
     @metered("tfg")
     def _AddView(self, now: _BuilderState, estimate: MapEstimate, glance: bool) -> _BuilderState:
         panorama = build_panorama(now.scans, estimate.observation.stamps, estimate.observation.X_AB)
-        graph = update(
-            now.graph, estimate, panorama, now.sightings, self._tags, self._robot, self._explorer, glance=glance
-        )
+        graph = update(now.graph, estimate, panorama, self._tags, self._robot, self._explorer, glance=glance)
         tfg = replace(resolve(graph, estimate, self._robot, self._explorer), keep_out=self._keep_out)
-        return _BuilderState(graph, tfg, (), empty(UnmappedSightings))
+        return _BuilderState(graph, tfg, ())

@@ -347,9 +347,9 @@ class TfgMap:
     left. star_offsets: (k + 1,) and star_vertices: (v, 2): star j, the free polygon seen from view j, has the vertices
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
-    given_up_length: (g,) m, given_up_normal: (g, 2). viewpoints: (p, 2) places in M, m, from where tags that the map
-    lacks were seen on the way. inspected: m of surface that was seen well enough to find a tag there. keep_out: (o, 4)
-    what surrounds and fills the areas that the robot must not enter, m in M: it sees across them.
+    given_up_length: (g,) m, given_up_normal: (g, 2). inspected: m of surface that was seen well enough to find a tag
+    there. keep_out: (o, 4) what surrounds and fills the areas that the robot must not enter, m in M: it sees across
+    them.
     """
 
     stage: int
@@ -366,7 +366,6 @@ class TfgMap:
     given_up: Annotated[FloatArray, "g", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     given_up_length: Annotated[FloatArray, "g"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     given_up_normal: Annotated[FloatArray, "g", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
-    viewpoints: Annotated[FloatArray, "p", 2] = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     inspected: float = dataclasses.field(default=0.0, metadata={"kept": False})
     keep_out: Annotated[FloatArray, "o", 4] = dataclasses.field(
         default_factory=lambda: np.zeros((0, 4)), metadata={"kept": False}

@@ -258,8 +258,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(15)}, "FILE has map schema 15; this version reads 13 and 14: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads 13 and 14: make the map anew"),
+        ({"schema": np.int64(16)}, "FILE has map schema 16; this version reads 13 to 15: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads 13 to 15: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
@@ -337,10 +337,21 @@ def test_other_schemas_and_contradictions(path, changes, complaint):
 
 
 def test_a_map_of_before_is_read(path, small_map):
-    """Without scatter, and of walls that could be off by no more than four times."""
+    """Without scatter, of walls that could be off by no more than four times, and with tags seen on the way."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if not name.startswith("graph.keyframes.scatter")}
     arrays["walls.by_floor"] = np.array([-3.0, 0.0, -1.0, -2.0])
+    arrays["schema"], arrays["tfg.viewpoints"] = np.int64(14), np.ones((1, 2))
+    arrays |= {
+        name.replace(".tried.", f".{of}."): array
+        for name, array in arrays.items()
+        for of in ("sighted", "viewpoints")
+        if name.startswith("tfg_graph.tried.")
+    }
+    arrays |= {
+        f"{name}.id": np.zeros(len(arrays[f"{name}.view"]), dtype=np.int64)
+        for name in ("tfg_graph.tried", "tfg_graph.met", "tfg_graph.sighted")
+    }
     np.savez(path, **arrays)
     read = load_map(path)
     assert not any(one.scatter.any() for one in read.graph.keyframes)

@@ -41,7 +41,7 @@ def scattered(seed, spread=40.0):
         segment_kind=np.arange(40), segment_ids=np.arange(80).reshape(40, 2), facing=places(n), frontiers=places(50),
         frontier_length=rng.random(50), frontier_normal=places(50), star_offsets=offsets,
         star_vertices=places(offsets[-1]), star_centers=X_MA[:, :2], given_up=places(20),
-        given_up_length=rng.random(20), given_up_normal=places(20), viewpoints=places(10),
+        given_up_length=rng.random(20), given_up_normal=places(20),
     )  # fmt: skip
     return estimate, tfg
 
@@ -72,11 +72,7 @@ def test_what_is_near_is_what_lies_in_the_circle(seed, radius, sight):
     ]
     for name in ("segments", "segment_kind", "segment_ids"):
         np.testing.assert_array_equal(getattr(part_tfg, name), getattr(tfg, name)[segments])
-    for points in (
-        ("frontiers", "frontier_length", "frontier_normal"),
-        ("given_up", "given_up_length"),
-        ("viewpoints",),
-    ):
+    for points in (("frontiers", "frontier_length", "frontier_normal"), ("given_up", "given_up_length")):
         near = rows(getattr(tfg, points[0]), radius)
         for name in points:
             np.testing.assert_array_equal(getattr(part_tfg, name), getattr(tfg, name)[near])

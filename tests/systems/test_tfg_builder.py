@@ -7,7 +7,7 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.visibility import cast_rays
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Observation, PoseEstimate, replace
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Observation, replace
 from tfg_drake.systems.tfg_builder import TfgBuilder
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -31,17 +31,12 @@ def estimate(stage: int, stop: float = TURN_TIME) -> MapEstimate:
     return MapEstimate(stage, stop, ids, p, none, none, np.zeros(3), ids, joint, own, X_MA, observation, 0.0)
 
 
-def pose(ids: list[int] | None = None) -> PoseEstimate:
-    new = np.array(ids or [], dtype=np.int64)
-    return PoseEstimate(0.0, np.zeros(3), np.eye(3), np.zeros(2), 0, new, np.full((len(new), 2), 5.0))
-
-
 class Builder:
     def __init__(self) -> None:
         self.system = TfgBuilder(TagSensorConfig(), ScanConfig(), RobotConfig(), ExplorerConfig())
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
-        self.fix(map=estimate(0), pose=pose(), mission=MissionStatus("observe", 0, 0.0), scan=self.scan(-np.inf))
+        self.fix(map=estimate(0), mission=MissionStatus("observe", 0, 0.0), scan=self.scan(-np.inf))
 
     def scan(self, stamp: float) -> LaserScan:
         heading = stamp if np.isfinite(stamp) else 0.0
@@ -100,17 +95,6 @@ def test_a_missed_view_is_an_error(builder: Builder) -> None:
     builder.fix(map=estimate(2))
     with pytest.raises(ValueError, match="cannot take stage 2"):
         builder.run_to(7.0)
-
-
-def test_a_tag_sighted_on_the_way_becomes_a_frontier(builder: Builder) -> None:
-    builder.fix(pose=pose([77]))
-    builder.run_to(0.2)
-    builder.fix(pose=pose())
-    builder.turn(start=0.2)
-    builder.fix(map=estimate(1))
-    builder.run_to(7.0)
-    # 0.3 m in front of it, towards the origin, where it was seen from.
-    np.testing.assert_allclose(builder.tfg().frontiers, 5.0 - 0.3 / np.sqrt(2.0) * np.ones((1, 2)))
 
 
 def test_all_state_is_in_the_context(builder: Builder) -> None:

@@ -13,9 +13,10 @@ from tfg_drake.geometry.se2 import between, inverse
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import WALLS_BELOW, LaserScan, MapEstimate, Observation, TfgMap, replace
 from tfg_drake.slam.keyframe import placed
-from tfg_drake.table import empty
+from tfg_drake.table import concat, empty
 from tfg_drake.tfg.feature_graph import TfgGraph
-from tfg_drake.tfg.graph import UnmappedSightings, resolve, update
+from tfg_drake.tfg.frontier import points_of
+from tfg_drake.tfg.graph import resolve, update
 from tfg_drake.tfg.panorama import Panorama, build_panorama
 
 
@@ -34,6 +35,7 @@ class Simulation:
     estimate: MapEstimate | None = None
     last_panorama: Panorama | None = None
     tags: TagSensorConfig = field(default_factory=TagSensorConfig)
+    scan: ScanConfig = field(default_factory=ScanConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     explorer: ExplorerConfig = field(default_factory=ExplorerConfig)
     # Faces (w, 4) of walls that are landmarks, seen from their left.
@@ -46,14 +48,13 @@ class Simulation:
 
     def turn(self, X_WA: np.ndarray) -> tuple[list[LaserScan], np.ndarray, np.ndarray]:
         """Scans, stamps and X_AB of a turn at 1 rad/s."""
-        config = ScanConfig()
-        angles = np.arange(-124, 125) * config.resolution
+        angles = np.arange(-124, 125) * self.scan.resolution
         stamps = np.arange(0.0, 6.4, 0.1)
         scans = []
         for stamp in stamps:
-            ranges = cast_rays(self.walls, X_WA[:2], angles + X_WA[2] + stamp, config.range)
+            ranges = cast_rays(self.walls, X_WA[:2], angles + X_WA[2] + stamp, self.scan.range)
             ranges = ranges + self.noise * self.rng.standard_normal(len(ranges))
-            scans.append(LaserScan(float(stamp), angles, ranges, config.range, self.noise))
+            scans.append(LaserScan(float(stamp), angles, ranges, self.scan.range, self.noise))
         return scans, stamps, np.stack([0.0 * stamps, 0.0 * stamps, stamps], axis=1)
 
     def visible(self, p_WA: np.ndarray) -> np.ndarray:
@@ -67,7 +68,7 @@ class Simulation:
     def panorama(self, X_WA: np.ndarray) -> Panorama:
         return build_panorama(*self.turn(X_WA))
 
-    def observe(self, X_WA: np.ndarray, sightings: UnmappedSightings | None = None, glance: bool = False) -> TfgMap:
+    def observe(self, X_WA: np.ndarray, glance: bool = False) -> TfgMap:
         """Adds a view with an exact pose and landmarks that are exact, but for `error`. glance: its first scan only."""
         scans, stamps, X_AB = self.turn(X_WA)
         scans = scans[:1] if glance else scans
@@ -102,12 +103,17 @@ class Simulation:
             self.graph,
             self.estimate,
             self.last_panorama,
-            sightings or empty(UnmappedSightings),
             self.tags,
             self.robot,
             self.explorer,
             glance=glance,
         )
+        return resolve(self.graph, self.estimate, self.robot, self.explorer)
+
+    def put_frontiers(self, p: np.ndarray) -> TfgMap:
+        """A metre of frontier at each of the points (n, 2), seen from where x is less."""
+        points = points_of(0, p, np.tile([-1.0, 0.0], (len(p), 1)), np.ones(len(p)))
+        self.graph = replace(self.graph, free_space_frontiers=concat(self.graph.free_space_frontiers, points))
         return resolve(self.graph, self.estimate, self.robot, self.explorer)
 
     def moved(self, X_NM: np.ndarray) -> MapEstimate:

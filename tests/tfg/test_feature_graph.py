@@ -9,7 +9,7 @@ from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
 from tfg_drake.tfg.frontier import place_points, points_of
-from tfg_drake.tfg.graph import UnmappedSightings, resolve, update
+from tfg_drake.tfg.graph import resolve, update
 
 # A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
 WALLS = [[0, 0, 70, 0], [70, 3, 0, 3], [0, 3, 0, 0], [0, 8, 70, 8], [0, 3, 0, 8], [70, 3, 70, 8]]
@@ -38,10 +38,8 @@ def assert_same(a: TfgGraph, b: TfgGraph, world) -> None:
     first, second = (resolve(graph, world.estimate, world.robot, world.explorer) for graph in (a, b))
     for name in ("facing", "star_offsets", "star_vertices", "star_centers"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    for names in (("segments", "segment_kind", "segment_ids"), ("viewpoints",)):
-        np.testing.assert_allclose(
-            *(rows(*(getattr(tfg, name) for name in names)) for tfg in (first, second)), atol=1e-9, err_msg=names[0]
-        )
+    pieces = (rows(tfg.segments, tfg.segment_kind, tfg.segment_ids) for tfg in (first, second))
+    np.testing.assert_allclose(*pieces, atol=1e-9)
     # A face not seen well is told by samples, which begin where its pieces do: of those the order is free.
     assert len(first.frontiers) == len(second.frontiers)
     for points in ("frontiers", "given_up"):
@@ -52,23 +50,20 @@ def assert_same(a: TfgGraph, b: TfgGraph, world) -> None:
     assert first.frontier_length.sum() == pytest.approx(second.frontier_length.sum(), rel=1e-3)
 
 
-def toured(world, glance=False, sightings_at=-1, small_until=0):
+def toured(world, glance=False, small_until=0):
     """The tour of a world, whose graph takes every view up as the whole, and the graph that takes it up by what is
     near."""
     graph = empty(TfgGraph)
     for k, X_WA in enumerate(TOUR):
-        seen = empty(UnmappedSightings)
-        if k == sightings_at:
-            seen = UnmappedSightings(np.array([10_000]), X_WA[None, :2] + [1.0, 0.5], X_WA[None, :2])
-        graph = take_up(world, graph, X_WA, seen, glance, is_large=k >= small_until)
+        graph = take_up(world, graph, X_WA, glance, is_large=k >= small_until)
     return graph
 
 
-def take_up(world, graph, X_WA, seen=None, glance=False, is_large=True):
-    before, seen = world.graph, seen or empty(UnmappedSightings)
-    world.observe(X_WA, seen, glance=glance)
+def take_up(world, graph, X_WA, glance=False, is_large=True):
+    before = world.graph
+    world.observe(X_WA, glance=glance)
     world.estimate = large(world.estimate) if is_large else world.estimate
-    arguments = world.estimate, world.last_panorama, seen, world.tags, world.robot, world.explorer
+    arguments = world.estimate, world.last_panorama, world.tags, world.robot, world.explorer
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tfg_drake.tfg.graph.part_of", lambda whole, estimate, _: part_of(whole, estimate, np.inf))
         world.graph = update(before, *arguments, glance=glance)
@@ -95,7 +90,7 @@ def test_a_part_put_back_is_the_graph_again(simulate) -> None:
 @pytest.mark.parametrize("glance", [False, True])
 def test_a_view_changes_what_is_near_it_as_it_does_the_whole(simulate, glance) -> None:
     world = simulate(WALLS)
-    graph = toured(world, glance, sightings_at=4)
+    graph = toured(world, glance)
     assert len(world.graph.surfaces.kind) > 100
     assert_same(world.graph, graph, world)
     for name in ("tag_ids", "tag_view", "tag_facing", "tag_range"):

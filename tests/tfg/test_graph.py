@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.walls import no_walls
-from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import PoseEstimate, TfgMap, replace
+from tfg_drake.messages import TfgMap, replace
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.table import empty
 from tfg_drake.tfg.feature_graph import TfgGraph
@@ -25,11 +25,9 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.graph import (
     FACE_WORTH,
-    UnmappedSightings,
     empty_map,
     expects_tags,
     explored_elsewhere,
-    note_sightings,
     resolve,
     update,
 )
@@ -69,7 +67,6 @@ def test_an_empty_graph_resolves_to_an_empty_map(two_rooms) -> None:
             two_rooms.graph,
             two_rooms.estimate,
             two_rooms.panorama(TOUR[0]),
-            empty(UnmappedSightings),
             two_rooms.tags,
             two_rooms.robot,
             two_rooms.explorer,
@@ -275,44 +272,6 @@ def test_the_sides_of_a_narrow_alley_can_be_inspected_from_its_middle(simulate) 
     assert len(tfg.frontiers) == 0
 
 
-def test_a_sighted_tag_is_a_frontier_until_it_is_mapped_or_given_up(two_rooms) -> None:
-    behind = int(np.flatnonzero((np.abs(two_rooms.p_WT - [12.0, 4.5]) < [0.05, 0.6]).all(axis=1))[0])
-    ghost = 10_000
-    ids, p = np.array([behind, ghost]), np.array([two_rooms.p_WT[behind], [3.0, 3.0]])
-    tfg = two_rooms.observe(TOUR[0], UnmappedSightings(ids, p, p - [1.0, 0.0]))
-    assert (two_rooms.estimate.ids != behind).all()
-    # In front of the wall, on the side it was seen from.
-    at = np.hypot(*(tfg.frontiers - (two_rooms.p_WT[behind] - [0.3, 0.0])).T)
-    assert tfg.frontier_length[np.argmin(at)] == 1.0
-    np.testing.assert_allclose(tfg.frontier_normal[np.argmin(at)], [-1.0, 0.0], atol=1e-9)
-    assert np.hypot(*(tfg.frontiers - [2.7, 3.0]).T).min() < 1e-9
-    np.testing.assert_allclose(tfg.viewpoints, p - [1.0, 0.0], atol=1e-9)
-    for n, X_WA in enumerate(TOUR[1:]):
-        tfg = two_rooms.observe(X_WA)
-        if n == 0:
-            assert np.hypot(*(tfg.frontiers - [2.7, 3.0]).T).min() < 1e-9
-    assert behind in two_rooms.mapped
-    np.testing.assert_allclose(tfg.viewpoints, [[2.0, 3.0]], atol=1e-9)
-    two_rooms.observe(TOUR[0])
-    tfg = two_rooms.observe(TOUR[0])
-    assert len(tfg.frontiers) == 0
-
-
-def test_sightings_are_noted_once_with_the_place_they_were_seen_from() -> None:
-    def pose(x: float, ids: list[int]) -> PoseEstimate:
-        return PoseEstimate(0.0, np.array([x, 0.0, 0.0]), np.eye(3), np.zeros(2), 1, np.array(ids, dtype=np.int64),
-                            np.array([[i, 1.0] for i in ids]).reshape(-1, 2))  # fmt: skip
-
-    sightings = note_sightings(empty(UnmappedSightings), pose(0.0, []))
-    assert len(sightings.ids) == 0
-    sightings = note_sightings(sightings, pose(1.0, [7]))
-    assert note_sightings(sightings, pose(2.0, [7])) is sightings
-    sightings = note_sightings(sightings, pose(3.0, [5, 7]))
-    assert sightings.ids.tolist() == [7, 5]
-    np.testing.assert_array_equal(sightings.p_MS[:, 0], [1.0, 3.0])
-    np.testing.assert_array_equal(sightings.p_MU[:, 0], [7.0, 5.0])
-
-
 def test_what_a_turn_sees_past_is_taken_out(two_rooms) -> None:
     """A box that is gone at the next goal leaves no surface behind."""
     walls = two_rooms.walls
@@ -466,7 +425,7 @@ def test_when_a_loop_closes_its_arms_settle_what_was_open(simulate, closed) -> N
         keep = np.append(np.repeat(estimate.p_ML[:, 0] > 6.0, 2), np.ones(3, dtype=bool))
         estimate = replace(estimate, local=known, covariance=estimate.covariance[np.ix_(keep, keep)])
     settings = world.tags, world.robot, world.explorer
-    graph = update(before, estimate, world.last_panorama, empty(UnmappedSightings), *settings)
+    graph = update(before, estimate, world.last_panorama, *settings)
     tfg = resolve(graph, estimate, world.robot, world.explorer)
     at = {round(float(x)) for x, y in tfg.frontiers if abs(y) < 0.8}
     assert {-16, 28} <= at
@@ -499,9 +458,10 @@ def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
 
 
 def test_a_glance_is_no_attempt_at_what_it_did_not_settle(two_rooms) -> None:
-    ghost = UnmappedSightings(np.array([10_000]), np.array([[4.0, 3.0]]), np.array([[3.0, 3.0]]))
+    two_rooms.scan = ScanConfig(range=1.5)
     start = np.array([2.0, 3.0, 0.0])
-    two_rooms.observe(start, ghost)
+    two_rooms.observe(start)
+    two_rooms.put_frontiers(np.array([[1.7, 0.0]]))
     tried = two_rooms.graph.tried_count.sum()
     two_rooms.observe(start, glance=True)
     assert two_rooms.graph.tried_count.sum() == tried
@@ -556,18 +516,17 @@ def test_round_the_corner_of_a_face_there_is_another_to_look_at(simulate) -> Non
 
 
 def test_a_view_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth_less(simulate) -> None:
-    """Tags sighted in the open, out of range and behind a wall; none is mapped ever."""
-    world = simulate([[-3.0, 2.0, 3.0, 2.0]])
-    p = np.array([[3.0, 0.0], [15.0, 0.0], [0.5, 4.0]])
-    ghosts = UnmappedSightings(np.array([10_000, 10_001, 10_002]), p, p - [1.0, 0.0])
-    at = p - [0.3, 0.0]
+    """Frontiers in the open, out of the sensor's range and behind a wall, all farther off than the scanner sees."""
+    world = simulate([[-3.0, 2.0, 3.0, 2.0]], scan=ScanConfig(range=2.5))
+    at = np.array([[2.7, 0.0], [14.7, 0.0], [0.2, 4.0]])
 
     def length(tfg) -> list[float]:
         distance = np.hypot(*(tfg.frontiers[:, None] - at).transpose(2, 0, 1))
         assert (distance.min(axis=0) < 1e-9).all()
         return tfg.frontier_length[distance.argmin(axis=0)].tolist()
 
-    tfg = world.observe(np.zeros(3), ghosts)
+    world.observe(np.zeros(3))
+    tfg = world.put_frontiers(at)
     assert len(world.graph.tried_count) == 0
     np.testing.assert_allclose(length(tfg), [1.0, 1.0, 1.0])
     np.testing.assert_allclose(length(world.observe(np.zeros(3))), [4 / 9, 1.0, 1.0])
@@ -575,13 +534,13 @@ def test_a_view_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth
 
 
 def test_a_look_past_one_end_of_a_wall_is_no_attempt_but_through_a_slit_it_is(simulate) -> None:
-    """A tag sighted 4 m ahead, just behind the end of a wall that the line of sight passes at this distance; with a
-    second wall, between the ends of both."""
+    """A frontier 4 m ahead, farther than the scanner sees, just behind the end of a wall that the line of sight passes
+    at this distance; with a second wall, between the ends of both."""
 
     def length(walls: list[list[float]]) -> float:
-        world = simulate(walls)
-        p = np.array([[4.3, 0.0]])
-        world.observe(np.zeros(3), UnmappedSightings(np.array([10_000]), p, p - [1.0, 0.0]))
+        world = simulate(walls, scan=ScanConfig(range=3.8))
+        world.observe(np.zeros(3))
+        world.put_frontiers(np.array([[4.0, 0.0]]))
         tfg = world.observe(np.zeros(3))
         return float(tfg.frontier_length[np.hypot(*(tfg.frontiers - [4.0, 0.0]).T).argmin()])
 
@@ -712,10 +671,7 @@ def test_surface_is_looked_at_for_tags_until_there_seem_to_be_none_and_again_whe
     assert for_tags(none)[0] == 0.0
     # A face that nobody has seen is looked at nevertheless, for less.
     assert for_tags(none)[1] > 0.9 * FACE_WORTH
-    # A tag that is sighted on the way counts before it is mapped.
-    sighted = replace(
-        empty(UnmappedSightings), ids=np.array([7]), p_MU=np.array([[8.0, 9.0]]), p_MS=np.array([[8.0, 7.0]])
-    )
-    again = world.observe(np.array([8.0, 6.0, 0.0]), sighted)
+    world.p_WT, world.normal = np.array([[8.0, 9.0]]), np.array([[0.0, -1.0]])
+    again = world.observe(np.array([8.0, 6.0, 0.0]))
     assert for_tags(again)[0] > 2.0
     assert for_tags(again)[1] > 0.5

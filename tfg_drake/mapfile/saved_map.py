@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -33,15 +34,16 @@ from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
-SCHEMA = 14
+SCHEMA = 15
 BY_FLOOR = "walls.by_floor"
 SCATTER = "graph.keyframes.scatter"
-# One before is read, too.
-OLDER = 13
+# These are read, too; the arrays that they had more, of tags seen on the way.
+OLDER = (13, 14)
+GONE = re.compile(r"tfg_graph\.(sighted|viewpoints)\.|tfg_graph\.\w+\.id$|tfg\.viewpoints$")
 # Kinds of a TfgMap's segments.
 KINDS_OF_SEGMENTS = 3
 # Fields of the TfgMap that are places.
-PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up", "viewpoints")
+PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up")
 
 
 class MapFileError(FileError):
@@ -206,9 +208,10 @@ def load_map(path: Path) -> SavedMap:
     schema = arrays.pop("schema", None)
     if schema is None or schema.shape != () or schema.dtype.kind != "i":
         raise MapFileError(f"{path} is not a map of tfg-drake")
-    if schema not in (SCHEMA, OLDER):
+    if schema not in (SCHEMA, *OLDER):
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
-        raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER} and {SCHEMA}: {mend}")
+        raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER[0]} to {SCHEMA}: {mend}")
+    arrays = {name: array for name, array in arrays.items() if schema == SCHEMA or not GONE.match(name)}
     arrays.setdefault("graph.sessions", np.zeros(0, dtype=np.int64))  # Of a map from before they were told apart.
     if f"{SCATTER}@shape" not in arrays:  # Of a map from before a keyframe's scans were put together.
         count = np.size(arrays.get("graph.keyframes.unit", ()))
@@ -223,7 +226,7 @@ def load_map(path: Path) -> SavedMap:
 
 def whole_map(arrays: Mapping[str, Array], schema: int = SCHEMA) -> SavedMap:
     """The map that arrays of a schema hold, all its indices within bounds. Raises ArraysError."""
-    saved = from_arrays(SavedMap, arrays) if schema == SCHEMA else schema_13.read_map(SavedMap, arrays)
+    saved = schema_13.read_map(SavedMap, arrays) if schema == 13 else from_arrays(SavedMap, arrays)
     if contradiction := _contradiction(saved):
         raise ArraysError(contradiction)
     return saved

@@ -49,7 +49,6 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
         "k": within(tfg.star_centers, here, far),
         "f": within(tfg.frontiers, here, radius),
         "g": within(tfg.given_up, here, radius),
-        "p": within(tfg.viewpoints, here, radius),
     }
     if landmarks.all() and all(rows.all() for rows in near.values()):
         return estimate, tfg

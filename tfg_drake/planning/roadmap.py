@@ -291,11 +291,10 @@ def _proposals(
     stars = len(tfg.star_centers)
     newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * density)
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
-    groups = [tfg.viewpoints, gaps, fringe, newest, older]
+    groups = [gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
-    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[2:]) / density
-    spacing = np.concatenate([np.full(sizes[0], SAME_NODE), apart, in_the_open])
-    return np.concatenate(groups), spacing, np.repeat([False, False, False, True, True], sizes)
+    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[1:]) / density
+    return np.concatenate(groups), np.append(apart, in_the_open), np.repeat([False, False, True, True], sizes)
 
 
 @njit(cache=True)

@@ -25,9 +25,8 @@ class TfgGraph:
     star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. free_space_frontiers: points where free space
     ends at the unknown and no star has covered it yet. uninspected: points of surface on which a tag may have been
     missed. unseen_backs: points on the far faces of thin walls that no view has seen. open_ends: points in front of
-    other faces that none has seen. sighted: tags seen on the way and not mapped, viewpoints: row for row the place of
-    the robot then. tried: places where views have tried a frontier in vain, tried_count: (t,) how often. met: points
-    of dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
+    other faces that none has seen. tried: places where views have tried a frontier in vain, tried_count: (t,) how
+    often. met: points of dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
     """
 
     stage: int
@@ -42,8 +41,6 @@ class TfgGraph:
     uninspected: Annotated[FrontierPoints, "u"]
     unseen_backs: Annotated[FrontierPoints, "b"]
     open_ends: Annotated[FrontierPoints, "e"]
-    sighted: Annotated[FrontierPoints, "g"]
-    viewpoints: Annotated[FrontierPoints, "g"]
     tried: Annotated[FrontierPoints, "t"]
     tried_count: Annotated[IntArray, "t"]
     met: Annotated[FrontierPoints, "p"]
@@ -65,9 +62,9 @@ _NEAR = {
 class Part:
     """A part of a graph: what is near a view.
 
-    rows: by each of the graph's axes, which of the whole graph's rows are in it; all tags that were sighted are. graph:
-    the part by itself, with the stars of its views only. estimate: the map with the landmarks that are near, or that
-    something near is anchored to or joins.
+    rows: by each of the graph's axes, which of the whole graph's rows are in it. graph: the part by itself, with the
+    stars of its views only. estimate: the map with the landmarks that are near, or that something near is anchored to
+    or joins.
     """
 
     rows: Mapping[str, BoolArray]
@@ -88,7 +85,6 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
         "s": np.logical_or.reduceat(vertices, graph.surfaces.offsets[:-1]),
         "n": tags | np.isin(graph.tag_ids, estimate.observation.ids),
         "k": near(X_MA[: graph.stage]),
-        "g": np.ones(len(graph.sighted.view), dtype=np.bool_),
     }
     rows |= {axis: near(place_points(getattr(graph, name), X_MA).p) for axis, name in _NEAR.items()}
     part = take(graph, **rows)

@@ -54,8 +54,6 @@ END_GAP = 0.15
 END_LENGTH = 0.4
 # A point of two views' frontiers counts once within this distance, m.
 SAME_FRONTIER = 0.35
-# Frontier length that a tag which was sighted but is not in the map stands for, m.
-SIGHTED_LENGTH = 1.0
 
 
 @message
@@ -64,7 +62,7 @@ class FrontierPoints:
 
     view: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
     for uninspected surface the surface's normal on its free side. length: (f,) m. on_surface: (f,) whether it stands
-    for uninspected surface. id: (f,) of the tag sighted there, -1 for none.
+    for uninspected surface.
     """
 
     view: Annotated[IntArray, "f"]
@@ -72,23 +70,18 @@ class FrontierPoints:
     normal: Annotated[FloatArray, "f", 2]
     length: Annotated[FloatArray, "f"]
     on_surface: Annotated[BoolArray, "f"]
-    id: Annotated[IntArray, "f"]
 
 
-def points_of(
-    view: int, p: FloatArray, normal: FloatArray, length: FloatArray, ids: IntArray | None = None
-) -> FrontierPoints:
-    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one view; ids (f,) of sighted tags."""
-    if ids is None:
-        ids = np.full(len(p), -1, dtype=np.int64)
-    return FrontierPoints(np.full(len(p), view, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool), ids)
+def points_of(view: int, p: FloatArray, normal: FloatArray, length: FloatArray) -> FrontierPoints:
+    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one view."""
+    return FrontierPoints(np.full(len(p), view, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool))
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
     """The points in the map frame, with the views' poses X_MA (k, 3)."""
     pose = X_MA[points.view]
     p, normal = pose[:, :2] + turned(points.p, pose[:, 2]), turned(points.normal, pose[:, 2])
-    return FrontierPoints(points.view, p, normal, points.length, points.on_surface, points.id)
+    return FrontierPoints(points.view, p, normal, points.length, points.on_surface)
 
 
 def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -228,8 +221,7 @@ def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: 
 def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
     """Points on the longer stretches of uninspected surface, all in the frame of the points."""
     first, p, normal, length = _stretches(np.array(points.p), np.array(points.normal))
-    on_surface, ids = np.ones(len(first), dtype=np.bool_), np.full(len(first), -1, dtype=np.int64)
-    return FrontierPoints(points.view[first], p, normal, length, on_surface, ids)
+    return FrontierPoints(points.view[first], p, normal, length, np.ones(len(first), dtype=np.bool_))
 
 
 @njit(cache=True)

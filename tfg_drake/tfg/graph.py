@@ -11,7 +11,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -29,10 +28,8 @@ from tfg_drake.messages import (
     FloatArray,
     IntArray,
     MapEstimate,
-    PoseEstimate,
     TfgMap,
     is_tag,
-    message,
     replace,
 )
 from tfg_drake.table import concat, empty, take
@@ -42,7 +39,6 @@ from tfg_drake.tfg.frontier import (
     END_LENGTH,
     GRAZE,
     SAME_FRONTIER,
-    SIGHTED_LENGTH,
     UNINSPECTED_LIFT,
     UNINSPECTED_SPACING,
     UNINSPECTED_STANDOFF,
@@ -89,29 +85,10 @@ WITHOUT_TAGS = 30.0
 FACE_WORTH = 1.0 / 3.0
 
 
-@message
-class UnmappedSightings:
-    """Tags seen on the way that are not in the map yet. ids: (s,). p_MU, p_MS: (s, 2) m, tag and where it was seen."""
-
-    ids: Annotated[IntArray, "s"]
-    p_MU: Annotated[FloatArray, "s", 2]
-    p_MS: Annotated[FloatArray, "s", 2]
-
-
-def note_sightings(sightings: UnmappedSightings, pose: PoseEstimate) -> UnmappedSightings:
-    """The sightings with those tags of the robot's pose estimate that are new among them; itself if there are none."""
-    new = (pose.new_ids[:, None] != sightings.ids).all(axis=1)
-    if not new.any():
-        return sightings
-    p_MS = np.tile(pose.X_MB[:2], (int(new.sum()), 1))
-    return concat(sightings, UnmappedSightings(pose.new_ids[new], pose.p_MU[new], p_MS))
-
-
 def update(
     graph: TfgGraph,
     estimate: MapEstimate,
     panorama: Panorama,
-    sightings: UnmappedSightings,
     tags: TagSensorConfig,
     robot: RobotConfig,
     explorer: ExplorerConfig,
@@ -121,7 +98,7 @@ def update(
     """The graph with the newest view of the estimate added. On a large map only what is near that view changes.
 
     estimate: the map of tags and walls at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival
-    frame. sightings: tags seen on the way to it. glance: the view is a glance on the way, no attempt at what was open
+    frame. glance: the view is a glance on the way, no attempt at what was open
     there.
 
     Raises ValueError where the estimate is of another stage.
@@ -130,7 +107,7 @@ def update(
         raise ValueError(f"The graph holds {graph.stage} views: it cannot take stage {estimate.stage} of the map next.")
     # As far as the view may have seen, as mapped now.
     seen = panorama.range_max + TORN
-    scene = _Scene(estimate, panorama, sightings, tags, robot, explorer, glance)
+    scene = _Scene(estimate, panorama, tags, robot, explorer, glance)
     if estimate.is_joint:
         return _with_view(graph, np.arange(graph.stage), scene)
     # While all was known jointly, the newest view looked for unseen faces everywhere.
@@ -151,7 +128,6 @@ class _Scene:
 
     estimate: MapEstimate
     panorama: Panorama
-    sightings: UnmappedSightings
     tags: TagSensorConfig
     robot: RobotConfig
     explorer: ExplorerConfig
@@ -193,7 +169,6 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         radius=scene.radius,
     )
     backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
-    sighted, viewpoints = _update_sighted(graph.sighted, graph.viewpoints, scene.sightings, estimate)
     updated = replace(
         with_tags,
         stage=estimate.stage,
@@ -206,8 +181,6 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         uninspected=newest.uninspected(graph.uninspected, components),
         unseen_backs=newest.found_here(graph.unseen_backs, backs, newest.known),
         open_ends=newest.found_here(graph.open_ends, ends, newest.near),
-        sighted=sighted,
-        viewpoints=viewpoints,
     )
     if scene.glance:
         return updated
@@ -360,8 +333,7 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
     is_open, k = ~inside_any(free.p, *stars.polygons), len(first.free_space_frontiers.p)
     is_open[k:] &= far_from(free.p[k:], free.p[:k][is_open[:k]], SAME_FRONTIER)
     poorly = place_points(graph.uninspected, X_MA)
-    missing = ~np.isin(graph.sighted.id, estimate.ids)
-    graph = take(graph, f=is_open, u=by_all._not_inspected(stars, poorly), g=missing)
+    graph = take(graph, f=is_open, u=by_all._not_inspected(stars, poorly))
     return replace(graph, surfaces=surfaces, unseen_backs=backs, open_ends=ends)
 
 
@@ -376,7 +348,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate))
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
     inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
-    tagless = not expects_tags(inspected, len(tag_ids) + len(graph.sighted.p), explorer.landmarks)
+    tagless = not expects_tags(inspected, len(tag_ids), explorer.landmarks)
     if tagless:
         graph = replace(graph, uninspected=empty(FrontierPoints))
     free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
@@ -407,7 +379,6 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
         given_up=given_up.p,
         given_up_length=given_up.length,
         given_up_normal=given_up.normal,
-        viewpoints=place_points(graph.viewpoints, estimate.X_MA).p,
         inspected=inspected,
     )
 
@@ -478,7 +449,7 @@ def _live_frontiers(
     poorly = uninspected_frontiers(place_points(concat(graph.uninspected, graph.unseen_backs), estimate.X_MA))
     poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
     points = concat(free_space_frontiers, poorly)
-    points = concat(points, place_points(concat(graph.open_ends, graph.sighted), estimate.X_MA))
+    points = concat(points, place_points(graph.open_ends, estimate.X_MA))
     left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
     here = ~placed.weak.views[points.view]
     return take(replace(points, length=points.length * left**2), (left > 0.0) & here)
@@ -558,25 +529,6 @@ def _with_facing(graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, see
 def _faces(points: FrontierPoints) -> FloatArray:
     """The points (f, 4) with their normals: those on opposite faces of a thin wall are far from each other."""
     return np.hstack([points.p, UNINSPECTED_SPACING * points.normal])
-
-
-def _update_sighted(
-    sighted: FrontierPoints, viewpoints: FrontierPoints, sightings: UnmappedSightings, estimate: MapEstimate
-) -> tuple[FrontierPoints, FrontierPoints]:
-    """The tags sighted so far that the map still lacks, and from where, in views' frames; the first sighting counts."""
-    view = estimate.stage - 1
-    X_AM = inverse(estimate.X_MA[view])
-    p, seen_from = transform(X_AM, sightings.p_MU), transform(X_AM, sightings.p_MS)
-    normal = seen_from - p
-    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    # In front of the surface: the tag's place is known roughly, and must not be taken to lie behind it.
-    front = p + UNINSPECTED_STANDOFF * normal
-    length = np.full(len(p), SIGHTED_LENGTH)
-    new = ~np.isin(sightings.ids, sighted.id)
-    points = concat(sighted, take(points_of(view, front, normal, length, sightings.ids), new))
-    places = concat(viewpoints, take(points_of(view, seen_from, normal, length, sightings.ids), new))
-    missing = ~np.isin(points.id, estimate.ids)
-    return take(points, missing), take(places, missing)
 
 
 def _count_attempts(
