@@ -17,6 +17,8 @@ LOOK_TIME = 0.75
 
 # A robot that was told to move and has not for this long is held up, s.
 PATIENCE = 3.0
+# One that is held up for so long, s, this near to its goal, m, is there: a corner may let it no nearer.
+SHORT_PATIENCE, AT_GOAL = 0.5, 0.2
 
 # The discrete state: time of the last update, s; when the running turn began, s, how far it has turned and the last
 # heading, rad; how far it is to turn first and then, rad, and how many of the two are done; the path's id, the progress
@@ -88,6 +90,8 @@ class PurePursuitFollower(LeafSystem):
         # Who is told to drive does not by turning a little: a gyro's noise alone looks like that.
         if (speed == 0.0 and turn_rate == 0.0) or not at_rest(moving[0], moving[1] if speed == 0.0 else 0.0):
             x[OBEYED] = x[STAMP]
+        elif mission.drives and x[LEFT] < AT_GOAL and x[STAMP] - x[OBEYED] > SHORT_PATIENCE:
+            x[FINISHED] = float(self._inputs(context, "goal").verdict == "goal")
         discrete.set_value(self._state, x)
         discrete.set_value(self._command, [speed, turn_rate])
         return EventStatus.Succeeded()

@@ -131,7 +131,7 @@ def test_a_bumper_hit_asks_for_a_new_path_once_the_reflex_is_over():
 
 def test_a_robot_that_is_held_up_gets_a_new_path():
     status = following(10.0)
-    held = FollowerStatus(14.0, status.path_id, False, False, stalled=True, left=1.0)
+    held = FollowerStatus(14.0, status.path_id, False, False, stalled=True)
     planned = step(status, inputs(14.0, follower=held))
     assert (planned.phase, planned.replans) == ("plan", 1)
     # Nothing is in the way, and it does not move: what it has not seen it looks at. Something is: there are other ways.
@@ -139,16 +139,6 @@ def test_a_robot_that_is_held_up_gets_a_new_path():
     assert step(again, inputs(14.0, follower=held)).phase == "observe"
     blocked = PathStatus(status.path_id, free=False)
     assert step(again, inputs(14.0, follower=held, path_status=blocked)).phase == "plan"
-
-
-def test_a_robot_that_is_held_up_at_its_goal_looks_from_there():
-    status = dataclasses.replace(following(10.0), failures=1)
-    held = FollowerStatus(14.0, status.path_id, False, False, stalled=True, left=0.1)
-    there = step(status, inputs(14.0, follower=held))
-    assert (there.phase, there.failures, there.replans) == ("observe", 0, 0)
-    # Home is where it began, and nowhere else.
-    home = dataclasses.replace(goal(0), verdict="complete")
-    assert step(status, inputs(14.0, follower=held, goal=home)).phase == "plan"
 
 
 def test_a_path_that_takes_far_too_long_is_planned_again():

@@ -213,6 +213,19 @@ def test_a_robot_that_does_not_move_when_told_to_is_held_up():
     assert rig.status().stalled
 
 
+@pytest.mark.parametrize(
+    ("verdict", "off", "is_there"), [("goal", 0.1, True), ("goal", 0.3, False), ("complete", 0.1, False)]
+)
+def test_a_robot_that_is_held_up_at_its_goal_is_there_but_home_is_where_it_began(verdict, off, is_there):
+    rig = Rig([[0.0, 0.0], [off, 0.0]])
+    rig.goal = replace(rig.goal, verdict=verdict)
+    rig.phase("follow")
+    rig._fix()
+    rig.simulator.AdvanceTo(1.0)
+    assert rig.command()[0] > 0.0 or is_there
+    assert rig.status().arrived == is_there
+
+
 def test_without_a_field_of_view_it_turns_all_round():
     rig = Rig(field_of_view=None)
     rig.goal = replace(rig.goal, look=np.array([1.2]))

@@ -18,8 +18,6 @@ STATUS_LATENCY = 0.125
 MAX_REPLANS = 5
 # The same where nothing is in the way, but the base does not move: it has not seen its way, and a look round shows it.
 MAX_STALLS = 1
-# Where the base is held up so near to its goal, m, it is there.
-AT_GOAL = 0.2
 # Stages in a row without reaching the chosen goal before the mission is stuck.
 MAX_FAILURES = 6
 # A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
@@ -158,8 +156,6 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     if not (late or _held_up(status, inputs)):
         return _begin(status, inputs, "glance", moving=True) if _glance_due(status, inputs) else status
-    if goal.verdict == "goal" and follower.stalled and follower.left < AT_GOAL:
-        return _begin(status, inputs, "observe", failures=0)
     if status.replans < (MAX_REPLANS if _seen_or_felt(status, inputs) else MAX_STALLS):
         return _begin(status, inputs, "plan", replans=status.replans + 1)
     return _give_up_goal(status, inputs)
