@@ -160,8 +160,7 @@ def explore(
             loaded = RecordedScenario(recording, loaded)
             explorer = MappingMethod("walls" if method == "tfg" else method, length_of(recording), **own)
     if explorer is None:
-        summary = f"tfg, another {', '.join(own)}"
-        explorer = Method("own", summary, functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
+        explorer = Method("own", functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
     explorer.Check(loaded)
     if plant is not None:
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))

@@ -54,5 +54,4 @@ def MappingMethod(name: str, end_time: float, **own: Factory) -> Method:
     if others := set(own) - ({"estimator"} if name == "walls" else set()):
         raise MethodError(f"{name}: maps a recording without {', '.join(sorted(others))}; leave it out")
     make = functools.partial(MAPPING_METHODS[name], end_time=end_time, **own)
-    summary = {"walls": "walls as landmarks and their TFG", "grid": "GMapping"}[name]
-    return Method(name, f"{summary}, of a recorded drive", make, keeps_budget=False, knows_map=name != "grid")
+    return Method(name, make, keeps_budget=False, knows_map=name != "grid")

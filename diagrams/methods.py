@@ -1,8 +1,8 @@
 """The methods that explore, by name: each makes an explorer with the ports of MakeTfgExplorer for a scenario.
 
-A method of one's own is a Python file with a function MakeExplorer(scenario) -> Diagram; its first line of docstring
-says what it does. It is named by its path wherever a method is named; so is the keys.csv that a run with the method
-manual leaves, whose keys are pressed once more.
+A method of one's own is a Python file with a function MakeExplorer(scenario) -> Diagram. It is named by its path
+wherever a method is named; so is the keys.csv that a run with the method manual leaves, whose keys are pressed once
+more.
 """
 
 from __future__ import annotations
@@ -31,11 +31,10 @@ class MethodError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """name; summary: one line; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive:
-    the scenario must have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates:
-    its goal_selector is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press
-    keys meanwhile. knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is
-    one.
+    """name; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive: the scenario must
+    have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates: its goal_selector
+    is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press keys meanwhile.
+    knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is one.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1) and requested_goal (a RequestedGoal), as many of them as it wants: without
@@ -44,7 +43,6 @@ class Method:
     """
 
     name: str
-    summary: str
     MakeExplorer: Callable[[Scenario], Diagram]
     needs_drive: bool = False
     keeps_budget: bool = True
@@ -90,48 +88,28 @@ def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
 METHODS = {
     method.name: method
     for method in (
-        Method(
-            "tfg",
-            "the scenario's own rule on the TFG, by default a tour of what is open",
-            MakeTfgExplorer,
-            has_candidates=True,
-        ),
+        # The scenario's own rule on the TFG, by default a tour of what is open.
+        Method("tfg", MakeTfgExplorer, has_candidates=True),
+        # Most information gain, as the paper has it, on the TFG; nothing is mapped on the way there.
         Method(
             "tfg-argmax",
-            "most information gain, as the paper has it, on the TFG, and nothing is mapped on the way there",
             _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
             has_candidates=True,
         ),
-        Method(
-            "paper",
-            "the paper's rules as printed: goals, gain, frontiers, path cost; tags are mapped at goals only",
-            MakePaperExplorer,
-            has_candidates=True,
-        ),
-        Method("tfg-nearest", "the nearest frontier on the TFG", _TfgWith("nearest_frontier"), has_candidates=True),
-        Method(
-            "grid-nearest",
-            "the paper's baseline: GMapping and the nearest frontier",
-            MakeGridExplorer,
-            keeps_budget=False,
-            knows_map=False,
-        ),
-        Method(
-            "weighted",
-            "weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map",
-            lambda scenario: MakeGridExplorer(scenario, weighted=True),
-            keeps_budget=False,
-            knows_map=False,
-        ),
-        Method("random", "any place within reach, on the TFG", _TfgWith("random"), has_candidates=True),
-        Method(
-            "scripted",
-            "the scenario's drive, as a human operator would go, on the TFG",
-            MakeScriptedExplorer,
-            needs_drive=True,
-            keeps_budget=False,
-        ),
-        Method("manual", "you, at the keys, on the TFG", MakeManualExplorer, keeps_budget=False, needs_keys=True),
+        # The paper's rules as printed: goals, gain, frontiers, path cost; tags are mapped at goals only.
+        Method("paper", MakePaperExplorer, has_candidates=True),
+        # The nearest frontier on the TFG.
+        Method("tfg-nearest", _TfgWith("nearest_frontier"), has_candidates=True),
+        # The paper's baseline: GMapping and the nearest frontier.
+        Method("grid-nearest", MakeGridExplorer, keeps_budget=False, knows_map=False),
+        # The weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map.
+        Method("weighted", partial(MakeGridExplorer, weighted=True), keeps_budget=False, knows_map=False),
+        # Any place within reach, on the TFG.
+        Method("random", _TfgWith("random"), has_candidates=True),
+        # The scenario's drive, as a human operator would go, on the TFG.
+        Method("scripted", MakeScriptedExplorer, needs_drive=True, keeps_budget=False),
+        # Somebody at the keys, on the TFG.
+        Method("manual", MakeManualExplorer, keeps_budget=False, needs_keys=True),
     )
 }
 
@@ -146,18 +124,11 @@ def FindMethod(name_or_path: str) -> Method:
             drive = read_drive(path)
         except DriveError as error:
             raise MethodError(str(error)) from None
-        manual = METHODS["manual"]
-        return dataclasses.replace(
-            manual,
-            summary=f"{manual.summary}, as in {path}",
-            MakeExplorer=lambda scenario: MakeManualExplorer(scenario, drive=drive),
-            needs_keys=False,
-            source=str(path.resolve()),
-        )
-    if path.suffix != ".py":
-        raise MethodError(f"{name_or_path}: no such method; name a .py file or one of {', '.join(METHODS)}")
-    if not path.is_file():
-        raise MethodError(f"{name_or_path}: no such file; name a .py file or one of {', '.join(METHODS)}")
+        make = partial(MakeManualExplorer, drive=drive)
+        return dataclasses.replace(METHODS["manual"], MakeExplorer=make, needs_keys=False, source=str(path.resolve()))
+    if path.suffix != ".py" or not path.is_file():
+        what = "file" if path.suffix == ".py" else "method"
+        raise MethodError(f"{name_or_path}: no such {what}; name a .py file or one of {', '.join(METHODS)}")
     specification = importlib.util.spec_from_file_location(path.stem, path)
     assert specification is not None
     assert specification.loader is not None
@@ -170,5 +141,4 @@ def FindMethod(name_or_path: str) -> Method:
         raise MethodError(
             f"{name_or_path}: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"
         )
-    summary = (module.__doc__ or "").strip().split("\n")[0]
-    return Method(path.stem, summary, module.MakeExplorer, source=str(path.resolve()))
+    return Method(path.stem, module.MakeExplorer, source=str(path.resolve()))

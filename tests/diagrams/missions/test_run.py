@@ -214,7 +214,7 @@ def test_an_error_while_the_diagram_is_built_is_a_fault_too(tmp_path):
     def fail(_scenario):
         raise ValueError("\nno way\nmore")
 
-    method = Method("failing", "", fail)
+    method = Method("failing", fail)
     summary = run.run_mission(room(), method=method, out_dir=tmp_path).summary
     assert (summary["outcome"], summary["reason"]) == ("fault", "ValueError at 0.00 s: no way")
     assert list(summary) == FIELDS
