@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tfg_drake.diagrams.commands.figures import GAIN_STAGE, write_figures
+from tfg_drake.diagrams.missions.paper_figures import GAIN_STAGE, write_figures
 
 BENCHMARKS = Path(__file__).resolve().parent
 METHODS = "tfg,tfg-nearest,grid-nearest"

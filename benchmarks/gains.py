@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from tfg_drake.config import GAINS
-from tfg_drake.diagrams.commands.figures import stages_of
+from tfg_drake.diagrams.missions.paper_figures import stages_of
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 from tfg_drake.pictures.paper_figures import gain_field
 from tfg_drake.planning.candidates import GoalParameters, time_at_goal

@@ -28,7 +28,7 @@ import recorded_drives
 from recorded_drives import Drive
 
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams.commands.slam import run_slam
+from tfg_drake.diagrams.missions.slam import run_slam
 from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray

@@ -24,7 +24,7 @@ from tfg_drake.diagrams.compile_kernels import make_kernels_ready
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.hardware_station import Bounded
 from tfg_drake.diagrams.mapping_explorer import MappingMethod
-from tfg_drake.diagrams.methods import METHODS, FindMethod, Method, MethodError
+from tfg_drake.diagrams.methods import FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.fork import Fork, ForkError, check_same, forkable
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.page import open_page
@@ -142,8 +142,7 @@ def explore(
         loaded, name, named = before.scenario, before.name, before.world_name
         method, out = method if before.own else before.method, before.folder
     else:
-        known = [] if map is None else [f"explorer.known_map={Path(map).resolve()}"]
-        loaded = PrepareScenario(scenario, [*settings, *known], seed, world, spacing, start)
+        loaded = PrepareScenario(scenario, settings, seed, world, spacing, start, map)
         name = run_name(named or "mission", None if world is None else Path(world))
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
@@ -194,7 +193,7 @@ def explore(
         stack.enter_context(remarks_on_screen(sys.stderr))
         if robot.real:
             Rehearse(loaded, explorer, threading.Event())
-        result = run_mission(dataclasses.replace(request, cockpit=cockpit))
+        result = run_mission(request, cockpit=cockpit)
     if result.mission.failure is not None:
         raise result.mission.failure
     return Exploration(result.mission, result)
@@ -219,9 +218,9 @@ def fork(
         ForkError: the run cannot be forked there; see `forkable` and `Fork`.
     """
     make_kernels_ready()
-    run, scenario = forkable(run, stage)
+    run, request = forkable(run, stage)
     monitor = functools.partial(Fork(stage, goal, candidate).monitor, stops=True)
-    mission = Mission(MissionRequest(scenario, METHODS[run.summary["method"]], monitor=monitor))
+    mission = Mission(dataclasses.replace(request, monitor=monitor))
     mission.begin()
     if mission.advance(math.inf):
         raise ForkError(f"stage {stage}: the mission ended before it")

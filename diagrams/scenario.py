@@ -229,10 +229,14 @@ def PrepareScenario(
     world: str | Path | None = None,
     tag_spacing: float | None = None,
     start: typing.Sequence[float] | None = None,
+    known_map: str | Path | None = None,
+    known_at: typing.Sequence[float] | None = None,
 ) -> Scenario:
-    """A copy of a scenario, which is loaded if it is named, with settings, a seed and a world of its own; None: as it
-    is. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
-    own = [] if seed is None else [f"seed={seed}"]
+    """A copy of a scenario, which is loaded if it is named, with settings, a map to begin with, a seed and a world of
+    its own; None: as it is. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
+    own = [] if known_map is None else [f"explorer.known_map={Path(known_map).resolve()}"]
+    own += [] if known_at is None else [f"explorer.known_at={list(known_at)}"]
+    own += [] if seed is None else [f"seed={seed}"]
     settings = [settings] if isinstance(settings, str) else settings
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     loaded = ApplySettings(loaded, [*settings, *own])

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, parse_place, writing
-from tfg_drake.diagrams.commands.options import argument, flag, option
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place, positive, writing
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -33,14 +33,14 @@ Source = Annotated[
     str, argument("SOURCE", "A folder of images, an image, a video, a stream's address or a camera (0).")
 ]
 
-camera_app = command_group("A camera's tags, and its calibration.")
+camera_app = command.group("camera", "A camera's tags, and its calibration.")
 
 
 @camera_app.command()
 def check(
     source: Source,
     calibration: Annotated[Path, option("FILE", "The camera's calibration, OpenCV's YAML or ROS's camera_info.")],
-    tag_size: Annotated[float, option("M", "Side of the tags' black square.")],
+    tag_size: Annotated[float, positive("M", "Side of the tags' black square.", "m")],
     family: Annotated[list[str] | None, option("NAME", "Repeatable [default: tag36h11].")] = None,
     mount: Annotated[
         str, option("X,Y,YAW,PITCH", "The camera on the robot, m and rad; pitch is downward.")
@@ -62,7 +62,6 @@ def check(
     from tfg_drake.vision.sighting import TagSizes, sighted
     from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
 
-    check_positive("--tag-size", tag_size, "m")
     where, known = _mount(mount), _calibration(calibration)
     try:
         detector = TagDetector(DetectorConfig(tuple(family or ("tag36h11",)), threads, decimation))
@@ -103,7 +102,7 @@ def check(
 def calibrate(
     source: Source,
     board: Annotated[str, option("CxR", "Inner corners of the chessboard, along and down.")],
-    square: Annotated[float, option("M", "Side of a square.")],
+    square: Annotated[float, positive("M", "Side of a square.", "m")],
     out: Annotated[Path, option("FILE", "The calibration, as ROS's camera_info YAML.")],
 ) -> None:
     """Calibrate a camera by views of a chessboard; show it tilted, near and at the edges."""
@@ -112,7 +111,6 @@ def calibrate(
     from tfg_drake.vision.chessboard import calibrated
 
     columns, rows = _board(board)
-    check_positive("--square", square, "m")
     views, size = _views(source, columns, rows)
     try:
         result = calibrated(views, columns, rows, square, size)

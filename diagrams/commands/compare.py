@@ -1,77 +1,75 @@
-"""`tfg-drake compare`: a sweep run, or resumed, with its progress."""
+"""`tfg-drake compare`: methods on the same seeds, and the report of them."""
 
 from __future__ import annotations
 
 import math
-import sys
-import threading
-import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+import shlex
 from pathlib import Path
+from typing import Annotated
 
-from tfg_drake.comparison.measures import MOVING, TIME
-from tfg_drake.comparison.runs import Run, sample
-from tfg_drake.comparison.statistics import spread
-from tfg_drake.diagrams.missions.sweep import Task, open_sweep, run_local
-from tfg_drake.diagrams.screen import say
+import typer
 
-
-def run_sweep(
-    tasks: Sequence[Task],
-    out: Path,
-    jobs: int,
-    address: str | None,
-    interrupted: threading.Event,
-    show: Callable[[str], object],
-) -> list[Run]:
-    """Run what is missing of a sweep, on this machine or on the Ray cluster at `address`; `show` says how far it is.
-
-    Returns all runs there are, in the order of the tasks.
-
-    Raises:
-        SweepError: the folder holds another sweep, or there is no such cluster.
-        OSError: a file cannot be written.
-    """
-    runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
-    missing = [task for task in tasks if (task.method, task.seed) not in runs]
-    there, since = len(runs), time.monotonic()
-
-    def progress() -> str:
-        """How many runs are done, and how long the rest will take at the speed so far."""
-        done, left = len(runs) - there, len(tasks) - len(runs)
-        if not done or not left:
-            return f"{len(runs)} of {len(tasks)} runs"
-        seconds = left * (time.monotonic() - since) / done
-        remaining = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
-        return f"{len(runs)} of {len(tasks)} runs, about {remaining} left"
-
-    if there:
-        say(f"{there} of {len(tasks)} runs are there already")
-    show(progress())
-    if address is None or not missing:
-        ended = run_local(missing, out, jobs, interrupted)
-    else:
-        from tfg_drake.diagrams.missions.ray_sweep import run_on_ray
-
-        ended = run_on_ray(missing, out, address, interrupted)
-    for run in ended:
-        runs[run.method, run.seed] = run
-        show(progress())
-        if not sys.stdout.isatty():
-            say(f"{run.method}, seed {run.seed}: {run.outcome}; {progress()}")
-    keys = [(task.method, task.seed) for task in tasks]
-    return [runs[key] for key in keys if key in runs]
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import bad_input, option
+from tfg_drake.diagrams.compile_kernels import wait_for_kernels
+from tfg_drake.diagrams.missions import run_folder
+from tfg_drake.diagrams.screen import Screen
 
 
-def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
-    """A line a method: outcomes, and the means of time and position error."""
-    lines = []
-    for method in methods:
-        outcomes = Counter(run.outcome for run in runs if run.method == method)
-        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
-        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, MOVING))
-        error = f", position error {position:.3f} m from the first drive on" if math.isfinite(position) else ""
-        means = f"; time {time:.0f} s{error}" if math.isfinite(time) else ""
-        lines.append(f"{method:<13} {counts}{means}")
-    return lines
+def compare(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
+    world: command.World = None,
+    tag_spacing: command.TagSpacing = None,
+    start: command.Start = None,
+    methods: Annotated[
+        str, option("NAME,...", "What to compare; the others are compared with the first.")
+    ] = "tfg,tfg-nearest,grid-nearest",
+    seeds: Annotated[int, option("N", "Every method runs on the seeds 0 to N - 1.")] = 10,
+    max_time: command.MaxTime = 3600.0,
+    settings: command.Settings = None,
+    jobs: Annotated[int | None, option("N", "Missions at a time [default: 1].")] = None,
+    ray: Annotated[str | None, option("ADDRESS", "Run on a Ray cluster; local starts one here.")] = None,
+    out: Annotated[Path | None, option("DIR", "The folder [default: runs/<time>-compare-<scenario>].")] = None,
+) -> None:
+    """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
+    if seeds < 1:
+        bad_input(f"--seeds {seeds}: must be 1 or more")
+    for setting in settings or []:
+        if setting.split("=")[0].strip() == "seed":
+            bad_input(f"--set {setting}: the seeds are 0 to one less than --seeds; leave it out")
+    if jobs is not None and jobs < 1:
+        bad_input(f"--jobs {jobs}: must be 1 or more")
+    if jobs is not None and ray is not None:
+        bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
+
+    with Screen() as show:
+        show("loading")
+
+        from tfg_drake.diagrams.missions import comparison_report
+        from tfg_drake.diagrams.missions.sweep import Task, parse_methods, run_sweep
+        from tfg_drake.diagrams.scenario import PrepareScenario
+
+        name = run_folder.run_name(scenario, world)
+        place = command.parse_start(start)
+        of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
+        sources = parse_methods(methods, of_seed[0])
+        names = list(sources)
+        # All methods of a seed before the next seed, so that a partial report compares like with like.
+        world_name = scenario if world is None else str(world)
+        tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
+        if out is not None:
+            command.make_writable(out)
+        folder = run_folder.make_run_folder(out, f"compare-{name}")
+        wait_for_kernels(show, command.interruption)
+        spacing = "none" if tag_spacing == math.inf else tag_spacing
+        given = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
+        given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
+        words = [str(word) for key, value in given if value is not None for word in (key, value)]
+        repeated = shlex.join(["tfg-drake", "compare", scenario, *words])
+        with run_folder.claimed(folder):
+            runs = run_sweep(tasks, folder, jobs or 1, ray, command.interruption, show)
+            comparison_report.write_comparison(runs, tasks, folder, repeated, show)
+    for line in comparison_report.closing_lines(runs, names):
+        print(line)
+    print(f"report: {folder / 'report.html'}")
+    command.end_unless_interrupted(command.EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)

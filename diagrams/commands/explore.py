@@ -1,4 +1,4 @@
-"""Parts of the command explore: what it refuses, the robot that it drives, its progress on the screen."""
+"""`tfg-drake explore`: what it refuses, the robot that it drives, its progress on the screen."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ import contextlib
 import dataclasses
 import logging
 import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+from tfg_drake.bad_input import EstimateLost
 from tfg_drake.config import ROBOTS
-from tfg_drake.diagrams.commands.command_line import bad_input
-from tfg_drake.diagrams.screen import say
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import bad_input, flag, option, parse_place
+from tfg_drake.diagrams.compile_kernels import wait_for_kernels
+from tfg_drake.diagrams.missions import run_folder
+from tfg_drake.diagrams.screen import Screen, say
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -20,8 +27,199 @@ if TYPE_CHECKING:
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.methods import Method
     from tfg_drake.diagrams.missions.mission_runner import Progress
+    from tfg_drake.diagrams.missions.run import RunResult
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
+
+# The map or the summary could not be written.
+NOT_WRITTEN = 4
+# How its options are told; (): those that are in no other group.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Arguments": ("scenario",),
+    "The mission": (),
+    "A simulated world": ("world", "tag_spacing", "start"),
+    "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
+    "To look at it": ("headless", "host", "page_port", "meshcat"),
+}
+# Below them.
+ENDS = (
+    "Example: tfg-drake explore house --seed 3 --realtime-rate 8. Exit codes: 0 ended as it should; 1 stuck or apart; "
+    "2 bad input; 3 something failed; 4 nothing could be written; 130, 143, 129 interrupted."
+)
+
+
+def explore(
+    scenario: Annotated[
+        str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
+    ] = None,
+    world: command.World = None,
+    tag_spacing: command.TagSpacing = None,
+    start: command.Start = None,
+    method: Annotated[
+        str, option("NAME", "What explores: tfg, grid-nearest, ... or a Python file that makes one.")
+    ] = "tfg",
+    robot: Annotated[
+        str,
+        option("NAME", "What to drive: sim, a real robot (kobuki, ros2, rosbridge) or a run: replay:RUN_DIR."),
+    ] = "sim",
+    port: Annotated[str | None, option("DEVICE", "The Kobuki's serial port.")] = None,
+    preset: Annotated[str | None, option("NAME", "The robot on ROS: turtlebot2, 3, 4 or a YAML file.")] = None,
+    bridge: Annotated[str | None, option("HOST:PORT", "The rosbridge server.")] = None,
+    tags: Annotated[
+        str | None,
+        option(
+            "SOURCE",
+            "A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
+        ),
+    ] = None,
+    scan: Annotated[str | None, option("SOURCE", "Its scans, likewise, or rplidar:DEVICE or realsense:.")] = None,
+    skip_checks: Annotated[
+        bool, flag("--skip-checks", "Do not check battery, sensors and clocks before it may be enabled.")
+    ] = False,
+    seed: Annotated[
+        int | None, option("N", "Every random number comes from it.", callback=command.checked_seed)
+    ] = None,
+    known_map: Annotated[
+        Path | None, option("MAP", "Begin with a map of the building, a file or the folder of a run.", "--map")
+    ] = None,
+    at: Annotated[
+        str | None,
+        option(
+            "X,Y,YAW", "Where in that map the robot is, m and rad, and how sure that is, if not to 0.5 m and 0.3 rad."
+        ),
+    ] = None,
+    headless: Annotated[bool, flag("--headless", "No page that shows it.")] = False,
+    meshcat: Annotated[bool, flag("--meshcat", "Draw it in Drake's Meshcat, too.")] = False,
+    host: command.Host = "localhost",
+    page_port: command.PagePort = None,
+    realtime_rate: Annotated[
+        float, option("R", "At most R simulated seconds a second; 0 for no limit.", callback=command.checked_rate)
+    ] = 0.0,
+    max_time: command.MaxTime = 3600.0,
+    settings: command.Settings = None,
+    resume: Annotated[Path | None, option("RUN", "Go on with a mission that was cut short, from its folder.")] = None,
+    out: Annotated[Path | None, option("DIR", "The run's folder [default: runs/<time>-<scenario>-<seed>].")] = None,
+    as_json: command.AsJson = False,
+) -> None:
+    """Explore a building and map it, until nothing is left to gain."""
+    replayed = replayed_run(robot)
+    links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
+    place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
+    if resume is not None:
+        given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
+        method = method_resumed(resume, method, robot, given | {"--map": known_map, "--at": at})
+    check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
+    if method == "manual":  # Nobody drives faster.
+        realtime_rate = realtime_rate or 1.0
+    with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
+        show: Callable[[str], None] = stack.enter_context(Screen())
+        if sys.stdout.isatty():  # Elsewhere nothing is said before all that was given is known to do.
+            show("loading")
+        from tfg_drake.diagrams.missions.resume import cut_short
+        from tfg_drake.diagrams.scenario import PrepareScenario
+
+        scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
+        name, before = run_folder.run_name(scenario, world, robot), None
+        if resume is None:
+            of_world = world, tag_spacing, command.parse_start(start)
+            loaded = PrepareScenario(scenario, settings or [], seed, *of_world, known_map, parse_at(at))
+            command.make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
+        else:
+            if out is not None and out.resolve() != resume.resolve():
+                command.make_ready(out)
+            before = cut_short(resume, out)
+            loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
+        if robot != "sim" and replayed is None:
+            link(loaded, robot, links)
+        explorer = find_method(method, loaded)
+        if explorer.needs_keys and robot != "sim":
+            bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
+        cockpit, real = None, robot in ROBOTS
+        if not real:
+            driven = unreal_robot(robot, loaded)
+        if not headless:
+            from tfg_drake.diagrams.missions.page import open_page
+
+            title, of_clock = f"{name}, seed {loaded.seed}", None if real else realtime_rate
+            cockpit = page_stack.enter_context(open_page(title, host, page_port, rate=of_clock, preview=not real))
+            show = also_on_page(show, cockpit)
+        show("loading")
+        # Before this process imports the rest: it shares the machine's time and memory with those who compile.
+        wait_for_kernels(show, command.interruption)
+        if explorer.needs_keys:
+            explorer = stack.enter_context(keys_of_driver(explorer, cockpit))
+        if robot == "sim" and not loaded.world.tags and loaded.explorer.landmarks == "tags":
+            say("There is no tag in this world, so no landmark to map; --tag-spacing places some")
+
+        from tfg_drake.diagrams.missions.run import run_mission
+
+        stack.enter_context(run_folder.remarks_on_screen())
+        if real:
+            from tfg_drake.diagrams.missions.real_robot import OpenRobot
+
+            opened = OpenRobot(loaded, explorer, command.interruption, checked=not skip_checks)
+            driven, loaded = stack.enter_context(opened)
+        result = run_mission(
+            loaded,
+            method=explorer,
+            robot=driven,
+            name=name,
+            world_name=str(world or scenario) if driven.world_known else "unknown",
+            meshcat=open_meshcat() if meshcat else None,
+            cockpit=cockpit,
+            realtime_rate=realtime_rate,
+            max_time=max_time,
+            out_dir=out,
+            on_progress=lambda progress: show(progress_line(progress)),
+            interrupted=command.interruption,
+            before=None if before is None else before.state,
+        )
+        stack.close()
+        _tell(result)
+        if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
+            command.wait_for_enter()
+    code = command.EXIT_CODES[
+        "stuck" if isinstance(result.mission.failure, EstimateLost) else result.summary["outcome"]
+    ]
+    is_kept = not result.unwritten.keys() & {"map.npz", "grid.npz", "summary.json"}
+    command.end(result.summary, code if is_kept else NOT_WRITTEN, as_json)
+
+
+def _tell(result: RunResult) -> None:
+    """The closing table of a mission."""
+    from tfg_drake.cockpit.page import FILE_NAME
+    from tfg_drake.diagrams.missions.summary_words import table_rows
+
+    rows = table_rows(result.summary)
+    rows += [("not whole", f"{name}: {reason}") for name, reason in result.unwritten.items()]
+    command.print_rows([*rows, ("files", str(result.folder)), ("page", str(result.folder / FILE_NAME))])
+    if result.summary["outcome"] == "fault":
+        lost = isinstance(result.mission.failure, EstimateLost)
+        log = "" if lost else f"; the traceback is in {result.folder}/log.txt"
+        print(f"tfg-drake: {command.one_line(result.summary['reason'])}{log}", file=sys.stderr)
+
+
+def parse_at(text: str | None) -> list[float] | None:
+    """The place that --at says, x, y (m) and yaw (rad), with its deviations, m and rad."""
+    if text is None:
+        return None
+    form = "X,Y,YAW,SIGMA_M,SIGMA_RAD" if text.count(",") > 2 else "X,Y,YAW"
+    place = [*parse_place("--at", text, form), 0.5, 0.3][:5]
+    if min(place[3:]) <= 0.0:
+        bad_input(f"--at {text}: its deviations must be greater than 0")
+    return place
+
+
+def find_method(name: str, scenario: Scenario) -> Method:
+    """The method that --method names, for a scenario. Raises BadInput."""
+    from tfg_drake.diagrams.methods import FindMethod, MethodError
+
+    try:
+        method = FindMethod(name)
+        method.Check(scenario)
+        return method
+    except MethodError as error:
+        bad_input(f"--method {error}")
 
 
 def replayed_run(robot: str) -> Path | None:
@@ -34,15 +232,15 @@ def replayed_run(robot: str) -> Path | None:
     return folder
 
 
-def resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
+def method_resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
     """The method of a mission that is gone on with. Raises BadInput where there is none, where something is given that
     it has already, or something is not that the run must not say by itself: a real robot, a file that is run."""
     from tfg_drake.storage.checkpoint import read_told
 
     told = read_told(run)
-    for option, value in given.items():
+    for named, value in given.items():
         if value is not None:
-            bad_input(f"{option}: is that of the run which is resumed; leave it out")
+            bad_input(f"{named}: is that of the run which is resumed; leave it out")
     if told["own"] and not method.endswith((".py", ".csv")):
         bad_input(f"--resume {run}: its method, {told['method']}, is somebody's own; give it again: --method FILE")
     if not told["own"] and method not in ("tfg", told["method"]):
@@ -83,9 +281,9 @@ def check_robot(
         return
     if robot not in ROBOTS and not robot.startswith("replay:"):
         bad_input(f"--robot {robot}: no such robot; name one of sim, {', '.join(ROBOTS)}, replay:RUN_DIR")
-    for option, given in place.items():
+    for named, given in place.items():
         if given is not None:
-            bad_input(f"{option}: is for a simulated robot; leave it out")
+            bad_input(f"{named}: is for a simulated robot; leave it out")
     if realtime_rate and robot in ROBOTS:
         bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
@@ -160,8 +358,3 @@ def progress_line(progress: Progress) -> str:
     speed = progress.time / max(progress.wall_time, 1e-9)
     error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
     return f"{where}{progress.landmarks:>9} {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"
-
-
-def is_kept(unwritten: dict[str, str]) -> bool:
-    """True if a run's map and summary are on the disk."""
-    return not unwritten.keys() & {"map.npz", "grid.npz", "summary.json"}

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
-from tfg_drake.diagrams.commands.command_line import bad_input, command_group
-from tfg_drake.diagrams.commands.options import flag, option
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import bad_input, flag, option
 from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ LIDAR_NOISE = 0.01
 # How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
-kobuki_app = command_group("The Kobuki base on its serial port, or an emulated one.")
+kobuki_app = command.group("kobuki", "The Kobuki base on its serial port, or an emulated one.")
 
 
 @kobuki_app.command()

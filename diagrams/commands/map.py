@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tfg_drake.config import CameraConfig
-from tfg_drake.diagrams.commands.command_line import bad_input, check_positive, command_group, wait_for_enter, writing
-from tfg_drake.diagrams.commands.options import argument, option
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import argument, bad_input, option, positive, writing
 from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import of_run, write_atomic
@@ -63,8 +63,9 @@ NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.", callb
 # What is less probable is not told.
 LIKELY = 0.001
 
-map_app = command_group(
-    "Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame."
+map_app = command.group(
+    "map",
+    "Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame.",
 )
 
 
@@ -92,7 +93,7 @@ def view(map_file: MapArgument) -> None:
         _timeline(saved, map_file) as timeline,
         open_page(map_file.name, "localhost", None, timeline=timeline, live=False, controls=False),
     ):
-        wait_for_enter()
+        command.wait_for_enter()
 
 
 @map_app.command()
@@ -103,10 +104,11 @@ def export(
         str | None, option("NAME", f"The format; by default the first with OUT's suffix: {_NAMED}.", "--format")
     ] = None,
     tag_height: Annotated[
-        float, option("M", "Height of the tags' centres (tagslam, apriltag_ros, wpilib).")
+        float, positive("M", "Height of the tags' centres (tagslam, apriltag_ros, wpilib).", "m")
     ] = CameraConfig.tag_height,
     tag_size: Annotated[
-        float | None, option("M", "Side of the tags' black squares (tagslam, apriltag_ros); by default the run's.")
+        float | None,
+        positive("M", "Side of the tags' black squares (tagslam, apriltag_ros); by default the run's.", "m"),
     ] = None,
 ) -> None:
     """Write a map in another format.
@@ -123,8 +125,6 @@ def export(
         bad_input(f"--format {name}: unknown; must be one of {', '.join(FORMATS)}")
     elif out.suffix.lower() != FORMATS[name][0]:
         bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name][0]}")
-    check_positive("--tag-height", tag_height, "m")
-    check_positive("--tag-size", tag_size, "m")
     saved = _load(map_file)
     _check_not_empty(saved, map_file, name)
     with writing(out):

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tfg_drake.diagrams.commands.command_line import bad_input, command_group
-from tfg_drake.diagrams.commands.options import flag, option
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import bad_input, flag, option
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
 
-ros2_app = command_group("A robot on a ROS 2 graph.")
+ros2_app = command.group("ros2", "A robot on a ROS 2 graph.")
 
 
 @ros2_app.command()

@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tfg_drake.diagrams.commands.command_line import bad_input, command_group, parse_place, writing
-from tfg_drake.diagrams.commands.options import argument, flag, option
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place, writing
 from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.extras import pip_install
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tfg_drake.messages import BoolArray, FloatArray
     from tfg_drake.world.tag_advice import Advice
 
-tags_app = command_group("Tags to hang up.")
+tags_app = command.group("tags", "Tags to hang up.")
 
 
 @tags_app.command("print")

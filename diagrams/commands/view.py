@@ -1,58 +1,59 @@
-"""Shows and exports a run's folder."""
+"""`tfg-drake view` and `tfg-drake export`: a run's folder as a page or a film."""
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from tfg_drake.cockpit.browser import write_gif, write_mp4
-from tfg_drake.cockpit.page import export_page, viewer_script
-from tfg_drake.diagrams.commands.command_line import bad_input, wait_for_enter, writing
-from tfg_drake.diagrams.commands.fork import PageForks, can_fork
-from tfg_drake.diagrams.missions.page import open_page
+from tfg_drake.bad_input import BadInput
+from tfg_drake.diagrams.commands import command
+from tfg_drake.diagrams.commands.command import argument, bad_input, writing
 from tfg_drake.diagrams.missions.run_folder import claimed
 from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.files import of_run, read_bytes, reading
-from tfg_drake.storage.timeline import FILE_NAME, MAGIC
-
-_FILMS = {".gif": write_gif, ".mp4": write_mp4}
 
 
-def serve_run(run: Path, host: str, port: int | None) -> None:
-    """Serve the page of a run until the user has seen enough. Raises BadInput where there is nothing to serve."""
+def view(run: command.RunArgument, host: command.Host = "localhost", port: command.PagePort = None) -> None:
+    """Show a mission that has ended, or is under way, with a slider for the time."""
+    from tfg_drake.cockpit.page_forks import PageForks
+    from tfg_drake.diagrams.missions.page import open_page
+
     live = is_under_way(run)
     forks = PageForks(run) if not live and can_fork(run) else None
     given: dict[str, Any] = {"timeline": _timeline(run), "live": live, "controls": False, "forks": forks}
     with open_page(run.resolve().name, host, port, **given):
         try:
-            wait_for_enter()
+            command.wait_for_enter()
         finally:
             if forks is not None:
                 forks.close()
 
 
-def export_run(run: Path, out: Path) -> None:
-    """Write a run as one page or, in a browser, as a film. Raises BadInput where that cannot be."""
-    suffix = out.suffix.lower()
-    if suffix not in (".html", *_FILMS):
+def export(
+    run: command.RunArgument, out: Annotated[Path, argument("OUT", "The file to write: .html, .gif, .mp4.")]
+) -> None:
+    """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
+    from tfg_drake.cockpit.browser import write_gif, write_mp4
+    from tfg_drake.cockpit.page import export_page, viewer_script
+
+    films, suffix, title = {".gif": write_gif, ".mp4": write_mp4}, out.suffix.lower(), run.resolve().name
+    if suffix not in (".html", *films):
         bad_input(f"{out}: unknown format; name a file that ends in .html, .gif or .mp4")
     timeline = _timeline(run)
     with writing(out):
-        if suffix in _FILMS:
-            _film(timeline, out, run.resolve().name)
-        else:
-            export_page(timeline, out, run.resolve().name, viewer_script())
-
-
-def _film(timeline: Path, out: Path, title: str) -> None:
-    with tempfile.TemporaryDirectory() as folder, Screen() as show:
-        page = Path(folder) / "page.html"
-        export_page(timeline, page, title, viewer_script())
-        _FILMS[out.suffix.lower()](page, out, show)
+        if suffix == ".html":
+            export_page(timeline, out, title, viewer_script())
+            return
+        with tempfile.TemporaryDirectory() as folder, Screen() as show:
+            page = Path(folder) / "page.html"
+            export_page(timeline, page, title, viewer_script())
+            films[suffix](page, out, show)
 
 
 def _timeline(run: Path) -> Path:
+    from tfg_drake.storage.timeline import FILE_NAME, MAGIC
+
     timeline = of_run(run, FILE_NAME)
     with reading(timeline):
         begins = read_bytes(timeline, len(MAGIC))
@@ -68,3 +69,14 @@ def is_under_way(run: Path) -> bool:
             return False
     except OSError:
         return True
+
+
+def can_fork(run: Path) -> bool:
+    """True if a folder holds a run that can be forked at its first stage; see `forkable`."""
+    from tfg_drake.diagrams.missions.fork import forkable
+
+    try:
+        forkable(run, 1)
+        return True
+    except BadInput:
+        return False

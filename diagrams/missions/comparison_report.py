@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import platform
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 from tfg_drake import __version__
 from tfg_drake.comparison.curves import Band, Curve, averaged, band, coverage_curve, error_curves
 from tfg_drake.comparison.figures import FinalMap, draw_costs, draw_coverage, draw_errors, draw_maps
-from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, VARIABLES
+from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, MOVING, TIME, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
 from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
@@ -59,6 +61,19 @@ def write_comparison(
     pictures = list(_pictures(methods, runs, {task.seed: task.scenario for task in tasks}, out))
     write_atomic(out / "report.md", markdown(comparison, pictures))
     write_atomic(out / "report.html", page(comparison, pictures))
+
+
+def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
+    """A line a method: outcomes, and the means of time and position error."""
+    lines = []
+    for method in methods:
+        outcomes = Counter(run.outcome for run in runs if run.method == method)
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
+        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, MOVING))
+        error = f", position error {position:.3f} m from the first drive on" if math.isfinite(position) else ""
+        means = f"; time {time:.0f} s{error}" if math.isfinite(time) else ""
+        lines.append(f"{method:<13} {counts}{means}")
+    return lines
 
 
 def _pictures(

@@ -16,8 +16,8 @@ from pydrake.systems.framework import Context, EventStatus
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.methods import METHODS
-from tfg_drake.diagrams.missions.mission import Mission
-from tfg_drake.diagrams.scenario import LoadScenario, Scenario
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
+from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, MissionStatus, Roadmap
 from tfg_drake.planning.requested_goal import goal_there
@@ -148,8 +148,8 @@ def _candidates(choice: GoalChoice, roadmap: Roadmap, X_WM: FloatArray) -> list[
     return sorted(found, key=lambda one: (-one.gain, one.node))
 
 
-def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
-    """A run and its scenario, if the run can be forked at a stage.
+def forkable(run: Run | str | Path, stage: int) -> tuple[Run, MissionRequest]:
+    """A run, and what asks for it once more, if the run can be forked at a stage.
 
     Raises:
         ForkError: it was no simulated run of a method with a goal selector, or it has no such stage.
@@ -170,7 +170,16 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, Scenario]:
     last = len(run.stages)
     if not 1 <= stage <= last:
         raise ForkError(f"stage {stage}: {run.folder} has the stages 1 to {last}")
-    return run, scenario
+    # A run that somebody or a limit of time ended ends there again.
+    limited = run.summary["outcome"] in ("time_limit", "interrupted")
+    request = MissionRequest(
+        scenario,
+        METHODS[method],
+        name=f"{run.summary['scenario']}-fork",
+        world_name=run.summary["world"],
+        max_time=run.summary["sim_time_s"] if limited else MissionRequest.max_time,
+    )
+    return run, request
 
 
 def check_same(run: Run, stages: Sequence[dict[str, Any]], stage: int) -> None:

@@ -72,7 +72,7 @@ class RunResult:
 def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
     """Run one mission to its end and write its folder.
 
-    request: what is asked for, or its scenario and, by keyword, what else a MissionRequest has.
+    request: what is asked for, or its scenario. given: by keyword, what else the MissionRequest has.
 
     The first Ctrl-C, SIGTERM or SIGHUP ends the mission (outcome "interrupted"), a second one raises KeyboardInterrupt.
     An error inside the diagram, or while it is built, ends it with outcome "fault"; its traceback goes to log.txt.
@@ -83,8 +83,8 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
         OSError: the folder cannot be written at the beginning, or another run is at work in it. What cannot be written
             later is told in the log and in the result.
     """
-    if isinstance(request, Scenario):
-        request = MissionRequest(request, **given)
+    request = MissionRequest(request) if isinstance(request, Scenario) else request
+    request = dataclasses.replace(request, **given)
     scenario, method, robot, before = request.scenario, request.method, request.robot, request.before
     name, cockpit = f"{request.name}-{scenario.seed}", request.cockpit
     with open_run_folder(request.out_dir, name, goes_on=before is not None) as folder, folder.logging():

@@ -19,7 +19,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -29,9 +30,10 @@ from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
-from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.mission import MissionRequest
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import DumpScenario, Scenario
+from tfg_drake.diagrams.screen import say
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
@@ -45,7 +47,7 @@ class SweepError(BadInput):
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run.run_mission`.
+    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run_mission`.
     max_time: simulated s. source: the path of the method's file, "" for one that comes with the project."""
 
     method: str
@@ -106,7 +108,7 @@ def run_one(task: Task, folder: Path) -> dict[str, Any]:
         interrupted=threading.Event(),
         record=False,  # A megabyte and a half a minute, and what one seed gives again.
     )
-    result = run.run_mission(request)
+    result = run_mission(request)
     write_atomic(folder / "task.json", json.dumps(task.receipt(), indent=2) + "\n")
     return result.summary
 
@@ -129,6 +131,53 @@ def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:
     write_atomic(path, json.dumps(sweep, indent=2) + "\n")
     finished = [(task, _finished(task, out)) for task in tasks]
     return [Run(task.method, task.seed, task.folder(out), summary) for task, summary in finished if summary]
+
+
+def run_sweep(
+    tasks: Sequence[Task],
+    out: Path,
+    jobs: int,
+    address: str | None,
+    interrupted: threading.Event,
+    show: Callable[[str], object],
+) -> list[Run]:
+    """Run what is missing of a sweep, on this machine or on the Ray cluster at `address`; `show` says how far it is.
+
+    Returns all runs there are, in the order of the tasks.
+
+    Raises:
+        SweepError: the folder holds another sweep, or there is no such cluster.
+        OSError: a file cannot be written.
+    """
+    runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
+    missing = [task for task in tasks if (task.method, task.seed) not in runs]
+    there, since = len(runs), time.monotonic()
+
+    def progress() -> str:
+        """How many runs are done, and how long the rest will take at the speed so far."""
+        done, left = len(runs) - there, len(tasks) - len(runs)
+        if not done or not left:
+            return f"{len(runs)} of {len(tasks)} runs"
+        seconds = left * (time.monotonic() - since) / done
+        remaining = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+        return f"{len(runs)} of {len(tasks)} runs, about {remaining} left"
+
+    if there:
+        say(f"{there} of {len(tasks)} runs are there already")
+    show(progress())
+    if address is None or not missing:
+        ended = run_local(missing, out, jobs, interrupted)
+    else:
+        from tfg_drake.diagrams.missions.ray_sweep import run_on_ray
+
+        ended = run_on_ray(missing, out, address, interrupted)
+    for run in ended:
+        runs[run.method, run.seed] = run
+        show(progress())
+        if not sys.stdout.isatty():
+            say(f"{run.method}, seed {run.seed}: {run.outcome}; {progress()}")
+    keys = [(task.method, task.seed) for task in tasks]
+    return [runs[key] for key in keys if key in runs]
 
 
 def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threading.Event) -> Iterator[Run]:

@@ -12,7 +12,7 @@ from tfg_drake.comparison.measures import CPU_IDLE, MEASURES, cpu_idle, mapped_s
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page, tables, text
 from tfg_drake.comparison.runs import Run, flatten, paired, sample, to_csv, values
 from tfg_drake.comparison.statistics import spread
-from tfg_drake.diagrams.cli import EXIT_CODES
+from tfg_drake.diagrams.commands.command import EXIT_CODES
 
 
 def summary(**fields):

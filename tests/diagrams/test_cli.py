@@ -19,6 +19,7 @@ from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli, compile_kernels
 from tfg_drake.diagrams.commands import explore as explore_command
+from tfg_drake.diagrams.commands.command import EXIT_CODES
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
 from tfg_drake.mapfile.landmark_table import landmark_csv
@@ -202,7 +203,7 @@ def test_a_run_in_another_world_has_the_name_of_its_file(call, tmp_path):
     ],
 )
 def test_exit_codes(outcome, code):
-    assert cli.EXIT_CODES[outcome] == code
+    assert EXIT_CODES[outcome] == code
 
 
 STOPPING = "\ntfg-drake: stopping; Ctrl-C again leaves at once\n"
@@ -371,7 +372,7 @@ def test_the_progress_line():
 @pytest.mark.parametrize(("number", "name"), SIGNALS)
 def test_a_command_that_keeps_nothing_ends_at_once(call, monkeypatch, tmp_path, number, name):
     monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
-    monkeypatch.setattr("tfg_drake.diagrams.commands.view.export_run", lambda *_: os.kill(os.getpid(), number))
+    monkeypatch.setattr("tfg_drake.diagrams.commands.view._timeline", lambda *_: os.kill(os.getpid(), number))
     code, out, err = call("export", str(tmp_path), str(tmp_path / "a.mp4"))
     assert (code, out, err.strip()) == (128 + number, "", "")
 
@@ -455,7 +456,7 @@ def test_what_the_machine_refuses_is_one_line(call, monkeypatch, tmp_path, error
     def fail(*_arguments):
         raise error
 
-    monkeypatch.setattr("tfg_drake.diagrams.commands.view.export_run", fail)
+    monkeypatch.setattr("tfg_drake.diagrams.commands.view._timeline", fail)
     assert call("export", str(tmp_path), str(tmp_path / "a.mp4")) == (2, "", f"tfg-drake: {complaint}\n")
 
 

@@ -20,11 +20,12 @@ import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from tfg_drake.cockpit.page import served_page
+from tfg_drake.cockpit.page_forks import PageForks
 from tfg_drake.cockpit.whole_requests import WholeRequestHandler, WholeRequestServer
 from tfg_drake.messages import SaidPose
 from tfg_drake.mission.clock import Clock
@@ -55,24 +56,6 @@ _OPERATOR: tuple[Command, ...] = ("enable", "stop", "hold", "resume", "recall", 
 _log = logging.getLogger("tfg_drake.cockpit")
 
 
-class Forks(Protocol):
-    """Other futures of a run that has ended, one at a time; see tfg_drake.diagrams.commands.fork."""
-
-    @property
-    def timeline(self) -> Path:
-        """The newest fork's, which may not be there yet."""
-
-    @property
-    def is_running(self) -> bool:
-        """True while the newest fork runs."""
-
-    def start(self, stage: int, goal: Place) -> bool:
-        """Fork a stage to the place (x, y), m in W; whether there was no other one under way."""
-
-    def state(self) -> dict[str, Any]:
-        """The newest fork for the page."""
-
-
 class Cockpit:
     """The page of one mission, served from threads of its own until it is closed; a context manager.
 
@@ -89,7 +72,7 @@ class Cockpit:
         timeline: Path | None = None,
         live: bool = True,
         controls: bool = True,
-        forks: Forks | None = None,
+        forks: PageForks | None = None,
         recorded: Path | None = None,
         rate: float | None = None,
         host: str = LOCAL,

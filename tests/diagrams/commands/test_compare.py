@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from tfg_drake.comparison.runs import Run
-from tfg_drake.diagrams.commands import compare
-from tfg_drake.diagrams.commands.compare import closing_lines
-from tfg_drake.diagrams.missions import comparison_report
+from tfg_drake.diagrams.missions import comparison_report, sweep
+from tfg_drake.diagrams.missions.comparison_report import closing_lines
 from tfg_drake.diagrams.missions.sweep import attempt
 from tfg_drake.mission.interruption import NAMES
 
@@ -58,7 +57,7 @@ def in_this_process(tasks, out, _jobs, _interrupted):
 
 
 def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path, monkeypatch):
-    monkeypatch.setattr(compare, "run_local", in_this_process)
+    monkeypatch.setattr(sweep, "run_local", in_this_process)
     out = tmp_path / "comparison"
     arguments = ["compare", room, "--tag-spacing", "1", "--methods", "tfg,tfg-nearest"]
     arguments += ["--seeds", "1", "--max-time", "9", "--out", str(out)]
@@ -115,7 +114,7 @@ def test_a_signal_to_all_of_its_processes_leaves_a_partial_report(call, room, tm
     out = tmp_path / "comparison"
     arguments = ["compare", room, "--jobs", "1", "--max-time", "1", "--methods", "tfg", "--out", str(out), "--seeds"]
     with monkeypatch.context() as patch:
-        patch.setattr(compare, "run_local", in_this_process)
+        patch.setattr(sweep, "run_local", in_this_process)
         patch.setattr(comparison_report, "write_comparison", lambda *_: None)
         assert call(*arguments, 1)[0] == 0
     process = subprocess.Popen(

@@ -1,6 +1,6 @@
 import pytest
 
-from tfg_drake.diagrams.commands import figures
+from tfg_drake.diagrams.missions import paper_figures as figures
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 
 

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from tests.diagrams.rooms import DIVIDED, QUICK_LOOK, tagged
+from tfg_drake.comparison.differences import _ROWS
 from tfg_drake.comparison.measures import MEASURES
-from tfg_drake.diagrams.commands.fork import _ROWS
 from tfg_drake.diagrams.missions import run
 
 

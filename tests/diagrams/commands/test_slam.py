@@ -125,14 +125,13 @@ def test_what_is_no_data_set_is_named(call, tmp_path, mrclam):
 
 
 def test_ctrl_c_ends_it(mrclam, tmp_path):
-    import threading
+    from tfg_drake.diagrams.missions.slam import run_slam
 
-    from tfg_drake.diagrams.commands.slam import Progress, run_slam
+    def interrupted(_text):
+        raise KeyboardInterrupt
 
-    event = threading.Event()
-    event.set()
     with pytest.raises(KeyboardInterrupt):
-        run_slam(mrclam, tmp_path / "run", Progress(lambda _text: None, event))
+        run_slam(mrclam, tmp_path / "run", interrupted)
     assert not (tmp_path / "run" / "summary.json").exists()
 
 

@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from tfg_drake.diagrams.commands.fork import PageForks, can_fork
+from tfg_drake.cockpit.page_forks import PageForks
+from tfg_drake.diagrams.commands.view import can_fork
 
 SUMMARY = {
     "version": "0",

@@ -15,9 +15,9 @@ from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.evaluation import hits, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.laser_log import EXACT_SCANNER
 from tfg_drake.datasets.recording import GroundTruth, Recording
-from tfg_drake.diagrams.commands import map_recording as map_recording_module
-from tfg_drake.diagrams.commands.map_recording import map_recording
 from tfg_drake.diagrams.methods import MethodError
+from tfg_drake.diagrams.missions import map_recording as map_recording_module
+from tfg_drake.diagrams.missions.map_recording import map_recording
 from tfg_drake.diagrams.recorded_station import MakeRecordedStation
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
