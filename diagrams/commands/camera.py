@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from tfg_drake.diagrams.commands import command
 from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place, positive, writing
-from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     from tfg_drake.datasets.recording import Recording
@@ -63,10 +62,8 @@ def check(
     from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
 
     where, known = _mount(mount), _calibration(calibration)
-    try:
+    with command.naming("", ValueError):
         detector = TagDetector(DetectorConfig(tuple(family or ("tag36h11",)), threads, decimation))
-    except ValueError as error:
-        bad_input(str(error))
     into_folder = out is not None and out.suffix == ""
     told: set[str] = set()
     live, count, seen, spent, begin, drawn = is_live(source), 0, 0, 0.0, time.monotonic(), -math.inf
@@ -112,10 +109,8 @@ def calibrate(
 
     columns, rows = _board(board)
     views, size = _views(source, columns, rows)
-    try:
+    with command.naming(f"{source}: ", ValueError):
         result = calibrated(views, columns, rows, square, size)
-    except ValueError as error:
-        bad_input(f"{source}: {error}")
     with writing(f"--out {out}"):
         save_calibration(out, result.calibration)
     matrix = result.calibration.matrix
@@ -160,10 +155,8 @@ def _need_packages() -> None:
     """Ends the command where they are not there."""
     # OpenCV would tell in many lines what is told in one.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    try:
+    with command.installed("camera"):
         import robotpy_apriltag  # noqa: F401
-    except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
 
 
 def _tell(line: str) -> None:
@@ -211,10 +204,8 @@ def _board(text: str) -> tuple[int, int]:
 def _calibration(path: Path) -> CameraCalibration:
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
-    try:
+    with command.naming("--calibration ", CalibrationError):
         return load_calibration(path)
-    except CalibrationError as error:
-        bad_input(f"--calibration {error}")
 
 
 def _mount(text: str) -> CameraMount:

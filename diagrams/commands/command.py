@@ -19,6 +19,7 @@ import typer.core
 
 from tfg_drake.bad_input import BadInput, not_radians
 from tfg_drake.diagrams.missions import run_folder
+from tfg_drake.io.extras import pip_install
 from tfg_drake.mission.interruption import Interruption
 
 EXIT_CODES = {
@@ -41,6 +42,25 @@ interruption = Interruption()
 def bad_input(message: str) -> NoReturn:
     """Ends a command: the message goes to standard error, the exit code is 2."""
     raise BadInput(message)
+
+
+@contextlib.contextmanager
+def naming(what: str, kind: type[Exception]) -> Iterator[None]:
+    """Names what the user gave, such as an option, in the complaint about it. Raises BadInput in place of errors of a
+    kind."""
+    try:
+        yield
+    except kind as error:
+        bad_input(f"{what}{error}")
+
+
+@contextlib.contextmanager
+def installed(extra: str) -> Iterator[None]:
+    """While packages of an extra are imported. Raises BadInput where one is missing."""
+    try:
+        yield
+    except ImportError as error:
+        bad_input(f"{error.name} is not installed; get it with {pip_install(extra)}")
 
 
 def one_line(message: str) -> str:

@@ -214,12 +214,10 @@ def find_method(name: str, scenario: Scenario) -> Method:
     """The method that --method names, for a scenario. Raises BadInput."""
     from tfg_drake.diagrams.methods import FindMethod, MethodError
 
-    try:
+    with command.naming("--method ", MethodError):
         method = FindMethod(name)
         method.Check(scenario)
         return method
-    except MethodError as error:
-        bad_input(f"--method {error}")
 
 
 def replayed_run(robot: str) -> Path | None:

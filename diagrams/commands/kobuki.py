@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import bad_input, flag, option
-from tfg_drake.io.extras import pip_install
+from tfg_drake.diagrams.commands.command import flag, option
 
 if TYPE_CHECKING:
     from tfg_drake.diagrams.scenario import Scenario
@@ -40,10 +39,9 @@ def check(
 
     with connect(port) as device:
         _, hazards, state = _newest(device)
-        for name, value in report_rows(state, hazards):
-            print(f"{name:<12}{value}", flush=True)
+        command.print_rows(report_rows(state, hazards))
         if drive:
-            print(f"{'drive':<12}{_drive_ahead(device)}")
+            command.print_rows([("drive", _drive_ahead(device))])
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
@@ -146,14 +144,10 @@ def _own_sensors(emulator: Emulator, name: str, world: World) -> Iterator[dict[s
     from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
     from tfg_drake.world.world import WorldError
 
-    try:
+    with command.installed("camera"):
         from tfg_drake.diagrams.emulated_camera import EmulatedCamera
-    except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
-    try:
+    with command.naming(f"{name}: ", WorldError):
         seen = EmulatedCamera(world, lambda: emulator.base.pose)
-    except WorldError as error:
-        bad_input(f"{name}: {error}")
     lidar = RplidarEmulator(world.walls, lambda: emulator.base.pose, noise=LIDAR_NOISE)
     with contextlib.closing(seen) as camera, lidar:
         for line in (f"rplidar:{lidar.device}", f"camera:{camera.url}", camera.board):

@@ -15,7 +15,6 @@ from tfg_drake.config import CameraConfig
 from tfg_drake.diagrams.commands import command
 from tfg_drake.diagrams.commands.command import argument, bad_input, option, positive, writing
 from tfg_drake.diagrams.screen import Screen
-from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import of_run, write_atomic
 
 if TYPE_CHECKING:
@@ -162,10 +161,8 @@ def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
 def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> None:
     """Write the file, or both, of a format that is made of the map and of arguments."""
     _, module, function = FORMATS[name]
-    try:
+    with command.installed("export"):
         made = importlib.import_module(f"tfg_drake.{module}")
-    except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with {pip_install('export')}")
     contents = getattr(made, function)(saved, *arguments)
     if name in BESIDE:
         contents, beside = contents

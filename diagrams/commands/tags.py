@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 from tfg_drake.diagrams.commands import command
 from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place, writing
 from tfg_drake.diagrams.screen import Screen
-from tfg_drake.io.extras import pip_install
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,19 +28,12 @@ def print_tags(
     size: Annotated[float, option("M", "Side of the black square.")] = 0.16,
 ) -> None:
     """Write tags to a PDF of A4 pages, with cut marks. Print it at 100 %, and check the size with a rule."""
-    try:
+    with command.installed("camera"):
         from tfg_drake.vision import tag_sheets
-    except ImportError as error:
-        bad_input(f"{error.name} is not installed; get it with {pip_install('camera')}")
-    try:
+    with command.naming("--ids ", tag_sheets.SheetError):
         numbers = tag_sheets.parse_ids(ids)
-    except tag_sheets.SheetError as error:
-        bad_input(f"--ids {error}")
-    try:
-        with writing(f"--out {out}"):
-            pages = tag_sheets.print_tags(numbers, size, out)
-    except tag_sheets.SheetError as error:
-        bad_input(f"--size {error}")
+    with command.naming("--size ", tag_sheets.SheetError), writing(f"--out {out}"):
+        pages = tag_sheets.print_tags(numbers, size, out)
     print(
         f"{len(numbers)} tags of {1000.0 * size:g} mm on {pages} pages: {out}; print at 100 %, not fitted to the page"
     )
@@ -135,12 +127,9 @@ def _advice(
     from tfg_drake.world.world import WorldError
 
     mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
-    try:
-        # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-        with threadpool_limits(limits=1):
-            return advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
-    except WorldError as error:
-        bad_input(f"{source}: {error}")
+    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+    with command.naming(f"{source}: ", WorldError), threadpool_limits(limits=1):
+        return advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
 
 
 def _world_yaml(scenario: Scenario, ids: list[int], advice: Advice) -> str:

@@ -48,6 +48,7 @@ def test_without_a_browser_it_says_how_to_get_one(call, run_dir, monkeypatch):
             "{0}/nowhere: no such file; name the folder of a run that was recorded",
         ),
         ("export {0} {0}/nowhere/page.html", "{0}/nowhere/page.html: cannot be written: no such file or directory"),
+        ("export {0}/other page.html", "{0}/other: is no timeline of this version; run the mission again"),
         ("view {0}/other", "{0}/other: is no timeline of this version; run the mission again"),
         ("view {0} --port 0", "port 0: must be between 1 and 65535"),
         ("view {0} --host 203.0.113.9", "203.0.113.9: the page cannot be served there: {1}; name another"),
