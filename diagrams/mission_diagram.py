@@ -72,8 +72,7 @@ def MakeMissionDiagram(
         if source is not None and explorer.HasInputPort(name):
             requested[port] = source.GetOutputPort(port if source is station else name)
             builder.Connect(requested[port], explorer.GetInputPort(name))
-    if robot.Announce is not None:
-        robot.Announce(builder, station, explorer)
+    robot.Announce(builder, station, explorer)
 
     pose_vector = builder.AddNamedSystem("pose_vector", PoseVector())
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))

@@ -34,7 +34,7 @@ class Robot:
     enabled: bool = False
     operated: Sequence[Callable[[], Sequence[Request]]] = ()
     empty: Callable[[bool], str] = lambda _recalls: ""
-    Announce: Callable[[DiagramBuilder, System, System], object] | None = None
+    Announce: Callable[[DiagramBuilder, System, System], object] = lambda *_: None
     close: Callable[[], None] = lambda: None
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, System
 
-# The station's outputs, and the inputs of the safety filter that hear them, too.
+from tfg_drake.systems.ports import connect_by_name
+
+# The station's outputs.
 _OUTPUTS = ("base.odometry", "base.hazards", "base.enabled", "tags.detections", "scan.ranges")
-_HEARD_AS = {"base.odometry": "odometry", "base.hazards": "hazards", "scan.ranges": "scan"}
 
 
 def MakePorts(builder: DiagramBuilder, safety_filter: System, velocity: InputPort, sources: Sequence[System]) -> None:
@@ -20,7 +21,5 @@ def MakePorts(builder: DiagramBuilder, safety_filter: System, velocity: InputPor
     for name in ("velocity_commanded", "enable", "pose"):
         builder.ExportInput(safety_filter.GetInputPort(name), f"base.{name}")
     for source, name in zip(sources, _OUTPUTS, strict=True):
-        output = source.GetOutputPort(name.partition(".")[2])
-        builder.ExportOutput(output, name)
-        if name in _HEARD_AS:
-            builder.Connect(output, safety_filter.GetInputPort(_HEARD_AS[name]))
+        builder.ExportOutput(source.GetOutputPort(name.partition(".")[2]), name)
+    connect_by_name(builder, safety_filter, *sources, scan="ranges")

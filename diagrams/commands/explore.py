@@ -136,7 +136,7 @@ def explore(
             bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
         cockpit, real = None, robot in ROBOTS
         if not real:
-            driven = unreal_robot(robot, loaded)
+            driven = unreal_robot(robot, replayed, loaded)
         if not headless:
             from tfg_drake.diagrams.missions.page import open_page
 
@@ -286,20 +286,19 @@ def check_robot(
         bad_input("--realtime-rate: a real robot's time is real; leave it out")
 
 
-def unreal_robot(name: str, scenario: Scenario) -> Robot:
+def unreal_robot(name: str, replayed: Path | None, scenario: Scenario) -> Robot:
     """The simulated robot, or that of the run that is driven once more; raises BadInput where that is in another
     world."""
     from tfg_drake.diagrams.robots import SIMULATED
 
-    folder = replayed_run(name)
-    if folder is None:
+    if replayed is None:
         return SIMULATED
 
     from tfg_drake.diagrams.recorded_station import ReplayRobot
     from tfg_drake.diagrams.scenario import LoadScenario
     from tfg_drake.storage.port_recording import read_recording
 
-    robot, of_run = ReplayRobot(read_recording(folder)), folder / "scenario.yaml"
+    robot, of_run = ReplayRobot(read_recording(replayed)), replayed / "scenario.yaml"
     if robot.world_known and scenario.world != LoadScenario(of_run).world:
         bad_input(f"--robot {name}: that run's world is another; leave the scenario out, or base it on {of_run}")
     return robot

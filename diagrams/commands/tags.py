@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place, writing
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, writing
 from tfg_drake.diagrams.screen import Screen
 
 if TYPE_CHECKING:
@@ -63,10 +63,27 @@ def advise(
         bad_input(f"--count {count}: must be 1 or more")
     with Screen() as show:
         show("loading")
-        scenario, floor = _of_run(run) if run is not None else _of_file(world, start, fresh)
+
+        from threadpoolctl import threadpool_limits
+
+        from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario
+        from tfg_drake.planning.candidates import GoalParameters
+        from tfg_drake.world.tag_advice import advise_tags
+        from tfg_drake.world.world import WorldError
+
+        if run is not None:
+            scenario, floor = _of_run(run)
+        else:
+            scenario, floor = PrepareScenario("paper", world=world, start=command.parse_start(start)), None
+        if fresh:
+            scenario.world.tags = []
         if world is not None and out.exists() and world.exists() and out.samefile(world):
             bad_input(f"--out {out}: is the world that is read; name another file")
-        advice = _advice(run or world, scenario, count, floor, lambda n: show(f"{n} of {count} tags"))
+        mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+        # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+        with command.naming(f"{run or world}: ", WorldError), threadpool_limits(limits=1):
+            on_tag = lambda n: show(f"{n} of {count} tags")  # noqa: E731
+            advice = advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
     hanging = {tag.id for tag in scenario.world.tags}
     ids = [i for i in range(len(hanging) + len(advice.facing)) if i not in hanging][: len(advice.facing)]
     with writing(f"--out {out}"):
@@ -80,19 +97,6 @@ def advise(
     if len(ids) < count:
         print(f"There is room for {len(ids)} tags")
     print(f"{out}: the world with these tags; tfg-drake explore --world {out}")
-
-
-def _of_file(
-    world: Path | None, start: str | None, fresh: bool
-) -> tuple[Scenario, Callable[[FloatArray], BoolArray] | None]:
-    """The scenario in a world's file; of a map the shipped one with its walls."""
-    from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
-
-    place = None if start is None else parse_place("--start", start)
-    scenario = ApplyWorldFile(LoadScenario("paper"), world, None, place)
-    if fresh:
-        scenario.world.tags = []
-    return scenario, None
 
 
 def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
@@ -110,26 +114,6 @@ def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
     facing = np.arctan2(tfg.facing[:, 1], tfg.facing[:, 0])
     scenario.world = MakeWorldConfig(World(tfg.segments, saved.ids, p_WT, facing, saved.X_WM))
     return scenario, lambda points: inside_any(points, tfg.star_offsets, tfg.star_vertices)
-
-
-def _advice(
-    source: Path | None,
-    scenario: Scenario,
-    count: int,
-    floor: Callable[[FloatArray], BoolArray] | None,
-    on_tag: Callable[[int], object],
-) -> Advice:
-    from threadpoolctl import threadpool_limits
-
-    from tfg_drake.diagrams.scenario import MakeWorld
-    from tfg_drake.planning.candidates import GoalParameters
-    from tfg_drake.world.tag_advice import advise_tags
-    from tfg_drake.world.world import WorldError
-
-    mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
-    # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
-    with command.naming(f"{source}: ", WorldError), threadpool_limits(limits=1):
-        return advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
 
 
 def _world_yaml(scenario: Scenario, ids: list[int], advice: Advice) -> str:

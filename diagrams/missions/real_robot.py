@@ -66,8 +66,13 @@ def RobotOf(
 ) -> Robot:
     """The robot of open devices, operated by its own buttons, too, and told on ROS where it is. MakeStation: makes its
     station, where that is not MakeHardwareStation's. enabled: its base may move from the beginning."""
-    watch, publisher = BatteryWatch(devices.base), devices.publisher
+    watch, publisher, frames = BatteryWatch(devices.base), devices.publisher, devices.frames
     said = [] if publisher is None else [lambda: publisher.take(SaidPose, math.inf)]
+
+    def Announce(builder: DiagramBuilder, station: System, explorer: System) -> None:
+        if publisher is not None and frames is not None:
+            MapPublisher.AddToBuilder(builder, station, explorer, publisher, frames, devices.clock)
+
     return Robot(
         scenario.hardware.robot,
         MakeStation or (lambda scenario: MakeHardwareStation(scenario, devices)),
@@ -76,7 +81,7 @@ def RobotOf(
         enabled=enabled,
         operated=[*operated, *said, RobotButtons(devices.base).requests, watch.requests],
         empty=watch.empty,
-        Announce=_Announcer(devices),
+        Announce=Announce,
         close=devices.close,
     )
 
@@ -87,15 +92,6 @@ def DevicesOf(station: System) -> RobotDevices | None:
         return station.devices
     parts = station.GetSystems() if isinstance(station, Diagram) else ()
     return next((found for found in map(DevicesOf, parts) if found is not None), None)
-
-
-def _Announcer(devices: RobotDevices) -> Callable[[DiagramBuilder, System, System], object] | None:
-    publisher, frames = devices.publisher, devices.frames
-    if publisher is None or frames is None:
-        return None
-    return lambda builder, station, explorer: MapPublisher.AddToBuilder(
-        builder, station, explorer, publisher, frames, devices.clock
-    )
 
 
 def Rehearse(scenario: Scenario, method: Method, interrupted: threading.Event) -> None:

@@ -92,13 +92,19 @@ def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
             "contacts_received": truth.contacts_received,
             "min_clearance_m": truth.clearance,
         }
-    summary = _null_where_not_finite(summary)
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    folder.attempt("summary.json", lambda path: write_atomic(path, text))
+    summary = null_where_not_finite(summary)
+    folder.attempt("summary.json", lambda path: write_summary(path, summary))
     folder.attempt("trajectory.tum", lambda path: write_tum(path, stamps, X_WB))
     if true_poses is not None:
         folder.attempt("truth.tum", lambda path: write_tum(path, *true_poses))
     folder.attempt("figure.png", lambda path: _draw(path, mission, title(summary), estimate, tfg, reachable))
+    return summary
+
+
+def write_summary(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
+    """Writes summary.json, and returns what is in it: what is not finite is null. Raises OSError."""
+    summary = null_where_not_finite(summary)
+    write_atomic(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 
 
@@ -265,7 +271,8 @@ def _spread(values: list[float]) -> dict[str, float]:
     return {"median": float(median), "p99": float(p99), "max": max(values)}
 
 
-def _null_where_not_finite(value: Any) -> Any:
+def null_where_not_finite(value: Any) -> Any:
+    """A value, or a dict of such; what is not finite is None."""
     if isinstance(value, dict):
-        return {key: _null_where_not_finite(item) for key, item in value.items()}
+        return {key: null_where_not_finite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -139,10 +139,9 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
         if timeline is not None:
             page = lambda path: export_page(folder.path / TIMELINE, path, mission.request.title, viewer_script())  # noqa: E731
             folder.attempt(PAGE, page)
-        if timeline is not None and timeline.failure is not None:
-            folder.unwritten[TIMELINE] = timeline.failure.strerror or str(timeline.failure)
-        if writer is not None and writer.failure is not None:
-            folder.unwritten[FILE_NAME] = writer.failure.strerror or str(writer.failure)
+        for name, one in ((TIMELINE, timeline), (FILE_NAME, writer)):
+            if one is not None and one.failure is not None:
+                folder.unwritten[name] = one.failure.strerror or str(one.failure)
         folder.append("stages.jsonl", "")  # What could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)

@@ -1,40 +1,55 @@
-"""The estimator alone on a recorded data set, and what is kept of it."""
+"""Recordings mapped: a laser recording by a mission without wheels, other data by the estimator alone."""
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import Context, EventStatus
 from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
+from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.batch_smoother import smooth
-from tfg_drake.datasets.evaluation import landmark_error, robot_error
-from tfg_drake.datasets.figure import draw_slam
+from tfg_drake.datasets.evaluation import hits, landmark_error, relative_error, robot_error, truth_at, wall_thickness
+from tfg_drake.datasets.figure import draw_laser_map, draw_slam
 from tfg_drake.datasets.g2o import write_g2o
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording
-from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS
-from tfg_drake.diagrams.missions.map_recording import SlamResult, map_recording
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, OnProgress, Recording
+from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
+from tfg_drake.datasets.way import poses_between
+from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
+from tfg_drake.diagrams.missions.mission import Mission
+from tfg_drake.diagrams.missions.mission_runner import Progress
+from tfg_drake.diagrams.missions.report import write_summary
+from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.missions.run_folder import open_run_folder
+from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, length_of, start_of
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
+from tfg_drake.geometry import se2
+from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
+from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.hardware.recordings import load_recording
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import save_map, saved_map
-from tfg_drake.messages import is_tag, replace
+from tfg_drake.messages import FloatArray, IntArray, Observation, is_tag, replace
 from tfg_drake.notes import Note
 from tfg_drake.percent import percent
 from tfg_drake.slam.estimator import finished_map
 from tfg_drake.slam.estimator_state import EstimatorState
+from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
+from tfg_drake.slam.surface_fit import poses_by_surfaces
+from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.trajectory import write_tum
 from tfg_drake.table import empty
 from tfg_drake.tfg.feature_graph import TfgGraph
@@ -47,8 +62,16 @@ SCHEMA = 1
 GRAPH_METHOD = "batch"
 # Settings of a recording's scanner begin so.
 _SCANNER = "hardware.scanner."
-# Called with the part of the work ("online" or "batch") and the share of it done, 0 to 1.
-OnProgress = Callable[[str, float], None]
+# What the summary says where a reference is known.
+_AGAINST_TRUTH = ("relative_translation_m", "relative_rotation_rad", "robot_rmse_m", "online_rmse_m")
+
+
+@dataclasses.dataclass(frozen=True)
+class SlamResult:
+    """The summary and the folder it is in."""
+
+    summary: dict[str, Any]
+    folder: Path
 
 
 def run_slam(
@@ -79,7 +102,6 @@ def run_slam(
         DatasetError: the data set cannot be used; nothing is written.
         OSError: the folder cannot be written, or another run is at work in it.
     """
-    report = lambda part, share: say(f"{part} {percent(share, 0):3.0f} %")  # noqa: E731
     cpu, wall = time.process_time(), time.monotonic()
     loaded = load(dataset)
     is_laser = isinstance(loaded, Recording) and len(loaded.scans) > 0
@@ -89,8 +111,7 @@ def run_slam(
     if isinstance(loaded, Recording) and is_laser:
         if not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
             raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
-        online = lambda share: report("online", share)  # noqa: E731
-        mapping = method or next(iter(MAPPING_METHODS))
+        mapping, online = method or next(iter(MAPPING_METHODS)), _shares(say, "online")
         return map_recording(loaded, dataset, out, mapping, online, settings, relations=relations, **mapped)
     if relations is not None or settings:
         option = f"--relations {relations}" if relations is not None else f"--set {settings[0]}"
@@ -101,9 +122,9 @@ def run_slam(
         for note in loaded.notes:
             _log.info("%s", note.text)
         if isinstance(loaded, PoseGraph):
-            figures = _solve_graph(loaded, dataset, name, folder.path, report)
+            figures = _solve_graph(loaded, dataset, name, folder.path, _shares(say, "batch"))
         else:
-            figures = _run_recording(loaded, folder.path, report)
+            figures = _run_recording(loaded, folder.path, say)
         summary = {
             "schema": SCHEMA,
             "version": __version__,
@@ -113,7 +134,7 @@ def run_slam(
             "cpu_time_s": time.process_time() - cpu,
             "wall_time_s": time.monotonic() - wall,
         }
-        write_atomic(folder.path / "summary.json", json.dumps(summary, indent=2) + "\n")
+        summary = write_summary(folder.path / "summary.json", summary)
     return SlamResult(summary, folder.path)
 
 
@@ -181,11 +202,11 @@ def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tup
     return rows + _note_rows(summary)
 
 
-def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> dict[str, Any]:
+def _run_recording(recording: Recording, folder: Path, say: Callable[[str], object]) -> dict[str, Any]:
     start = time.process_time()
-    online = run_online(recording, on_progress=lambda share: report("online", share))
+    online = run_online(recording, on_progress=_shares(say, "online"))
     middle = time.process_time()
-    smoothed = smooth(recording.odometry, recording.detections, recording.model, lambda share: report("batch", share))
+    smoothed = smooth(recording.odometry, recording.detections, recording.model, _shares(say, "batch"))
     end = time.process_time()
     truth = recording.truth or _no_truth()
     robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)
@@ -213,12 +234,12 @@ def _run_recording(recording: Recording, folder: Path, report: OnProgress) -> di
     return {
         "method": "online+batch",
         "outcome": "complete",
-        "robot_rmse_m": _number(robot.rmse),
-        "online_rmse_m": _number(online_robot.rmse),
-        "online_blind_too_rmse_m": _number(blind_too.rmse),
-        "landmark_rmse_m": _number(landmarks.rmse),
-        "landmark_rmse_without_misfits_m": _number(landmarks.rmse_without),
-        "online_landmark_rmse_m": _number(online_landmarks.rmse) if online_landmarks is not None else None,
+        "robot_rmse_m": robot.rmse,
+        "online_rmse_m": online_robot.rmse,
+        "online_blind_too_rmse_m": blind_too.rmse,
+        "landmark_rmse_m": landmarks.rmse,
+        "landmark_rmse_without_misfits_m": landmarks.rmse_without,
+        "online_landmark_rmse_m": online_landmarks.rmse if online_landmarks is not None else None,
         "landmarks_mapped": len(smoothed.ids),
         "landmarks_misfit": landmarks.misfit_ids.tolist(),
         "final_error": smoothed.half_chi_square,
@@ -253,7 +274,7 @@ def _keep_map(folder: Path, state: EstimatorState) -> None:
 def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, report: OnProgress) -> dict[str, Any]:
     start = time.process_time()
     try:
-        solved = solve_pose_graph(graph, lambda share: report("batch", share))
+        solved = solve_pose_graph(graph, report)
     except ValueError as error:
         raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
     write_g2o(folder / "solved.g2o", solved)
@@ -284,5 +305,159 @@ def _no_truth() -> GroundTruth:
     return GroundTruth(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _shares(say: Callable[[str], object], part: str) -> OnProgress:
+    """Says the share that is done of a part of the work, "online" or "batch"."""
+    return lambda share: say(f"{part} {percent(share, 0):3.0f} %")
+
+
+def map_recording(
+    recording: Recording,
+    dataset: Path,
+    out: Path | None = None,
+    method: str = "walls",
+    on_progress: OnProgress = lambda _share: None,
+    settings: Sequence[str] = (),
+    seed: int = 0,
+    relations: Path | None = None,
+    interrupted: threading.Event | None = None,
+    **shown: Any,
+) -> SlamResult:
+    """Map a laser recording: a mission without wheels, whose station is the recording.
+
+    It leaves what any run leaves, with the body's way smoothed by the whole recording in trajectory.tum, as it was
+    estimated at the time in online.tum, and what the scans met in figure.png; both by the recording's stamps.
+
+    Args:
+        recording: what is believed of it. dataset: its path.
+        out, interrupted, shown: as out_dir and others of `run_mission`.
+        method: one of MAPPING_METHODS.
+        on_progress: told the share of the recording that is mapped.
+        settings: of the scenario, such as "grid.particles=50".
+        seed: of the filter that maps a grid.
+        relations: a file of relations between its poses, to be held against them.
+
+    Raises:
+        ScenarioError: a setting cannot be used.
+        DatasetError: the relations cannot.
+        OSError: the folder cannot be written at the beginning, or another run is at work in it.
+        EstimateLost: the estimate became nonsense; what there was before is kept.
+    """
+    scenario = RecordedScenario(recording, ApplySettings(Scenario(seed=seed), settings))
+    at, told = np.array([scan.stamp for scan in recording.scans]), None
+    if relations is not None:
+        told = read_relations(relations)
+        off_relations(at, np.zeros((len(at), 3)), told, recording.told_stamps)  # Rather now than when all is mapped.
+    way, start, end = WayKeeper(), start_of(recording), length_of(recording)
+    ended = (interrupted or threading.Event()).is_set
+
+    def tell(progress: Progress) -> None:
+        if not ended():
+            on_progress(min(progress.time / max(end, 1e-9), 1.0))
+
+    result = run_mission(
+        scenario,
+        method=MappingMethod(method, end),
+        robot=RecordedRobot(recording),
+        name=recording.name,
+        world_name="unknown",
+        max_time=math.inf,
+        out_dir=out,
+        on_progress=tell,
+        interrupted=interrupted,
+        monitor=way.monitor,
+        notes=recording.notes,
+        **shown,
+    )
+    mission, folder = result.mission, result.folder
+    if mission.failure is not None:
+        raise mission.failure
+    truth = recording.truth
+    stamps, X_MB, X_BS = way.poses(mission)
+    online_stamps, online = mission.estimated_poses()
+    X_MB, state = poses_between(recording, stamps + start, X_MB), mission.estimator_state()
+    if state is not None and state.map is not None:
+        X_MB, _ = poses_by_surfaces(state.graph, recording.scans, X_MB)
+    figures = dict.fromkeys(_AGAINST_TRUTH)
+    if truth is not None:
+        X_WB = truth_at(truth, at)
+        off = relative_error(X_WB, X_MB)
+        of_online = poses_between(recording, online_stamps + start, online)
+        figures = dict(zip(_AGAINST_TRUTH, (*off, _rmse(X_WB, X_MB), _rmse(X_WB, of_online)), strict=True))
+    if told is not None:
+        # Where the scanner is estimated to sit, on what its log takes for its place.
+        X_MS = se2.compose(se2.compose(X_MB, X_BS), recording.X_BS)
+        figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
+    met = hits(recording.scans, se2.compose(X_MB, X_BS))
+    walls = np.empty((0, 2, 2))
+    if state is not None and state.map is not None:
+        _, walls, _ = known_walls(state.map)
+    summary = {
+        **result.summary,
+        "dataset": str(dataset),
+        "name": recording.name,
+        "method": method,
+        "explored_s": None,
+        "scans": len(recording.scans),
+        "way_m": float(np.hypot(*np.diff(X_MB[:, :2], axis=0).T).sum()),
+        **figures,
+        "wall_thickness_m": wall_thickness(met),
+        "walls_mapped": None if state is None else len(walls),
+        "online_cpu_s": mission.estimator_cpu,
+    }
+    write_tum(folder / "trajectory.tum", at, X_MB)
+    write_tum(folder / "online.tum", online_stamps + start, online)
+    true_path = np.empty((0, 2)) if truth is None else truth_at(truth, at)[:, :2]
+    if truth is not None:
+        true_path = se2.transform(align(X_MB[:, :2], true_path), true_path)
+    draw_laser_map(folder / "figure.png", f"{recording.name}: {method}", met, walls, X_MB[:, :2], true_path)
+    return SlamResult(write_summary(folder / "summary.json", summary), folder)
+
+
+def _rmse(X_WB: FloatArray, X_MB: FloatArray) -> float:
+    """RMSE, m, of poses (n, 3) after their alignment."""
+    return rmse(se2.transform(align(X_WB[:, :2], X_MB[:, :2]), X_MB[:, :2]) - X_WB[:, :2])
+
+
+class WayKeeper:
+    """Keeps what a mission's views tell of the way, for it to be known better at the end than it was on the way."""
+
+    def __init__(self) -> None:
+        self._seen: list[Observation] = []
+        self._put_in: list[tuple[int, float, FloatArray, IntArray]] = []
+
+    def monitor(self, mission: Mission) -> Callable[[Context], EventStatus]:
+        """A function that looks on after every step."""
+
+        def look(context: Context) -> EventStatus:
+            now = mission.explorer.GetMyContextFromRoot(context)
+            if mission.explorer.HasOutputPort("filter"):
+                state = mission.explorer.GetOutputPort("filter").Eval(now)
+                if state.updates > (self._put_in[-1][0] if self._put_in else 0):
+                    self._put_in.append((state.updates, state.stamp, state.X_MU, state.parents))
+                    self._best = best_particle(state)
+            else:
+                estimate = mission.explorer.GetOutputPort("landmarks").Eval(now)
+                if estimate.stage > len(self._seen):
+                    self._seen.append(estimate.observation)
+            return EventStatus.DidNothing()
+
+        return look
+
+    def poses(self, mission: Mission) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Stamps (n,), s, the body's poses then X_MB (n, 3), and where the scanner sits X_BS (3,): as a mission that
+        has ended knows them."""
+        if self._put_in:
+            row, way = self._best, []
+            for _, _, X_MU, parents in reversed(self._put_in):
+                way.append(X_MU[row])
+                row = int(parents[row])
+            return np.array([stamp for _, stamp, _, _ in self._put_in]), np.array(way[::-1]), np.zeros(3)
+        if mission.landmarks is None or not self._seen:
+            stamps, X_MB = mission.estimated_poses()
+            return (stamps, X_MB, np.zeros(3)) if len(stamps) else (np.zeros(1), np.zeros((1, 3)), np.zeros(3))
+        starts = mission.landmarks.X_MA
+        stamps, first = np.unique(np.concatenate([one.stamps for one in self._seen]), return_index=True)
+        way_of_views = [
+            se2.compose(X_MA, one.X_AB) for X_MA, one in zip(starts[-len(self._seen) :], self._seen, strict=True)
+        ]
+        return stamps, np.concatenate(way_of_views)[first], mission.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]

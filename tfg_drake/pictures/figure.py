@@ -122,15 +122,12 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     X_WM, tfg = saved.X_WM, saved.tfg
     shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
     figure, axes, symbol = _canvas(title, transform(X_WM, np.vstack(shown)))
-    stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
-    axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
+    draw_free_space(axes, X_WM, tfg)
     draw_surfaces(axes, X_WM, tfg)
     _draw_walls(axes, X_WM, saved.graph, 0.4 * symbol)
     draw_landmarks(axes, X_WM, saved, symbol)
     _draw_views(axes, X_WM, saved.X_MA)
-    if len(tfg.frontiers):
-        p_WF = transform(X_WM, tfg.frontiers)
-        axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
+    draw_frontiers(axes, X_WM, tfg, symbol)
     write_figure(path, _with_legend(figure))
 
 
@@ -159,13 +156,26 @@ def _corners(grid: GridMap) -> FloatArray:
     return np.stack([grid.origin, grid.origin + grid.resolution * np.array([columns, rows])])
 
 
-def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
+def draw_free_space(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
+    """The free space of a map onto axes of W."""
+    stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
+    axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
+
+
+def draw_frontiers(axes: Axes, X_WM: FloatArray, tfg: TfgMap, symbol: float) -> None:
+    """The frontiers of a map onto axes of W. symbol: the size of one, points."""
+    if len(tfg.frontiers):
+        p_WF = transform(X_WM, tfg.frontiers)
+        axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
+
+
+def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap, width: float = 1.1) -> None:
     """The surfaces of a map onto axes of W, those without a landmark in a colour of their own."""
     pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
     tagged = tfg.segment_kind < 2
     for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without landmark")):
         if mask.any():
-            axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=1.1, label=label))
+            axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=width, label=label))
     if len(tfg.keep_out):
         lines = list(transform(X_WM, tfg.keep_out.reshape(-1, 2)).reshape(-1, 2, 2))
         axes.add_collection(LineCollection(lines, colors=_MISSED, linewidths=0.6, label="keep-out area"))

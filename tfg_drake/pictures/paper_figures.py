@@ -8,10 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.pictures.figure import draw_free_space, draw_frontiers, draw_surfaces
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
@@ -19,9 +20,9 @@ from tfg_drake.planning.information_gain import Gains
 # which its text varies, and their number on a metre of frontier, which its caption varies.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.001}
 DENSITIES = {"high": 2.0, "medium": 0.2, "low": 0.0}
-_SURFACE, _BARE, _FREE = "0.15", "0.55", "#f3f5f1"
 _LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
 _COLOURS = "coolwarm"
+_SYMBOL = 2.0  # a landmark or frontier, points
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 
 
@@ -72,7 +73,7 @@ def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
 def draw_tfg(stage: Stage) -> Figure:
     """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 3)."""
     figure, (axis,) = _panels(stage.tfg, 1, 1)
-    _draw_map(axis, stage, label=True)
+    _draw_map(axis, stage)
     X_MA, estimate = stage.estimate.X_MA, stage.estimate
     seen = estimate.p_ML[np.isin(estimate.ids, estimate.observation.ids)]
     rays = [(X_MA[-1, :2], p) for p in seen]
@@ -112,28 +113,20 @@ def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _draw_map(axis: Axes, stage: Stage, *, label: bool = False) -> None:
+def _draw_map(axis: Axes, stage: Stage) -> None:
     """Free space, surfaces, landmarks, frontiers."""
-    tfg = stage.tfg
-    named = {name: name if label else None for name in ("obstacle surface", "landmark", "frontier")}
-    stars = np.split(tfg.star_vertices, tfg.star_offsets[1:-1])
-    axis.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", zorder=0))
-    pieces = tfg.segments.reshape(-1, 2, 2)
-    tagged = tfg.segment_kind < 2
-    for mask, colour, name in ((tagged, _SURFACE, named["obstacle surface"]), (~tagged, _BARE, None)):
-        axis.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=0.8, zorder=3, label=name))
-    for (x, y), mark, colour, name in (
-        (stage.estimate.p_ML.T, "o", _LANDMARK, named["landmark"]),
-        (tfg.frontiers.T, "D", _FRONTIER, named["frontier"]),
-    ):
-        axis.plot(x, y, mark, color=colour, markersize=2.0, markeredgewidth=0, zorder=4, label=name)
+    X_MM = np.zeros(3)
+    draw_free_space(axis, X_MM, stage.tfg)
+    draw_surfaces(axis, X_MM, stage.tfg, width=0.8)
+    draw_frontiers(axis, X_MM, stage.tfg, _SYMBOL)
+    axis.plot(*stage.estimate.p_ML.T, "o", color=_LANDMARK, markersize=_SYMBOL, markeredgewidth=0, label="landmark")
 
 
 def _draw_samples(figure: Figure, axis: Axes, points: FloatArray, values: FloatArray) -> PathCollection:
     """Discs coloured by their gain, the largest on top, with a scale in nats."""
     order = np.argsort(values)
     x, y = points[order].T
-    discs = axis.scatter(x, y, c=values[order], cmap=_COLOURS, s=7, linewidths=0, zorder=2)
+    discs = axis.scatter(x, y, c=values[order], cmap=_COLOURS, s=7, linewidths=0, zorder=1.5)
     bar = figure.colorbar(discs, ax=axis, orientation="horizontal", fraction=0.05, pad=0.02, aspect=40)
     bar.ax.tick_params(labelsize=6, length=2)
     bar.outline.set_visible(False)

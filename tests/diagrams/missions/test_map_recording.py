@@ -16,8 +16,8 @@ from tfg_drake.datasets.evaluation import hits, relative_error, truth_at, wall_t
 from tfg_drake.datasets.laser_log import EXACT_SCANNER
 from tfg_drake.datasets.recording import GroundTruth, Recording
 from tfg_drake.diagrams.methods import MethodError
-from tfg_drake.diagrams.missions import map_recording as map_recording_module
-from tfg_drake.diagrams.missions.map_recording import map_recording
+from tfg_drake.diagrams.missions import slam as slam_module
+from tfg_drake.diagrams.missions.slam import map_recording
 from tfg_drake.diagrams.recorded_station import MakeRecordedStation
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
@@ -118,8 +118,8 @@ def test_explore_maps_a_station_that_is_a_recording(room):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Nothing that takes long is drawn or measured at the end."""
-    monkeypatch.setattr(map_recording_module, "draw_laser_map", lambda *_: None)
-    monkeypatch.setattr(map_recording_module, "wall_thickness", lambda _: math.nan)
+    monkeypatch.setattr(slam_module, "draw_laser_map", lambda *_: None)
+    monkeypatch.setattr(slam_module, "wall_thickness", lambda _: math.nan)
 
 
 def broken(room, at, jump):
