@@ -14,23 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tfg_drake import config
 from tfg_drake.bad_input import BadInput
-from tfg_drake.config import (
-    CameraConfig,
-    DisturbanceConfig,
-    ExplorerConfig,
-    GridConfig,
-    HardwareConfig,
-    OdometryConfig,
-    PlannerConfig,
-    RealityConfig,
-    RobotConfig,
-    SafetyConfig,
-    ScanConfig,
-    StationConfig,
-    TagConfig,
-    TagSensorConfig,
-)
 from tfg_drake.constraints import Point, Pose, Segment
 from tfg_drake.geometry.polygon import fault, hatched
 from tfg_drake.geometry.se2 import inverse, transform
@@ -54,7 +39,7 @@ class WorldConfig:
     # Opaque wall segments [x0, y0, x1, y1] in W, m.
     walls: list[Segment] = dataclasses.field(default_factory=list)
     # Tags on the walls.
-    tags: list[TagConfig] = dataclasses.field(default_factory=list)
+    tags: list[config.TagConfig] = dataclasses.field(default_factory=list)
     # Start [x, y, yaw] in W, m and rad.
     start: Pose = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
@@ -66,25 +51,25 @@ class Scenario:
     # Every random number of the run comes from it.
     seed: int = 0
     world: WorldConfig = dataclasses.field(default_factory=WorldConfig)
-    robot: RobotConfig = dataclasses.field(default_factory=RobotConfig)
-    odometry: OdometryConfig = dataclasses.field(default_factory=OdometryConfig)
-    tags: TagSensorConfig = dataclasses.field(default_factory=TagSensorConfig)
-    scan: ScanConfig = dataclasses.field(default_factory=ScanConfig)
+    robot: config.RobotConfig = dataclasses.field(default_factory=config.RobotConfig)
+    odometry: config.OdometryConfig = dataclasses.field(default_factory=config.OdometryConfig)
+    tags: config.TagSensorConfig = dataclasses.field(default_factory=config.TagSensorConfig)
+    scan: config.ScanConfig = dataclasses.field(default_factory=config.ScanConfig)
     # What a simulated station is made of, and its camera, where it has one.
-    station: StationConfig = dataclasses.field(default_factory=StationConfig)
-    camera: CameraConfig = dataclasses.field(default_factory=CameraConfig)
+    station: config.StationConfig = dataclasses.field(default_factory=config.StationConfig)
+    camera: config.CameraConfig = dataclasses.field(default_factory=config.CameraConfig)
     # What a simulated world does otherwise than the sections tags, odometry and scan say; a real one goes by itself.
-    reality: RealityConfig = dataclasses.field(default_factory=RealityConfig)
-    safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
+    reality: config.RealityConfig = dataclasses.field(default_factory=config.RealityConfig)
+    safety: config.SafetyConfig = dataclasses.field(default_factory=config.SafetyConfig)
     # What moves the base besides its wheels.
-    disturbances: list[DisturbanceConfig] = dataclasses.field(default_factory=list)
-    explorer: ExplorerConfig = dataclasses.field(default_factory=ExplorerConfig)
-    planner: PlannerConfig = dataclasses.field(default_factory=PlannerConfig)
+    disturbances: list[config.DisturbanceConfig] = dataclasses.field(default_factory=list)
+    explorer: config.ExplorerConfig = dataclasses.field(default_factory=config.ExplorerConfig)
+    planner: config.PlannerConfig = dataclasses.field(default_factory=config.PlannerConfig)
     # Where a human operator would drive and look round, [x, y] in W, m: the method "scripted".
     drive: list[Point] = dataclasses.field(default_factory=list)
-    grid: GridConfig = dataclasses.field(default_factory=GridConfig)
+    grid: config.GridConfig = dataclasses.field(default_factory=config.GridConfig)
     # Of a simulated robot it means nothing.
-    hardware: HardwareConfig = dataclasses.field(default_factory=HardwareConfig)
+    hardware: config.HardwareConfig = dataclasses.field(default_factory=config.HardwareConfig)
 
     @property
     def field_of_view(self) -> float:
@@ -92,7 +77,7 @@ class Scenario:
         return min(self.tags.field_of_view, self.scan.field_of_view)
 
     @property
-    def view(self) -> TagSensorConfig:
+    def view(self) -> config.TagSensorConfig:
         """The tag sensor no farther than the scanner sees: what exploring counts on, as frontiers end free space."""
         return dataclasses.replace(self.tags, range=min(self.tags.range, self.scan.range))
 
@@ -269,14 +254,14 @@ def _complaining(source: str) -> typing.Iterator[None]:
         raise ScenarioError(f"{source}: {error}") from None
 
 
-def MakeWorld(config: WorldConfig) -> World:
+def MakeWorld(section: WorldConfig) -> World:
     """The world of a scenario as arrays."""
     return World(
-        walls=np.array(config.walls, dtype=float).reshape(-1, 4),
-        tag_ids=np.array([tag.id for tag in config.tags], dtype=np.int64),
-        p_WT=np.array([tag.position for tag in config.tags], dtype=float).reshape(-1, 2),
-        tag_facing=np.array([tag.facing for tag in config.tags], dtype=float),
-        start=np.array(config.start, dtype=float),
+        walls=np.array(section.walls, dtype=float).reshape(-1, 4),
+        tag_ids=np.array([tag.id for tag in section.tags], dtype=np.int64),
+        p_WT=np.array([tag.position for tag in section.tags], dtype=float).reshape(-1, 2),
+        tag_facing=np.array([tag.facing for tag in section.tags], dtype=float),
+        start=np.array(section.start, dtype=float),
     )
 
 
@@ -338,7 +323,7 @@ def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
 def MakeWorldConfig(world: World) -> WorldConfig:
     """The world as a scenario's section: the inverse of MakeWorld."""
     rows = zip(world.tag_ids.tolist(), world.p_WT.tolist(), world.tag_facing.tolist(), strict=True)
-    tags = [TagConfig(id=i, position=position, facing=facing) for i, position, facing in rows]
+    tags = [config.TagConfig(id=i, position=position, facing=facing) for i, position, facing in rows]
     return WorldConfig(walls=world.walls.tolist(), tags=tags, start=world.start.tolist())
 
 
@@ -410,7 +395,7 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
     """Refuses what a camera's station does not simulate: it would be left out without a word."""
     if scenario.station.eyes != "camera":
         return
-    reality, usual = scenario.reality, RealityConfig()
+    reality, usual = scenario.reality, config.RealityConfig()
     for section in ("tags", "scan"):
         given, default = getattr(reality, section), getattr(usual, section)
         for field in dataclasses.fields(given):

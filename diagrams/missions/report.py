@@ -167,34 +167,21 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "real_time_factor": mission.end_time / mission.wall_time,
         "distance_m": path_length(X_WB),
         "stages": len(mission.stages),
-        "landmarks_present": None,
-        "landmarks_reachable": None,
+        **_null("landmarks_present", "landmarks_reachable"),
         "landmarks_mapped": None if mission.grid is not None else int(np.count_nonzero(sure)),
         "landmarks_doubtful": None if mission.grid is not None else doubtful.tolist(),
         "landmarks_extra": None,
         "walls_mapped": None if mission.grid is not None else mission.walls,
-        "landmark_rmse_m": None,
-        "landmark_error_max_m": None,
-        "landmark_rmse_aligned_m": None,
-        "least_known": None,
-        "changes": None,
+        **_null("landmark_rmse_m", "landmark_error_max_m", "landmark_rmse_aligned_m"),
+        **_null("least_known", "changes"),
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
-        "landmark_anees": None,
-        "landmark_nees": None,
-        "pose_anees": None,
-        "online_pose_anees": None,
+        **_null("landmark_anees", "landmark_nees", "pose_anees", "online_pose_anees"),
         **pose_errors(NO_POSES, NO_POSES),
-        "surface_coverage": None,
-        "surface_coverage_5cm": None,
-        "surface_phantom_m": None,
-        "area_coverage": None,
-        "area_seen_s": None,
+        **_null("surface_coverage", "surface_coverage_5cm", "surface_phantom_m", "area_coverage", "area_seen_s"),
         "explored_s": mission.explored_time,
         "open_edges": mission.open_edges(),
         **_left_open(mission),
-        "contacts": None,
-        "contacts_received": None,
-        "min_clearance_m": None,
+        **_null("contacts", "contacts_received", "min_clearance_m"),
         "map_variables": _variables(mission, estimate),
         "map_bytes": map_bytes,
         "calibration": _calibration(mission, estimate),
@@ -204,6 +191,11 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "peak_rss_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "stage_ms": _spread([1e3 * seconds for stage, seconds in mission.stage_cpu.items() if stage > 0]),
     }
+
+
+def _null(*fields: str) -> dict[str, Any]:
+    """Fields that take the world, the truth or a map: null where these are not known."""
+    return dict.fromkeys(fields)
 
 
 def _left_open(mission: Mission) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import gc
 import logging
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             told = {"scenario": request.name, "world": request.world_name or request.name, "seed": scenario.seed}
             told |= {"method": method.name, "own": bool(method.source) or method.name not in METHODS}
             told |= {"robot": robot.name, "scenario_digest": scenario_digest(folder.path)}
-            keep = _Keeper(mission, folder, told, writer, timeline) if writer and timeline else None
+            keep = _keeper(mission, folder, told, writer, timeline) if writer and timeline else None
             MissionRunner(mission, interrupted).run(lambda line: folder.append("stages.jsonl", line), keep)
             folder.give_up_reserve()
             summary = write_report(mission, folder)
@@ -162,56 +163,51 @@ def _with_map_kept(scenario: Scenario, folder: Path) -> Scenario:
     return kept
 
 
-class _Keeper:
-    """Keeps a mission under way on the disk, to be gone on with, and its map: as often as KEPT_SHARE allows."""
+def _keeper(
+    mission: Mission, folder: RunFolder, told: dict[str, Any], writer: PortWriter, timeline: TimelineWriter
+) -> Callable[[bool], None]:
+    """Keeps a mission under way on the disk, to be gone on with, and its map: as often as KEPT_SHARE allows, or now.
 
-    def __init__(
-        self,
-        mission: Mission,
-        folder: RunFolder,
-        told: dict[str, Any],
-        writer: PortWriter,
-        timeline: TimelineWriter,
-    ) -> None:
-        """told: of the mission, with its checkpoint."""
-        self._mission, self._folder, self._told = mission, folder, told
-        self._writer, self._timeline = writer, timeline
-        self._stage, self._again = 0, {self._keep_map: 0.0, self._keep_mission: 0.0}
+    told: of the mission, with its checkpoint.
+    """
+    kept_stage = 0
 
-    def __call__(self, now: bool) -> None:
-        """now: also where it is too early."""
-        for keep, share in ((self._keep_map, KEPT_SHARE), (self._keep_mission, CHECKPOINT_SHARE)):
-            start = time.thread_time()
-            if (now or time.monotonic() >= self._again[keep]) and keep():
-                self._again[keep] = time.monotonic() + (time.thread_time() - start) / share
-
-    def _keep_mission(self) -> bool:
+    def keep_mission() -> bool:
         """Writes the checkpoint; False where none is of use: a replay has its recording."""
-        mission = self._mission
         if not math.isinf(mission.robot.end_time):
             return False
         state = mission.state()
-        state["ports"] = port_recording.Standing, self._writer.standing()
-        state["timeline"] = timeline_file.Standing, self._timeline.standing()
+        state["ports"] = port_recording.Standing, writer.standing()
+        state["timeline"] = timeline_file.Standing, timeline.standing()
         stamps, X_WB = mission.estimated_poses()
-        told = {**self._told, "sim_time_s": mission.time, "stamps": stamps, "X_WB": X_WB}
-        told["contacts"] = None if mission.truth is None else mission.truth.contacts
+        now = {**told, "sim_time_s": mission.time, "stamps": stamps, "X_WB": X_WB}
+        now["contacts"] = None if mission.truth is None else mission.truth.contacts
         try:
-            self._folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, told, state))
+            folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, now, state))
         except TypeError as error:  # A part of somebody's own may keep anything.
-            self._folder.lost(CHECKPOINT, OSError(f"the mission could not be gone on with: {error}"))
+            folder.lost(CHECKPOINT, OSError(f"the mission could not be gone on with: {error}"))
         return True
 
-    def _keep_map(self) -> bool:
+    def keep_map() -> bool:
         """Writes the map; False where it is there."""
-        mission = self._mission
+        nonlocal kept_stage
         newest = mission.tfg if mission.tfg is not None else mission.grid
-        if newest is None or newest.stage <= self._stage:
+        if newest is None or newest.stage <= kept_stage:
             return False
         grid, found = mission.grid, mission.newest_map()
         if grid is not None:
-            self._folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
+            folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
         elif found is not None:
-            self._folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
-        self._stage = newest.stage
+            folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
+        kept_stage = newest.stage
         return True
+
+    again = {keep_map: 0.0, keep_mission: 0.0}
+
+    def keep(now: bool) -> None:
+        for keep_one, share in ((keep_map, KEPT_SHARE), (keep_mission, CHECKPOINT_SHARE)):
+            start = time.thread_time()
+            if (now or time.monotonic() >= again[keep_one]) and keep_one():
+                again[keep_one] = time.monotonic() + (time.thread_time() - start) / share
+
+    return keep

@@ -160,7 +160,7 @@ def test_the_map_is_on_the_disk_while_it_grows(tmp_path, monkeypatch, method, fi
 
 
 def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "_Keeper", _fail)
+    monkeypatch.setattr(run, "_keeper", _fail)
     result = run.run_mission(room(), max_time=8.5, out_dir=tmp_path, record=False)
     assert load_map(tmp_path / "map.npz").stage == result.summary["stages"]
 
