@@ -51,6 +51,10 @@ class Method:
     source: str = ""
     knows_map: bool = True
 
+    def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
+        """Another process finds it by its name or its file."""
+        return FindMethod, (self.source or self.name,)
+
     @property
     def takes_parts(self) -> bool:
         """True where the method reads explorer.parts; a method of one's own is taken to do so."""

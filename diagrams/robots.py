@@ -16,6 +16,17 @@ from tfg_drake.mission.operation import Request
 RECORDED = "recording"
 
 
+# What a robot of a simulation does. They have names so that it can be sent to another process.
+
+
+def _never(_recalls: bool) -> str:
+    return ""
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
 @dataclasses.dataclass(frozen=True)
 class Robot:
     """name. MakeStation: the station for a scenario, with the ports of MakeTurtlebotStation; those of the truth only
@@ -33,9 +44,9 @@ class Robot:
     real: bool = False
     enabled: bool = False
     operated: Sequence[Callable[[], Sequence[Request]]] = ()
-    empty: Callable[[bool], str] = lambda _recalls: ""
-    Announce: Callable[[DiagramBuilder, System, System], object] = lambda *_: None
-    close: Callable[[], None] = lambda: None
+    empty: Callable[[bool], str] = _never
+    Announce: Callable[[DiagramBuilder, System, System], object] = _nothing
+    close: Callable[[], object] = _nothing
 
 
 SIMULATED = Robot("sim", MakeTurtlebotStation, world_known=True)

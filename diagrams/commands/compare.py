@@ -46,30 +46,30 @@ def compare(
         show("loading")
 
         from tfg_drake.diagrams.missions import comparison_report
-        from tfg_drake.diagrams.missions.sweep import Task, parse_methods, run_sweep
+        from tfg_drake.diagrams.missions.mission import MissionRequest
+        from tfg_drake.diagrams.missions.sweep import parse_methods, run_sweep
         from tfg_drake.diagrams.scenario import PrepareScenario
 
         name = run_folder.run_name(scenario, world)
         place = command.parse_start(start)
         of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
-        sources = parse_methods(methods, of_seed[0])
-        names = list(sources)
+        compared = parse_methods(methods, of_seed[0])
+        given = {"name": name, "world_name": scenario if world is None else str(world), "max_time": max_time}
         # All methods of a seed before the next seed, so that a partial report compares like with like.
-        world_name = scenario if world is None else str(world)
-        tasks = [Task(method, one, name, world_name, max_time, sources[method]) for one in of_seed for method in names]
+        tasks = [MissionRequest(one, method, **given) for one in of_seed for method in compared]
         if out is not None:
             command.make_writable(out)
         folder = run_folder.make_run_folder(out, f"compare-{name}")
         wait_for_kernels(show, command.interruption)
         spacing = "none" if tag_spacing == math.inf else tag_spacing
-        given = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
-        given += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
-        words = [str(word) for key, value in given if value is not None for word in (key, value)]
+        told = [("--world", world), ("--tag-spacing", spacing), ("--start", start), ("--methods", methods)]
+        told += [("--seeds", seeds), ("--max-time", f"{max_time:g}"), *(("--set", one) for one in settings or [])]
+        words = [str(word) for key, value in told if value is not None for word in (key, value)]
         repeated = shlex.join(["tfg-drake", "compare", scenario, *words])
         with run_folder.claimed(folder):
             runs = run_sweep(tasks, folder, jobs or 1, ray, command.interruption, show)
             comparison_report.write_comparison(runs, tasks, folder, repeated, show)
-    for line in comparison_report.closing_lines(runs, names):
+    for line in comparison_report.closing_lines(runs, [method.name for method in compared]):
         print(line)
     print(f"report: {folder / 'report.html'}")
     command.end_unless_interrupted(command.EXIT_CODES["fault"] if any(not run.counts for run in runs) else 0)

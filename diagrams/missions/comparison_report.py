@@ -20,7 +20,7 @@ from tfg_drake.comparison.runs import Run, sample, to_csv
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.missions.best_tours import over_tours
 from tfg_drake.diagrams.missions.errors import KnownWorld
-from tfg_drake.diagrams.missions.sweep import Task
+from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.io.files import write_atomic
@@ -35,7 +35,7 @@ _STRETCHES, _DISTANCE_STEP = 150, 0.5
 
 def write_comparison(
     runs: Sequence[Run],
-    tasks: Sequence[Task],
+    tasks: Sequence[MissionRequest],
     out: Path,
     command: str,
     show: Callable[[str], object] = lambda line: None,
@@ -44,9 +44,10 @@ def write_comparison(
 
     command: what repeats it. show: is told how far it is. Raises OSError where a file cannot be written.
     """
-    runs = over_tours(runs, {task.seed: task.scenario for task in tasks}, out / "tours", show)
+    scenarios = {task.scenario.seed: task.scenario for task in tasks}
+    runs = over_tours(runs, scenarios, out / "tours", show)
     show("drawing and writing the comparison")
-    methods = list(dict.fromkeys(task.method for task in tasks))
+    methods = list(dict.fromkeys(task.method.name for task in tasks))
     write_atomic(out / "runs.csv", to_csv(runs))
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))
     comparison = Comparison(
@@ -58,7 +59,7 @@ def write_comparison(
         versions=f"tfg-drake {__version__}, Python {platform.python_version()}, {packages};"
         f" {platform.system()} on {platform.machine()}.",
     )
-    pictures = list(_pictures(methods, runs, {task.seed: task.scenario for task in tasks}, out))
+    pictures = list(_pictures(methods, runs, scenarios, out))
     write_atomic(out / "report.md", markdown(comparison, pictures))
     write_atomic(out / "report.html", page(comparison, pictures))
 

@@ -13,9 +13,10 @@ from tfg_drake.comparison.paper_tables import METHODS as COMPARED
 from tfg_drake.comparison.paper_tables import parameter_table, performance_table
 from tfg_drake.comparison.runs import Run
 from tfg_drake.config import DisturbanceConfig
+from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.comparison_report import write_comparison
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
-from tfg_drake.diagrams.missions.sweep import Task, run_sweep
+from tfg_drake.diagrams.missions.sweep import run_sweep
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.files import write_atomic
@@ -119,7 +120,8 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         scenario.seed = seed
 
     def compared(name: str, scenarios: Sequence[Scenario], world: str, methods: Sequence[str]) -> list[Run]:
-        tasks = [Task(method, scenario, world, world, LONGEST) for scenario in scenarios for method in methods]
+        asked = [MissionRequest(one, name=world, world_name=world, max_time=LONGEST) for one in scenarios]
+        tasks = [dataclasses.replace(one, method=METHODS[method]) for one in asked for method in methods]
         sweep = folder / name
         sweep.mkdir(parents=True, exist_ok=True)
         runs = run_sweep(tasks, sweep, 1, None, interrupted, show)

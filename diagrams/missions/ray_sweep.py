@@ -21,7 +21,8 @@ from typing import Any
 
 from tfg_drake import __version__
 from tfg_drake.comparison.runs import Run
-from tfg_drake.diagrams.missions.sweep import SweepError, Task, attempt
+from tfg_drake.diagrams.missions.mission import MissionRequest
+from tfg_drake.diagrams.missions.sweep import SweepError, attempt, folder_of, run_of
 from tfg_drake.io.extras import pip_install
 
 # A mission whose worker or machine died is begun again this often.
@@ -32,7 +33,7 @@ _POLL = 0.2
 _PATIENCE = 5.0
 
 
-def run_on_ray(tasks: Sequence[Task], out: Path, address: str, interrupted: threading.Event) -> Iterator[Run]:
+def run_on_ray(tasks: Sequence[MissionRequest], out: Path, address: str, interrupted: threading.Event) -> Iterator[Run]:
     """Run the tasks on a cluster and yield each as it ends, as `sweep.run_local` does.
 
     address: "local" starts a cluster on this machine, one mission a core; anything else is a cluster's to join, such as
@@ -46,15 +47,14 @@ def run_on_ray(tasks: Sequence[Task], out: Path, address: str, interrupted: thre
             done, _ = ray.wait(list(running), num_returns=1, timeout=_POLL)
             for reference in done:
                 task = running.pop(reference)
-                folder = task.folder(out)
                 try:
                     archive, summary, failure = ray.get(reference)
                 except ray.exceptions.RayError as error:
                     summary, failure = None, " ".join(f"{type(error).__name__}: {error}".split())[:200]
                 else:
                     if archive:
-                        _unpack(archive, folder)
-                yield Run(task.method, task.seed, folder, summary, failure)
+                        _unpack(archive, folder_of(task, out))
+                yield run_of(task, out, summary, failure)
         for reference in running:
             ray.cancel(reference, force=True)
     finally:
@@ -89,7 +89,7 @@ def _knock(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
 
 
-def _mission(task: Task, version: str) -> tuple[bytes, dict[str, Any] | None, str]:
+def _mission(task: MissionRequest, version: str) -> tuple[bytes, dict[str, Any] | None, str]:
     """In a worker: one task. Its folder as an archive, its summary, its failure."""
     if version != __version__:
         return b"", None, f"a worker has tfg_drake {__version__}, not {version}; install the same on all"

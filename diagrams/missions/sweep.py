@@ -11,7 +11,6 @@ with it. It depends on its task alone: how many run beside it, or where, changes
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import json
 import multiprocessing
@@ -29,7 +28,7 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
-from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
+from tfg_drake.diagrams.methods import FindMethod, Method, MethodError
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import DumpScenario, Scenario
@@ -45,41 +44,31 @@ class SweepError(BadInput):
     """The sweep cannot be run; the message is one line that names the culprit and the mend."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """One mission: a method on a scenario, whose seed is the run's. name, world_name: as for `run_mission`.
-    max_time: simulated s. source: the path of the method's file, "" for one that comes with the project."""
-
-    method: str
-    scenario: Scenario
-    name: str
-    world_name: str
-    max_time: float
-    source: str = ""
-
-    @property
-    def seed(self) -> int:
-        """The run's seed."""
-        return self.scenario.seed
-
-    def folder(self, out: Path) -> Path:
-        """The run's folder in the sweep's."""
-        return out / "runs" / self.method / f"seed-{self.seed}"
-
-    def receipt(self) -> dict[str, Any]:
-        """Tells the task from any other."""
-        digest = hashlib.sha256(DumpScenario(self.scenario).encode()).hexdigest()
-        code = hashlib.sha256(Path(self.source).read_bytes()).hexdigest() if self.source else None
-        task = {"version": __version__, "scenario": self.name, "world": self.world_name, "scenario_sha256": digest}
-        return task | {"max_time_s": self.max_time, "method": self.method, "method_sha256": code, "seed": self.seed}
+def folder_of(task: MissionRequest, out: Path) -> Path:
+    """The folder of a run in its sweep's."""
+    return out / "runs" / task.method.name / f"seed-{task.scenario.seed}"
 
 
-def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
-    """The methods that a list such as "tfg,mine.py" names: their names, and the paths of those that are files.
+def run_of(task: MissionRequest, out: Path, summary: dict[str, Any] | None, failure: str = "") -> Run:
+    """A run of a sweep that has ended, in the folder `out`."""
+    return Run(task.method.name, task.scenario.seed, folder_of(task, out), summary, failure)
+
+
+def _receipt(task: MissionRequest) -> dict[str, Any]:
+    """Tells a run of a sweep from any other."""
+    method, digest = task.method, hashlib.sha256(DumpScenario(task.scenario).encode()).hexdigest()
+    code = hashlib.sha256(Path(method.source).read_bytes()).hexdigest() if method.source else None
+    shared = {"version": __version__, "scenario": task.name, "world": task.world_name, "scenario_sha256": digest}
+    shared["max_time_s"] = task.max_time
+    return shared | {"method": method.name, "method_sha256": code, "seed": task.scenario.seed}
+
+
+def parse_methods(text: str, scenario: Scenario) -> list[Method]:
+    """The methods that a list such as "tfg,mine.py" names.
 
     Raises SweepError for one that there is not, or that the scenario lacks something for.
     """
-    methods: dict[str, str] = {}
+    methods: list[Method] = []
     for word in (word.strip() for word in text.split(",")):
         try:
             method = FindMethod(word)
@@ -88,37 +77,28 @@ def parse_methods(text: str, scenario: Scenario) -> dict[str, str]:
                 raise MethodError(f"{word}: nobody is at the keys; name the keys.csv of a run that was driven by hand")
         except MethodError as error:
             raise SweepError(f"--methods {error}") from None
-        if method.name in methods:
+        if method.name in [one.name for one in methods]:
             raise SweepError(f"--methods {text}: names {method.name} twice; name each once")
-        methods[method.name] = "" if word in METHODS else str(Path(word).resolve())
+        methods.append(method)
     return methods
 
 
-def run_one(task: Task, folder: Path) -> dict[str, Any]:
+def run_one(task: MissionRequest, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
-    # Whoever started this process looks after signals.
-    request = MissionRequest(
-        task.scenario,
-        method=FindMethod(task.source or task.method),
-        name=task.name,
-        world_name=task.world_name,
-        max_time=task.max_time,
-        out_dir=folder,
-        interrupted=threading.Event(),
-        record=False,  # A megabyte and a half a minute, and what one seed gives again.
-    )
-    result = run_mission(request)
-    write_atomic(folder / "task.json", json.dumps(task.receipt(), indent=2) + "\n")
+    # Whoever started this process looks after signals. A recording takes a megabyte and a half a minute, and one seed
+    # gives it again.
+    result = run_mission(task, out_dir=folder, interrupted=threading.Event(), record=False)
+    write_atomic(folder / "task.json", json.dumps(_receipt(task), indent=2) + "\n")
     return result.summary
 
 
-def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:
+def open_sweep(tasks: Sequence[MissionRequest], out: Path) -> list[Run]:
     """Claim a folder for a sweep and return the runs that are there already.
 
     More seeds or methods may be asked for than before; what all runs share must be the same. Raises SweepError.
     """
-    receipt = tasks[0].receipt()
+    receipt = _receipt(tasks[0])
     # The first task's seed is always the first: its scenario stands for that of all seeds.
     sweep = {key: value for key, value in receipt.items() if key not in ("method", "method_sha256", "seed")}
     path = out / "sweep.json"
@@ -130,11 +110,11 @@ def open_sweep(tasks: Sequence[Task], out: Path) -> list[Run]:
             raise SweepError(f"{out}: holds another comparison ({what} differ); name another folder with --out")
     write_atomic(path, json.dumps(sweep, indent=2) + "\n")
     finished = [(task, _finished(task, out)) for task in tasks]
-    return [Run(task.method, task.seed, task.folder(out), summary) for task, summary in finished if summary]
+    return [run_of(task, out, summary) for task, summary in finished if summary]
 
 
 def run_sweep(
-    tasks: Sequence[Task],
+    tasks: Sequence[MissionRequest],
     out: Path,
     jobs: int,
     address: str | None,
@@ -150,7 +130,8 @@ def run_sweep(
         OSError: a file cannot be written.
     """
     runs = {(run.method, run.seed): run for run in open_sweep(tasks, out)}
-    missing = [task for task in tasks if (task.method, task.seed) not in runs]
+    keys = [(task.method.name, task.scenario.seed) for task in tasks]
+    missing = [task for task, key in zip(tasks, keys, strict=True) if key not in runs]
     there, since = len(runs), time.monotonic()
 
     def progress() -> str:
@@ -176,26 +157,25 @@ def run_sweep(
         show(progress())
         if not sys.stdout.isatty():
             say(f"{run.method}, seed {run.seed}: {run.outcome}; {progress()}")
-    keys = [(task.method, task.seed) for task in tasks]
     return [runs[key] for key in keys if key in runs]
 
 
-def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threading.Event) -> Iterator[Run]:
+def run_local(tasks: Sequence[MissionRequest], out: Path, jobs: int, interrupted: threading.Event) -> Iterator[Run]:
     """Run the tasks, at most `jobs` at a time, and yield each as it ends; when interrupted, end them all at once.
 
     A task whose process raises or is killed is a run without a summary; its folder keeps what there was.
     """
-    waiting, running = list(reversed(tasks)), dict[Any, tuple[Task, Any]]()  # by connection: task and process
+    waiting, running = list(reversed(tasks)), dict[Any, tuple[MissionRequest, Any]]()  # by connection: task and process
     try:
         while (waiting or running) and not interrupted.is_set():
             while waiting and len(running) < jobs:
                 task = waiting.pop()
-                connection, process = _start(task, task.folder(out))
+                connection, process = _start(task, folder_of(task, out))
                 running[connection] = (task, process)
             for ready in wait(list(running), timeout=_POLL):
                 task, process = running.pop(ready)
                 summary, failure = _result(ready, process)
-                yield Run(task.method, task.seed, task.folder(out), summary, failure)
+                yield run_of(task, out, summary, failure)
     finally:
         for _, process in running.values():
             process.kill()
@@ -203,7 +183,7 @@ def run_local(tasks: Sequence[Task], out: Path, jobs: int, interrupted: threadin
             process.join()
 
 
-def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
+def _start(task: MissionRequest, folder: Path) -> tuple[Connection, Any]:
     """A process at work on a task, and where its result will come from."""
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
@@ -222,13 +202,13 @@ def _start(task: Task, folder: Path) -> tuple[Connection, Any]:
     return receiving, process
 
 
-def _work(task: Task, folder: Path, sending: Connection) -> None:
+def _work(task: MissionRequest, folder: Path, sending: Connection) -> None:
     """Runs one task in a process, which ends with its parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     sending.send(attempt(task, folder))
 
 
-def attempt(task: Task, folder: Path) -> tuple[dict[str, Any] | None, str]:
+def attempt(task: MissionRequest, folder: Path) -> tuple[dict[str, Any] | None, str]:
     """`run_one`, with an error outside the mission as one line instead of an exception."""
     try:
         return run_one(task, folder), ""
@@ -254,10 +234,10 @@ def _result(connection: Any, process: Any) -> tuple[dict[str, Any] | None, str]:
     return None, f"killed by {signal.Signals(-code).name}" if code < 0 else f"the process ended with exit code {code}"
 
 
-def _finished(task: Task, out: Path) -> dict[str, Any] | None:
+def _finished(task: MissionRequest, out: Path) -> dict[str, Any] | None:
     """The summary of a task's run in the sweep's folder, None where it must be run."""
-    folder = task.folder(out)
-    return _read(folder / "summary.json") if _read(folder / "task.json") == task.receipt() else None
+    folder = folder_of(task, out)
+    return _read(folder / "summary.json") if _read(folder / "task.json") == _receipt(task) else None
 
 
 def _read(path: Path) -> dict[str, Any] | None:

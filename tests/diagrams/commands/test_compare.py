@@ -12,7 +12,6 @@ import pytest
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.missions import comparison_report, sweep
 from tfg_drake.diagrams.missions.comparison_report import closing_lines
-from tfg_drake.diagrams.missions.sweep import attempt
 from tfg_drake.mission.interruption import NAMES
 
 
@@ -53,7 +52,7 @@ def test_the_closing_lines_have_time_and_error_where_there_is_one():
 def in_this_process(tasks, out, _jobs, _interrupted):
     """`run_local` without processes of its own, which test_sweep.py looks at."""
     for task in tasks:
-        yield Run(task.method, task.seed, task.folder(out), *attempt(task, task.folder(out)))
+        yield sweep.run_of(task, out, *sweep.attempt(task, sweep.folder_of(task, out)))
 
 
 def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path, monkeypatch):

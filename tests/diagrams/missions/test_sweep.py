@@ -3,6 +3,7 @@ import importlib.util
 import json
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -12,8 +13,10 @@ from pathlib import Path
 import pytest
 
 from tests.diagrams.rooms import lasting
+from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions import ray_sweep
-from tfg_drake.diagrams.missions.sweep import SweepError, Task, open_sweep, parse_methods, run_local, run_one
+from tfg_drake.diagrams.missions.mission import MissionRequest
+from tfg_drake.diagrams.missions.sweep import SweepError, folder_of, open_sweep, parse_methods, run_local, run_one
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.io.extras import pip_install
 from tfg_drake.mission.interruption import NAMES
@@ -31,7 +34,8 @@ def tasks(seeds=2, methods=("tfg",), **changes):
     for seed in range(seeds):
         scenario.seed = seed
         basis = {"name": "room", "world_name": "room", "max_time": 3.0} | changes
-        found += [Task(method, LoadScenario(data=ROOM, defaults=scenario), **basis) for method in methods]
+        of_seed = LoadScenario(data=ROOM, defaults=scenario)
+        found += [MissionRequest(of_seed, METHODS[method], **basis) for method in methods]
     return found
 
 
@@ -49,7 +53,7 @@ def one_job(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep")
     assert open_sweep(tasks(), out) == []
     for task in tasks():
-        run_one(task, task.folder(out))
+        run_one(task, folder_of(task, out))
     return by_seed(open_sweep(tasks(), out)), out
 
 
@@ -128,8 +132,8 @@ def test_another_sweeps_folder_is_refused(one_job):
 @pytest.mark.slow
 def test_a_killed_or_failed_run_stops_no_other(tmp_path):
     some = tasks(3)
-    some[2].folder(tmp_path).parent.mkdir(parents=True)
-    some[2].folder(tmp_path).write_text("in the way")
+    folder_of(some[2], tmp_path).parent.mkdir(parents=True)
+    folder_of(some[2], tmp_path).write_text("in the way")
     killer = threading.Thread(target=kill_first)
     killer.start()
     runs = by_seed(run_local(some, tmp_path, 1, threading.Event()))
@@ -171,9 +175,12 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
 
 
 def test_methods_are_named():
-    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == {"tfg": "", "grid-nearest": ""}
+    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == [METHODS["tfg"], METHODS["grid-nearest"]]
     example = Path(__file__).parents[3] / "examples" / "goal_selector.py"
-    assert parse_methods(f"{example}", LoadScenario(data=ROOM)) == {"goal_selector": str(example)}
+    (own,) = parse_methods(f"{example}", LoadScenario(data=ROOM))
+    assert (own.name, own.source) == ("goal_selector", str(example))
+    again = pickle.loads(pickle.dumps(MissionRequest(LoadScenario(data=ROOM), own)))  # as it is sent to a process
+    assert (again.method.name, again.method.source) == (own.name, own.source)
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
         parse_methods("tfg,tfg", LoadScenario(data=ROOM))
     with pytest.raises(SweepError, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):
