@@ -19,8 +19,9 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Syst
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.pictures import palette, scene
+from tfg_drake.pictures import scene
 from tfg_drake.pictures.drawing import bands, circles, polyline_segments
+from tfg_drake.pictures.palette import LIGHT
 from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
 from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
 from tfg_drake.simulation.people import RADIUS
@@ -188,9 +189,9 @@ class MeshcatScene:
         # At true size, or as large as a symbol where that could not be seen.
         r, here = max(self._radius, 2.2 * self._unit), np.zeros((1, 2))
         mark = bands(np.array([[0.25 * r, 0.0, 0.85 * r, 0.0]]), 0.25 * r)
-        body = Solid("body", circles(here, r, 32), 0.0, ROBOT_HEIGHT, palette.ROBOT)
+        body = Solid("body", circles(here, r, 32), 0.0, ROBOT_HEIGHT, LIGHT.robot)
         self._ShowSolids("/tfg/map/robot", [body, Solid("heading", mark, ROBOT_HEIGHT, ROBOT_HEIGHT + 0.03, WHITE)])
-        truth = Solid("truth", circles(here, 1.2 * r, 32), 0.0, 0.5 * ROBOT_HEIGHT, palette.GHOST, 0.5)
+        truth = Solid("truth", circles(here, 1.2 * r, 32), 0.0, 0.5 * ROBOT_HEIGHT, LIGHT.truth, 0.5)
         self._ShowSolids("/tfg/truth", [truth])
         self._ShowPlate("/tfg/legend", self._legend, *self._legend_y)
         self._ShowCamera()
@@ -266,7 +267,7 @@ class MeshcatScene:
         for k, place in enumerate(points):
             if k >= self._people:
                 body = circles(np.zeros((1, 2)), RADIUS)
-                person = Solid("person", body, 0.0, PERSON_HEIGHT, palette.PERSON, 0.8)
+                person = Solid("person", body, 0.0, PERSON_HEIGHT, LIGHT.person, 0.8)
                 self._ShowSolids(f"/tfg/people/{k}", [person])
             self._meshcat.SetTransform(f"/tfg/people/{k}", _planar(np.append(place, 0.0)), time)
         self._people = max(self._people, len(points))
@@ -278,7 +279,7 @@ class MeshcatScene:
         cloud = PointCloud(len(points))
         cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), SCAN_HEIGHT)]).T
         path = self._NextVersion("scan", time)
-        self._meshcat.SetObject(path, cloud, 1.2 * self._unit, Rgba(*palette.SCAN))
+        self._meshcat.SetObject(path, cloud, 1.2 * self._unit, Rgba(*LIGHT.scan))
 
     # Meshcat: only transforms and properties have a time. So a thing that changes its shape has a path a version.
 

@@ -31,7 +31,7 @@ from tfg_drake.messages import (
     TfgMap,
 )
 from tfg_drake.pictures.drawing import ellipses, outline_segments
-from tfg_drake.pictures.palette import BARE_SURFACE, EDGE, FRONTIER, LANDMARK, WALL_END, Colour, gain_colours
+from tfg_drake.pictures.palette import LIGHT, Colour, gain_colours
 
 Fields = dict[str, Any]
 Cells = NDArray[np.int8]
@@ -47,7 +47,7 @@ ELLIPSE_CORNERS = 16
 
 GOAL: Colour = (0.84, 0.15, 0.16)
 # The surfaces' names and colours, by TfgMap.segment_kind.
-_SURFACES = (("edges", EDGE), ("wall ends", WALL_END), ("surfaces without landmark", BARE_SURFACE))
+_SURFACES = (("edges", LIGHT.edge), ("wall ends", LIGHT.wall_end), ("surfaces without landmark", LIGHT.bare_surface))
 
 
 def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:
@@ -118,18 +118,18 @@ def markers(
             if len(segments):
                 add(name, LINE_LIST, 0.03, colour, points=_points(segments.reshape(-1, 2)))
         if len(tfg.frontiers):
-            add("frontiers", SPHERE_LIST, 0.08, FRONTIER, points=_points(tfg.frontiers))
+            add("frontiers", SPHERE_LIST, 0.08, LIGHT.frontier, points=_points(tfg.frontiers))
     if estimate is not None and len(estimate.ids):
-        add("landmarks", SPHERE_LIST, 0.1, LANDMARK, points=_points(estimate.p_ML))
+        add("landmarks", SPHERE_LIST, 0.1, LIGHT.landmark, points=_points(estimate.p_ML))
         outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance, corners=ELLIPSE_CORNERS))
-        add("ellipses", LINE_LIST, 0.01, LANDMARK, points=_points(outlines.reshape(-1, 2)))
+        add("ellipses", LINE_LIST, 0.01, LIGHT.landmark, points=_points(outlines.reshape(-1, 2)))
         for name, place in zip(estimate.ids.tolist(), estimate.p_ML, strict=True):
-            add("ids", TEXT, 0.2, LANDMARK, text=str(name), pose=pose_fields(np.array([*place, 0.0]), height=0.2))
+            add("ids", TEXT, 0.2, LIGHT.landmark, text=str(name), pose=pose_fields(np.array([*place, 0.0]), height=0.2))
     if goal is not None and roadmap is not None and goal.stage == roadmap.stage and len(goal.candidates):
         share = np.clip(goal.gain / max(float(goal.gain.max()), 1e-9), 0.0, 1.0)
         colours = [_colour(colour) for colour in gain_colours(share)]
         places = _points(roadmap.points[goal.candidates])
-        add("candidates", SPHERE_LIST, 0.12, FRONTIER, points=places, colors=colours)
+        add("candidates", SPHERE_LIST, 0.12, LIGHT.frontier, points=places, colors=colours)
     if goal is not None and goal.node >= 0:
         add("goal", CYLINDER, 0.25, GOAL, pose=pose_fields(np.array([*goal.p_MG, 0.0])))
     return {"markers": found}

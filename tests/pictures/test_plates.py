@@ -17,7 +17,7 @@ def test_the_legend_has_every_colour_and_the_scale_of_gains():
     assert picture.shape == (height, WIDTH, 3)
     names = ("wall", "edge", "bare_surface", "keep_out", "landmark", "frontier", "path", "trail", "robot", "truth")
     shades = palette.gain_colours(np.linspace(0.0, 1.0, SHADES))
-    for colour in [*(palette.LIGHT[name] for name in names), *shades]:
+    for colour in [*(getattr(palette.LIGHT, name) for name in names), *shades]:
         there = np.all(np.abs(picture - np.rint(255.0 * np.array(colour))) <= 1, axis=-1)
         assert np.count_nonzero(there) > 500
 

@@ -68,8 +68,8 @@ def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
     folder = files(__package__)
     shades = [css(tuple(shade)) for shade in gain_colours(np.linspace(0.0, 1.0, _SHADES)).tolist()]
     colours = {
-        "light": {name: css(colour) for name, colour in LIGHT.items()},
-        "dark": {name: css(colour) for name, colour in DARK.items()},
+        "light": {name: css(colour) for name, colour in LIGHT._asdict().items()},
+        "dark": {name: css(colour) for name, colour in DARK._asdict().items()},
         "gains": shades,
     }
     parts = {

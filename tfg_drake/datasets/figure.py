@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures.figure_file import write_figure
-from tfg_drake.pictures.palette import WALL_LANDMARK, css
+from tfg_drake.pictures.palette import LIGHT, css
 
 _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
 # Landmarks are named where there are no more than this.
@@ -92,7 +92,7 @@ def draw_laser_map(
     axes.plot(*shown.T, ".", color="0.45", alpha=0.5, markersize=1.5, markeredgewidth=0, rasterized=True)
     axes.plot([], [], ".", color="0.45", markersize=5, label="hits of the scans")
     if len(pieces := met(walls, p_MH)):
-        axes.add_collection(LineCollection(list(pieces), colors=css(WALL_LANDMARK), linewidths=1.3, label="wall"))
+        axes.add_collection(LineCollection(list(pieces), colors=css(LIGHT.wall_landmark), linewidths=1.3, label="wall"))
     if len(p_MS_true):
         axes.plot(*p_MS_true.T, color=_TRUTH, linewidth=1.8, label="reference path")
     axes.plot(*p_MS.T, color=_ONLINE, linewidth=0.7, label="path")

@@ -15,7 +15,7 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
 from tfg_drake.pictures.drawing import MAGNIFIED, ellipses, spreads
 from tfg_drake.pictures.figure_file import write_figure
-from tfg_drake.pictures.palette import WALL_LANDMARK, css
+from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
@@ -190,7 +190,7 @@ def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph
     p_WL = transform(X_WM, p_ML.reshape(-1, 2))
     three, times = _three(deviation.max(axis=1))
     outlines, pieces = spreads(p_WL.reshape(-1, 4), deviation, three), p_WL.reshape(-1, 2, 2)
-    colour = css(WALL_LANDMARK)
+    colour = css(LIGHT.wall_landmark)
     axes.add_collection(PolyCollection(list(outlines), facecolors=colour, edgecolors="none", alpha=0.3, zorder=1.9))
     label = f"wall (landmark), {times}"
     axes.add_collection(LineCollection(list(pieces), colors=colour, linewidths=3.0, zorder=1.95))

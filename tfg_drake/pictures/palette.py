@@ -2,26 +2,61 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tfg_drake.messages import FloatArray
 
 Colour = tuple[float, float, float]
 
-WALL: Colour = (0.84, 0.85, 0.87)
-EDGE: Colour = (0.16, 0.18, 0.22)
-WALL_END: Colour = (0.52, 0.54, 0.58)
-BARE_SURFACE: Colour = (0.93, 0.60, 0.22)
-KEEP_OUT: Colour = (0.84, 0.15, 0.16)
-LANDMARK: Colour = (0.07, 0.53, 0.44)
-DOUBTFUL: Colour = (0.64, 0.18, 0.66)
-WALL_LANDMARK: Colour = (0.42, 0.16, 0.82)
-FRONTIER: Colour = (0.10, 0.36, 0.88)
-PATH: Colour = (0.84, 0.15, 0.16)
-SCAN: Colour = (0.36, 0.72, 0.90)
-ROBOT: Colour = (0.10, 0.22, 0.42)
-GHOST: Colour = (0.45, 0.48, 0.53)
-PERSON: Colour = (0.62, 0.64, 0.68)
+
+class Palette(NamedTuple):
+    """What each is for, here on a light ground."""
+
+    wall: Colour = (0.84, 0.85, 0.87)
+    edge: Colour = (0.16, 0.18, 0.22)
+    edge_in_space: Colour = (0.42, 0.46, 0.54)
+    wall_end: Colour = (0.52, 0.54, 0.58)
+    bare_surface: Colour = (0.93, 0.60, 0.22)
+    keep_out: Colour = (0.84, 0.15, 0.16)
+    landmark: Colour = (0.07, 0.53, 0.44)
+    doubtful: Colour = (0.64, 0.18, 0.66)
+    wall_landmark: Colour = (0.42, 0.16, 0.82)
+    frontier: Colour = (0.10, 0.36, 0.88)
+    path: Colour = (0.84, 0.15, 0.16)
+    scan: Colour = (0.36, 0.72, 0.90)
+    robot: Colour = (0.10, 0.22, 0.42)
+    truth: Colour = (0.45, 0.48, 0.53)
+    person: Colour = (0.62, 0.64, 0.68)
+    roadmap: Colour = (0.80, 0.83, 0.88)
+    free: Colour = (0.985, 0.99, 0.98)
+    ground: Colour = (0.915, 0.925, 0.94)
+    trail: Colour = (0.93, 0.55, 0.40)
+    camera: Colour = (0.98, 0.80, 0.25)
+    fork: Colour = (0.42, 0.53, 0.08)
+
+
+LIGHT = Palette()
+# Those of the page that need others on a dark ground.
+DARK = LIGHT._replace(
+    wall=(0.33, 0.36, 0.41),
+    edge=(0.86, 0.88, 0.91),
+    wall_end=(0.60, 0.63, 0.68),
+    landmark=(0.20, 0.78, 0.64),
+    doubtful=(0.85, 0.42, 0.88),
+    wall_landmark=(0.72, 0.56, 1.00),
+    frontier=(0.36, 0.60, 1.00),
+    path=(1.00, 0.36, 0.34),
+    robot=(0.42, 0.62, 0.95),
+    truth=(0.62, 0.66, 0.72),
+    roadmap=(0.22, 0.25, 0.31),
+    free=(0.145, 0.165, 0.195),
+    ground=(0.075, 0.085, 0.105),
+    trail=(0.80, 0.45, 0.32),
+    fork=(0.72, 0.80, 0.30),
+)
+# Of free and occupied space in pictures without a page.
 FREE: Colour = (0.955, 0.965, 0.945)
 OCCUPIED: Colour = (0.16, 0.18, 0.22)
 
@@ -36,46 +71,3 @@ def gain_colours(share: FloatArray) -> FloatArray:
     import matplotlib  # A mission needs it at its end only.
 
     return np.asarray(matplotlib.colormaps["magma_r"](0.08 + 0.77 * share))[:, :3]
-
-
-# The page's, by what they are for: on a light ground and, where another one is needed, on a dark one.
-LIGHT: dict[str, Colour] = {
-    "wall": WALL,
-    "edge": EDGE,
-    "edge_in_space": (0.42, 0.46, 0.54),
-    "wall_end": WALL_END,
-    "bare_surface": BARE_SURFACE,
-    "keep_out": KEEP_OUT,
-    "landmark": LANDMARK,
-    "doubtful": DOUBTFUL,
-    "wall_landmark": WALL_LANDMARK,
-    "frontier": FRONTIER,
-    "path": PATH,
-    "scan": SCAN,
-    "robot": ROBOT,
-    "truth": GHOST,
-    "person": PERSON,
-    "roadmap": (0.80, 0.83, 0.88),
-    "free": (0.985, 0.99, 0.98),
-    "ground": (0.915, 0.925, 0.94),
-    "trail": (0.93, 0.55, 0.40),
-    "camera": (0.98, 0.80, 0.25),
-    "fork": (0.42, 0.53, 0.08),
-}
-DARK: dict[str, Colour] = LIGHT | {
-    "wall": (0.33, 0.36, 0.41),
-    "edge": (0.86, 0.88, 0.91),
-    "wall_end": (0.60, 0.63, 0.68),
-    "landmark": (0.20, 0.78, 0.64),
-    "doubtful": (0.85, 0.42, 0.88),
-    "wall_landmark": (0.72, 0.56, 1.00),
-    "frontier": (0.36, 0.60, 1.00),
-    "path": (1.00, 0.36, 0.34),
-    "robot": (0.42, 0.62, 0.95),
-    "truth": (0.62, 0.66, 0.72),
-    "roadmap": (0.22, 0.25, 0.31),
-    "free": (0.145, 0.165, 0.195),
-    "ground": (0.075, 0.085, 0.105),
-    "trail": (0.80, 0.45, 0.32),
-    "fork": (0.72, 0.80, 0.30),
-}

@@ -10,7 +10,7 @@ from tfg_drake.mapfile.in_world import KINDS, corners_of, landmarks_in_world, st
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.drawing import ellipses
-from tfg_drake.pictures.palette import BARE_SURFACE, DOUBTFUL, EDGE, FREE, FRONTIER, LANDMARK, WALL_END, css
+from tfg_drake.pictures.palette import FREE, LIGHT, css
 
 # The drawing is so many times smaller than the building.
 SCALE = 100
@@ -32,10 +32,10 @@ def plan_svg(saved: SavedMap) -> str:
         f'<path id="free_space" fill="{css(FREE)}" d="{_path((star * down for star in stars_of(tfg)), "Z")}"/>',
     ]
     pieces = tfg.segments.reshape(-1, 2, 2) * down
-    for kind, (name, colour) in enumerate(zip(KINDS, (EDGE, WALL_END, BARE_SURFACE), strict=True)):
+    for kind, (name, colour) in enumerate(zip(KINDS, (LIGHT.edge, LIGHT.wall_end, LIGHT.bare_surface), strict=True)):
         some = _path(pieces[tfg.segment_kind == kind])
         lines.append(f'<path id="{name}" stroke="{css(colour)}" stroke-linecap="round" d="{some}"/>')
-    lines.append(f'<g id="frontier" fill="{css(FRONTIER)}">')
+    lines.append(f'<g id="frontier" fill="{css(LIGHT.frontier)}">')
     lines += [_dot(p, 0.08) for p in tfg.frontiers * down]
     lines.append('</g>\n<g id="tags" font-size="0.22">')
     rings = ellipses(p_WL, covariance) * down
@@ -43,7 +43,9 @@ def plan_svg(saved: SavedMap) -> str:
     for tag, p, f, ring, doubtful in zip(*columns, strict=True):
         number = f'<text x="{p[0] + 0.25 * f[0]:.3f}" y="{p[1] + 0.25 * f[1] + 0.08:.3f}">{tag}</text>'
         spread = f'<path fill-opacity="0.3" d="{_path([ring], "Z")}"/>'
-        lines.append(f'<g fill="{css(DOUBTFUL if doubtful else LANDMARK)}">{_dot(p, 0.03)}{spread}{number}</g>')
+        lines.append(
+            f'<g fill="{css(LIGHT.doubtful if doubtful else LIGHT.landmark)}">{_dot(p, 0.03)}{spread}{number}</g>'
+        )
     lines.append(
         f'</g>\n<path id="scale" stroke="black" d="M{x + 0.5:.3f} {-bottom - 0.3:.3f}h{BAR}"/>'
         f'<text x="{x + 0.5 + 0.5 * BAR:.3f}" y="{-bottom - 0.4:.3f}" font-size="0.3">{BAR} m, 1:{SCALE}</text>'

@@ -36,7 +36,7 @@ def legend_plate() -> tuple[bytes, int]:
     draw = ImageDraw.Draw(image)
     for k, (colour, name) in enumerate(entries):
         x, y = WIDTH // COLUMNS * (k % COLUMNS) + 8, LINE * (k // COLUMNS)
-        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(palette.LIGHT[colour]))
+        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(getattr(palette.LIGHT, colour)))
         draw.text((x + 44, y + LINE / 2), name, "black", _font(), "lm")
     for k, (r, g, b) in enumerate(palette.gain_colours(np.linspace(0.0, 1.0, SHADES)).tolist()):
         box = (8 + 34 * k, image.height - LINE + 12, 42 + 34 * k, image.height - 12)

@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures import palette
 from tfg_drake.pictures.drawing import MAGNIFIED, bands, circles, ellipses, spreads
-from tfg_drake.pictures.palette import Colour
+from tfg_drake.pictures.palette import LIGHT, Colour
 
 # Of true walls, of the robot's surfaces, of a landmark, of the robot and of a person, m.
 WALL_HEIGHT, SURFACE_HEIGHT, TAG_HEIGHT, ROBOT_HEIGHT, PERSON_HEIGHT = 0.35, 0.4, 0.45, 0.3, 1.6
 # Heights of what lies on the floor, m: far enough apart for a browser to tell which is above.
 SHEETS = {name: 0.01 * k for k, name in enumerate(("floor", "free", "trail", "gains", "frontiers", "path"), 1)}
 SURFACES = (
-    ("edge", palette.EDGE),
-    ("wall_end", palette.WALL_END),
-    ("bare", palette.BARE_SURFACE),
-    ("keep_out", palette.KEEP_OUT),
+    ("edge", LIGHT.edge),
+    ("wall_end", LIGHT.wall_end),
+    ("bare", LIGHT.bare_surface),
+    ("keep_out", LIGHT.keep_out),
 )
 # Layers of bars: how many symbols wide, and their colour.
-BARS = {"frontiers": (1.6, palette.FRONTIER), "path": (1.0, palette.PATH), "trail": (0.6, palette.LIGHT["trail"])}
+BARS = {"frontiers": (1.6, LIGHT.frontier), "path": (1.0, LIGHT.path), "trail": (0.6, LIGHT.trail)}
 WHITE, FLOOR = (1.0, 1.0, 1.0), (0.80, 0.82, 0.85)
 # Of uncertainty and of the numbers of a tour, m: above all that hides what lies lower.
 UNCERTAINTY_HEIGHT, NUMBER_HEIGHT = TAG_HEIGHT + 0.02, TAG_HEIGHT + 0.05
@@ -58,13 +58,13 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
     """The solids that draw a layer of tfg_drake.pictures.scene, in its own frame. unit: a symbol's size, m."""
     flat = SHEETS.get(layer, 0.0)
     if layer == "world":
-        yield Solid("walls", bands(arrays["segments"], 0.02), 0.0, WALL_HEIGHT, palette.WALL, 0.6)
+        yield Solid("walls", bands(arrays["segments"], 0.02), 0.0, WALL_HEIGHT, LIGHT.wall, 0.6)
         along = 0.1 * np.stack([-np.sin(arrays["tag_facing"]), np.cos(arrays["tag_facing"])], axis=1)
         plates = np.hstack([arrays["tags"] - along, arrays["tags"] + along])
-        yield Solid("tags", bands(plates, 0.06), 0.1, 0.3, palette.WALL_END)
+        yield Solid("tags", bands(plates, 0.06), 0.1, 0.3, LIGHT.wall_end)
     elif layer == "map":
         points, covariance = arrays["points"], arrays["covariance"][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-        for kind, (name, colour) in enumerate((("landmark", palette.LANDMARK), ("doubtful", palette.DOUBTFUL))):
+        for kind, (name, colour) in enumerate((("landmark", LIGHT.landmark), ("doubtful", LIGHT.doubtful))):
             some = arrays["doubtful"] == kind
             yield Solid(name, circles(points[some], 1.4 * unit, 8), 0.0, TAG_HEIGHT, colour)
             outlines = ellipses(points[some], covariance[some], 3.0 * MAGNIFIED, corners=20)
@@ -72,9 +72,9 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
     elif layer == "wall_landmarks":
         segments, deviation = arrays["segments"], arrays["deviation"]
         top = SURFACE_HEIGHT + 0.01
-        yield Solid(layer, bands(segments, 0.6 * unit), top, top, palette.WALL_LANDMARK)
+        yield Solid(layer, bands(segments, 0.6 * unit), top, top, LIGHT.wall_landmark)
         outlines, z = spreads(segments, deviation, 3.0 * MAGNIFIED), top + 0.005
-        yield Solid(f"{layer}_3sigma", outlines, z, z, palette.WALL_LANDMARK, 0.4)
+        yield Solid(f"{layer}_3sigma", outlines, z, z, LIGHT.wall_landmark, 0.4)
     elif layer == "tfg":
         for kind, (name, colour) in enumerate(SURFACES):
             pieces = arrays["segments"][arrays["kind"] == kind]
@@ -92,15 +92,15 @@ def solids(layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, An
             yield Solid(f"{layer}_{k}", discs, flat, flat, (r, g, b))
     elif layer == "pose":
         ellipse = ellipses(arrays["points"], arrays["covariance"], 3.0 * MAGNIFIED)
-        yield Solid("pose_3sigma", ellipse, UNCERTAINTY_HEIGHT, UNCERTAINTY_HEIGHT, palette.ROBOT, 0.4)
+        yield Solid("pose_3sigma", ellipse, UNCERTAINTY_HEIGHT, UNCERTAINTY_HEIGHT, LIGHT.robot, 0.4)
     elif layer == "tour":
         stops, z = arrays["tour"], NUMBER_HEIGHT
-        yield Solid("legs", bands(arrays["legs"], 0.6 * unit), SHEETS["path"], SHEETS["path"], palette.PATH)
-        yield Solid("stops", circles(stops, 3.6 * unit), z, z, palette.PATH)
+        yield Solid("legs", bands(arrays["legs"], 0.6 * unit), SHEETS["path"], SHEETS["path"], LIGHT.path)
+        yield Solid("stops", circles(stops, 3.6 * unit), z, z, LIGHT.path)
         bars = numerals(stops, 3.0 * unit, told["turn"])
         yield Solid("numbers", bands(bars, 0.6 * unit), z + 0.01, z + 0.01, WHITE)
     elif layer == "goal":
-        yield Solid(layer, circles(arrays["points"], 2.5 * unit), SHEETS["path"], SHEETS["path"], palette.PATH)
+        yield Solid(layer, circles(arrays["points"], 2.5 * unit), SHEETS["path"], SHEETS["path"], LIGHT.path)
     elif layer == "free":
         # Round its centre, and back to where it began.
         star = np.vstack([arrays["points"], arrays["points"][1:2]])
