@@ -139,11 +139,12 @@ def explore(
         if out is not None and Path(out).resolve() != Path(resume).resolve():
             check_kept(Path(out))
         before = cut_short(Path(resume), None if out is None else Path(out))
-        loaded, name, named = before.scenario, before.name, before.world_name
-        method, out = method if before.own else before.method, before.folder
+        request, method = before.request, method if before.own else before.method
     else:
         loaded = PrepareScenario(scenario, settings, seed, world, spacing, start, map)
-        name = run_name(named or "mission", None if world is None else Path(world))
+        name, folder = run_name(named or "mission", world and Path(world)), None if out is None else Path(out)
+        request = MissionRequest(loaded, name=name, world_name=str(world or named), out_dir=folder)
+    loaded = request.scenario
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
     if before is not None and before.own and method == "tfg" and not own:
@@ -155,7 +156,7 @@ def explore(
         if recording is None:
             robot, loaded = _robot_of(made, loaded, enable)
         else:
-            robot, name = RecordedRobot(recording, made), recording.name
+            robot, request = RecordedRobot(recording, made), dataclasses.replace(request, name=recording.name)
             loaded = RecordedScenario(recording, loaded)
             explorer = MappingMethod("walls" if method == "tfg" else method, length_of(recording), **own)
     if explorer is None:
@@ -165,19 +166,9 @@ def explore(
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
     if before is not None and before.robot != robot.name:
         raise BadInput(f"{resume}: that run drove {before.robot}, not {robot.name}; give its station= again")
-    request = MissionRequest(
-        loaded,
-        explorer,
-        robot,
-        name,
-        world_name=str(world or named or name) if robot.world_known else "unknown",
-        out_dir=None if out is None else Path(out),
-        meshcat=meshcat,
-        realtime_rate=realtime_rate,
-        max_time=until,
-        before=None if before is None else before.state,
-    )
-    if out is None and not page and not robot.real:
+    request = dataclasses.replace(request, scenario=loaded, method=explorer, robot=robot, meshcat=meshcat)
+    request = dataclasses.replace(request, realtime_rate=realtime_rate, max_time=until)
+    if request.out_dir is None and not page and not robot.real:
         mission = Mission(request)
         mission.begin()
         mission.simulator.set_target_realtime_rate(realtime_rate)
@@ -189,7 +180,7 @@ def explore(
         cockpit = None
         if page:
             rate = None if robot.real else realtime_rate
-            cockpit = stack.enter_context(open_page(f"{name}, seed {loaded.seed}", "localhost", None, rate=rate))
+            cockpit = stack.enter_context(open_page(request.title, "localhost", None, rate=rate))
         stack.enter_context(remarks_on_screen(sys.stderr))
         if robot.real:
             Rehearse(loaded, explorer, threading.Event())

@@ -115,20 +115,22 @@ def explore(
         show: Callable[[str], None] = stack.enter_context(Screen())
         if sys.stdout.isatty():  # Elsewhere nothing is said before all that was given is known to do.
             show("loading")
+        from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.resume import cut_short
         from tfg_drake.diagrams.scenario import PrepareScenario
 
         scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
-        name, before = run_folder.run_name(scenario, world, robot), None
         if resume is None:
             of_world = world, tag_spacing, command.parse_start(start)
             loaded = PrepareScenario(scenario, settings or [], seed, *of_world, known_map, parse_at(at))
             command.make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
+            name = run_folder.run_name(scenario, world, robot)
+            request = MissionRequest(loaded, name=name, world_name=str(world or scenario), out_dir=out)
         else:
             if out is not None and out.resolve() != resume.resolve():
                 command.make_ready(out)
-            before = cut_short(resume, out)
-            loaded, out, name, scenario = before.scenario, before.folder, before.name, before.world_name
+            request = cut_short(resume, out).request
+            loaded = request.scenario
         if robot != "sim" and replayed is None:
             link(loaded, robot, links)
         explorer = find_method(method, loaded)
@@ -140,7 +142,7 @@ def explore(
         if not headless:
             from tfg_drake.diagrams.missions.page import open_page
 
-            title, of_clock = f"{name}, seed {loaded.seed}", None if real else realtime_rate
+            title, of_clock = f"{request.name}, seed {loaded.seed}", None if real else realtime_rate
             cockpit = page_stack.enter_context(open_page(title, host, page_port, rate=of_clock, preview=not real))
             show = also_on_page(show, cockpit)
         show("loading")
@@ -160,19 +162,16 @@ def explore(
             opened = OpenRobot(loaded, explorer, command.interruption, checked=not skip_checks)
             driven, loaded = stack.enter_context(opened)
         result = run_mission(
-            loaded,
+            request,
+            scenario=loaded,
             method=explorer,
             robot=driven,
-            name=name,
-            world_name=str(world or scenario) if driven.world_known else "unknown",
             meshcat=open_meshcat() if meshcat else None,
             cockpit=cockpit,
             realtime_rate=realtime_rate,
             max_time=max_time,
-            out_dir=out,
             on_progress=lambda progress: show(progress_line(progress)),
             interrupted=command.interruption,
-            before=None if before is None else before.state,
         )
         stack.close()
         _tell(result)

@@ -179,6 +179,11 @@ class MissionRequest:
     before: Packed | None = None
 
     @property
+    def world(self) -> str:
+        """What its world is called, where that is known."""
+        return (self.world_name or self.name) if self.robot.world_known else "unknown"
+
+    @property
     def title(self) -> str:
         """Of its page and pictures."""
         called = self.name if self.method.name == "tfg" else f"{self.name}, {self.method.name}"

@@ -154,7 +154,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "schema": SCHEMA,
         "version": __version__,
         "scenario": mission.request.name,
-        "world": mission.request.world_name or mission.request.name,
+        "world": mission.request.world,
         "seed": mission.scenario.seed,
         "method": mission.method.name,
         "outcome": mission.outcome,

@@ -11,12 +11,12 @@ import shutil
 from pathlib import Path
 
 from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run_folder import RESULTS
-from tfg_drake.diagrams.scenario import LoadScenario, Scenario
+from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
 from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint
 from tfg_drake.storage.port_recording import FILE_NAME as PORTS
-from tfg_drake.storage.serialization import Packed
 from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
 # The map that a mission began with, in its folder.
@@ -27,17 +27,13 @@ _FILES = ("scenario.yaml", KNOWN_MAP, PORTS, TIMELINE, "map.npz", "grid.npz", "l
 
 @dataclasses.dataclass(frozen=True)
 class CutShort:
-    """folder: where it goes on. scenario: all that defines it. name, world_name, robot, method: what these are called.
-    own: the method is a file or has parts of somebody's own. state: see `Mission.state`."""
+    """request: goes on with it, but for its robot and method. robot, method: what these are called. own: the method is
+    a file or has parts of somebody's own."""
 
-    folder: Path
-    scenario: Scenario
-    name: str
-    world_name: str
+    request: MissionRequest
     robot: str
     method: str
     own: bool
-    state: Packed
 
 
 def cut_short(run: Path, out: Path | None = None) -> CutShort:
@@ -68,8 +64,9 @@ def cut_short(run: Path, out: Path | None = None) -> CutShort:
             if (run / name).is_file():
                 (folder / name).unlink(missing_ok=True)
                 shutil.copyfile(run / name, folder / name)
-    names = told["scenario"], told["world"], told["robot"], told["method"], told["own"]
-    return CutShort(folder, LoadScenario(folder / "scenario.yaml"), *names, state)
+    scenario = LoadScenario(folder / "scenario.yaml")
+    request = MissionRequest(scenario, name=told["scenario"], world_name=told["world"], out_dir=folder, before=state)
+    return CutShort(request, told["robot"], told["method"], told["own"])
 
 
 def scenario_digest(run: Path) -> str:

@@ -122,7 +122,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             stack.enter_context(NoteKeeper(mission.notes))
             rows = [] if before is None else before.take("stages", STATE["stages"])
             folder.attempt("stages.jsonl", lambda path: write_atomic(path, stage_lines(rows)))
-            told = {"scenario": request.name, "world": request.world_name or request.name, "seed": scenario.seed}
+            told = {"scenario": request.name, "world": request.world, "seed": scenario.seed}
             told |= {"method": method.name, "own": bool(method.source) or method.name not in METHODS}
             told |= {"robot": robot.name, "scenario_digest": scenario_digest(folder.path)}
             keep = _keeper(mission, folder, told, writer, timeline) if writer and timeline else None

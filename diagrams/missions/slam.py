@@ -359,7 +359,6 @@ def map_recording(
         method=MappingMethod(method, end),
         robot=RecordedRobot(recording),
         name=recording.name,
-        world_name="unknown",
         max_time=math.inf,
         out_dir=out,
         on_progress=tell,

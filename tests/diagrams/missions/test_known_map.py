@@ -91,7 +91,7 @@ def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
     half = tfg_drake.explore(scenario, map=first.folder, until=8.0, out=tmp_path / "half")
     assert half.summary["changes"]["found_at_s"] < 5.0
     before = cut_short(half.folder, tmp_path / "after")
-    assert before.scenario.explorer.known_map == str(tmp_path / "after" / "known_map.npz")
+    assert before.request.scenario.explorer.known_map == str(tmp_path / "after" / "known_map.npz")
     after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=9.0)
     assert (after.folder / "known_map.npz").exists()
     assert json.loads((after.folder / "summary.json").read_text())["resumed_at_s"] == [8.0]
@@ -112,7 +112,7 @@ def test_what_is_said_of_its_place_is_recorded_and_replays_to_the_bit(first, tmp
     def driven(out, end, before=None, asked=()):
         asked = iter(asked)
         monkeypatch.setattr(Cockpit, "requests", lambda _: next(asked, ()))
-        state = None if before is None else before.state
+        state = None if before is None else before.request.before
         with Cockpit("", "rooms", rate=0.0) as cockpit:
             return run.run_mission(scenario, name="rooms", max_time=end, out_dir=out, cockpit=cockpit, before=state)
 

@@ -65,8 +65,7 @@ def half(tmp_path_factory):
 
 
 def gone_on(folder, out, end=END):
-    before = cut_short(folder, out)
-    return run.run_mission(before.scenario, name=before.name, max_time=end, out_dir=before.folder, before=before.state)
+    return run.run_mission(cut_short(folder, out).request, max_time=end)
 
 
 @pytest.fixture(scope="module")
@@ -222,12 +221,12 @@ def test_what_cannot_be_restored_is_one_line_and_nothing_is_lost(half, state, tm
         state[part] = kind, standing.take(part, kind)
     told = read_checkpoint(half.folder)[0]
     write_checkpoint(cut / "checkpoint.bin", told, state)
-    assert cut_short(cut).state.take("time", float) == CUT
+    assert cut_short(cut).request.before.take("time", float) == CUT
     write_checkpoint(cut / "checkpoint.bin", told, {**state, name: (hint, value)})
     before = {file.name: file.read_bytes() for file in cut.iterdir()}
     with pytest.raises(CheckpointError, match=r"^[^\n]*is damaged[^\n]*--map$"):
         gone_on(cut, None)
-    assert cut_short(cut).name == "rooms"
+    assert cut_short(cut).request.name == "rooms"
     for kept in ("checkpoint.bin", "scenario.yaml", "summary.json", "map.npz", "trajectory.tum", "stages.jsonl"):
         assert (cut / kept).read_bytes() == before[kept]
     assert len(read_recording(cut).messages["base.odometry"]) > 16 * (CUT - 1.0)
@@ -282,9 +281,9 @@ def test_a_link_in_the_place_of_a_file_is_not_written_through(half, tmp_path):
     elsewhere.write_text("mine\n")
     for name in ("log.txt", "timeline.tfg"):
         cut = shutil.copytree(half.folder, tmp_path / name)
-        before = cut_short(cut)
+        request = cut_short(cut).request
         (cut / name).unlink()
         (cut / name).symlink_to(elsewhere)
         with pytest.raises(OSError, match="symbolic links"):
-            run.run_mission(before.scenario, name="rooms", max_time=END, out_dir=cut, before=before.state)
+            run.run_mission(request, max_time=END)
     assert elsewhere.read_text() == "mine\n"
