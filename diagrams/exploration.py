@@ -142,8 +142,8 @@ def explore(
         request, method = before.request, method if before.own else before.method
     else:
         loaded = PrepareScenario(scenario, settings, seed, world, spacing, start, map)
-        name, folder = run_name(named or "mission", world and Path(world)), None if out is None else Path(out)
-        request = MissionRequest(loaded, name=name, world_name=str(world or named), out_dir=folder)
+        name = run_name(named or "mission", None if world is None else Path(world))
+        request = MissionRequest(loaded, name=name, world_name=str(world or named), out_dir=Path(out) if out else None)
     loaded = request.scenario
     if own and method not in ("tfg", "own"):
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")

@@ -8,7 +8,7 @@ more.
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
+import runpy
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -128,21 +128,17 @@ def FindMethod(name_or_path: str) -> Method:
             drive = read_drive(path)
         except DriveError as error:
             raise MethodError(str(error)) from None
-        make = partial(MakeManualExplorer, drive=drive)
-        return dataclasses.replace(METHODS["manual"], MakeExplorer=make, needs_keys=False, source=str(path.resolve()))
+        driven = partial(MakeManualExplorer, drive=drive)
+        return dataclasses.replace(METHODS["manual"], MakeExplorer=driven, needs_keys=False, source=str(path.resolve()))
     if path.suffix != ".py" or not path.is_file():
         what = "file" if path.suffix == ".py" else "method"
         raise MethodError(f"{name_or_path}: no such {what}; name a .py file or one of {', '.join(METHODS)}")
-    specification = importlib.util.spec_from_file_location(path.stem, path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
     try:
-        specification.loader.exec_module(module)
+        make = runpy.run_path(name_or_path, run_name=path.stem).get("MakeExplorer")
     except (Exception, SystemExit) as error:
         raise MethodError(f"{name_or_path}: cannot be imported: {type(error).__name__}: {error}") from error
-    if not callable(getattr(module, "MakeExplorer", None)):
+    if not callable(make):
         raise MethodError(
             f"{name_or_path}: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"
         )
-    return Method(path.stem, module.MakeExplorer, source=str(path.resolve()))
+    return Method(path.stem, make, source=str(path.resolve()))

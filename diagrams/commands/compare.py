@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -54,7 +54,7 @@ def compare(
         place = command.parse_start(start)
         of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
         compared = parse_methods(methods, of_seed[0])
-        given = {"name": name, "world_name": scenario if world is None else str(world), "max_time": max_time}
+        given: dict[str, Any] = {"name": name, "world_name": str(world or scenario), "max_time": max_time}
         # All methods of a seed before the next seed, so that a partial report compares like with like.
         tasks = [MissionRequest(one, method, **given) for one in of_seed for method in compared]
         if out is not None:

@@ -93,11 +93,6 @@ def stage_lines(stages: Sequence[Mapping[str, Any]]) -> str:
     return "".join(json.dumps(record) + "\n" for record in stages)
 
 
-def _stage_line(**told: Any) -> dict[str, Any]:
-    """A line of stages.jsonl."""
-    return {name: told.get(name) for name in STAGE_FIELDS}
-
-
 def _looking_round(systems: Mapping[str, tuple[Any, ...]], time: float) -> dict[str, tuple[Any, ...]]:
     """The state of an explorer whose robot looks for itself in the map from a time on, s; empty where there is none."""
     parts = [part for system in systems.values() for part in system]
@@ -586,7 +581,7 @@ class Mission:
         self.pose = self.look("pose", PoseEstimate)
         self.tfg, estimate = self.look_for("tfg", TfgMap), self.look_for("map", MapEstimate)
         self.grid = self.look_for("grid", GridMap)
-        record = None
+        record: dict[str, Any] | None = None
         if estimate is not None and estimate.stage > len(self.stages):
             record = self._stage_record(estimate)
             self.map = estimate
@@ -596,7 +591,7 @@ class Mission:
                 Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
             )
         elif self.grid is not None and self.grid.stage > len(self.stages):
-            record = _stage_line(stage=self.grid.stage, time_s=self.grid.stamp)
+            record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
         if record is not None or self._shown_at is not self.X_WM:
             self._shown_at = self.X_WM
             if self._visualizer is not None:
@@ -634,23 +629,24 @@ class Mission:
         arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
         if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None
-        parts = {}
+        record: dict[str, Any] = dict.fromkeys(STAGE_FIELDS)
         if choice is not None:
             row = int(np.flatnonzero(choice.candidates == choice.node)[0])
-            parts = {name: float(getattr(choice, name)[row]) for name in ("exploitation", "exploration", "pose_price")}
-            parts["predicted_gain"] = float(choice.gain[row])
+            record |= {
+                name: float(getattr(choice, name)[row]) for name in ("exploitation", "exploration", "pose_price")
+            }
+            record["predicted_gain"] = float(choice.gain[row])
         before = self.map
         known = len(before.ids) if before is not None else 0
         prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
-        return _stage_line(
-            stage=estimate.stage,
-            goal=[float(value) for value in compose(self.X_WM, estimate.X_MA[-1])],
-            **parts,
-            realised_gain=prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
-            time_s=estimate.stamp,
-            entropy_nats=estimate.entropy,
-            landmarks=len(estimate.ids),
-        )
+        return record | {
+            "stage": estimate.stage,
+            "goal": [float(value) for value in compose(self.X_WM, estimate.X_MA[-1])],
+            "realised_gain": prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
+            "time_s": estimate.stamp,
+            "entropy_nats": estimate.entropy,
+            "landmarks": len(estimate.ids),
+        }
 
     def position_error(self) -> float:
         """Error of the estimated position now, m; nan where the truth is not known."""

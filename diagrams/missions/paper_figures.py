@@ -17,7 +17,7 @@ from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.comparison_report import write_comparison
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.sweep import run_sweep
-from tfg_drake.diagrams.scenario import FindScenario, LoadScenario, MakeWorld, Scenario
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, PrepareScenario, Scenario
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
@@ -90,7 +90,7 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
     Raises:
         OSError: a file cannot be written.
     """
-    scenario = LoadScenario(FindScenario("paper"))
+    scenario = LoadScenario("paper")
     stages, stamps, p_MB = stages_of(scenario, on_stage)
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
     parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
@@ -115,9 +115,7 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         SweepError: the folder holds other missions.
         OSError: a file cannot be written.
     """
-    scenarios = [LoadScenario(FindScenario("paper")) for _ in range(RUNS)]
-    for seed, scenario in enumerate(scenarios):
-        scenario.seed = seed
+    scenarios = [PrepareScenario("paper", seed=seed) for seed in range(RUNS)]
 
     def compared(name: str, scenarios: Sequence[Scenario], world: str, methods: Sequence[str]) -> list[Run]:
         asked = [MissionRequest(one, name=world, world_name=world, max_time=LONGEST) for one in scenarios]
@@ -130,7 +128,7 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
 
     runs = compared("table-2", scenarios, "paper", COMPARED)
     for name, feels in (("felt", True), ("unfelt", False)):
-        pushed = LoadScenario(FindScenario("house"))
+        pushed = LoadScenario("house")
         pushed.disturbances = [dataclasses.replace(PUSH, gyro_feels=feels)]
         compared(name, [pushed], "house", DISTURBED)
     scenario, world = scenarios[0], MakeWorld(scenarios[0].world)

@@ -307,7 +307,11 @@ def _no_truth() -> GroundTruth:
 
 def _shares(say: Callable[[str], object], part: str) -> OnProgress:
     """Says the share that is done of a part of the work, "online" or "batch"."""
-    return lambda share: say(f"{part} {percent(share, 0):3.0f} %")
+
+    def report(share: float) -> None:
+        say(f"{part} {percent(share, 0):3.0f} %")
+
+    return report
 
 
 def map_recording(

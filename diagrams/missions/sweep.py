@@ -58,9 +58,9 @@ def _receipt(task: MissionRequest) -> dict[str, Any]:
     """Tells a run of a sweep from any other."""
     method, digest = task.method, hashlib.sha256(DumpScenario(task.scenario).encode()).hexdigest()
     code = hashlib.sha256(Path(method.source).read_bytes()).hexdigest() if method.source else None
-    shared = {"version": __version__, "scenario": task.name, "world": task.world_name, "scenario_sha256": digest}
-    shared["max_time_s"] = task.max_time
-    return shared | {"method": method.name, "method_sha256": code, "seed": task.scenario.seed}
+    named = {"version": __version__, "scenario": task.name, "world": task.world_name, "scenario_sha256": digest}
+    run = {"max_time_s": task.max_time, "method": method.name, "method_sha256": code, "seed": task.scenario.seed}
+    return {**named, **run}
 
 
 def parse_methods(text: str, scenario: Scenario) -> list[Method]:
