@@ -26,8 +26,9 @@ class Screen:
     A thread does so, and says how long the same has been done: who looks on can tell what takes long from what hangs.
     """
 
-    def __init__(self) -> None:
-        self._text = ""
+    def __init__(self, text: str = "") -> None:
+        """text: what is shown first, see `__call__`."""
+        self._text = text
         self._since = self._written = self._begun = time.monotonic()
         self._live: Any = None
         self._over = threading.Event()

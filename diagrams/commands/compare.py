@@ -42,9 +42,7 @@ def compare(
     if jobs is not None and ray is not None:
         bad_input("--jobs and --ray exclude each other; a cluster knows how many missions it can run")
 
-    with Screen() as show:
-        show("loading")
-
+    with Screen("loading") as show:
         from tfg_drake.diagrams.missions import comparison_report
         from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.sweep import parse_methods, run_sweep

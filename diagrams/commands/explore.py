@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
-import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     from tfg_drake.cockpit.server import Cockpit
     from tfg_drake.diagrams.methods import Method
-    from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.diagrams.missions.run import RunResult
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
@@ -112,9 +110,9 @@ def explore(
     if method == "manual":  # Nobody drives faster.
         realtime_rate = realtime_rate or 1.0
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
-        show: Callable[[str], None] = stack.enter_context(Screen())
-        if sys.stdout.isatty():  # Elsewhere nothing is said before all that was given is known to do.
-            show("loading")
+        # Without a terminal nothing is said before all that was given is known to do.
+        show: Callable[[str], None] = stack.enter_context(Screen("loading" if sys.stdout.isatty() else ""))
+
         from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.resume import cut_short
         from tfg_drake.diagrams.scenario import PrepareScenario
@@ -170,7 +168,7 @@ def explore(
             cockpit=cockpit,
             realtime_rate=realtime_rate,
             max_time=max_time,
-            on_progress=lambda progress: show(progress_line(progress)),
+            on_progress=lambda progress: show(progress.line),
             interrupted=command.interruption,
         )
         stack.close()
@@ -343,14 +341,3 @@ def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[s
             cockpit.word = word
 
     return both
-
-
-def progress_line(progress: Progress) -> str:
-    """How far the mission has come, on one line of a terminal of 80 columns; what is done now where it has ended."""
-    if progress.outcome:
-        # In a building of thousands of tags the last solve takes half a minute.
-        return f"{progress.time:6.1f} s  {progress.outcome}: solving the whole map, writing the run's files"
-    where = f"{progress.time:6.1f} s  stage {progress.stage:3d} {progress.phase:8s}"
-    speed = progress.time / max(progress.wall_time, 1e-9)
-    error = "" if math.isnan(progress.position_error) else f"  error {100.0 * progress.position_error:5.1f} cm"
-    return f"{where}{progress.landmarks:>9} {progress.area:5.0f} m2{error}  {speed:4.1f} x real time"

@@ -18,8 +18,7 @@ def figures(
     """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, maps, coverage,
     errors, a disturbance, Tables I and II, and paper.md, which sets each beside what the paper says."""
     command.make_writable(out)
-    with Screen() as show:
-        show("loading")
+    with Screen("loading") as show:
         wait_for_kernels(show, command.interruption)
 
         from tfg_drake.diagrams.missions.paper_figures import write_figures, write_tables

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from tfg_drake.diagrams.commands import command
 from tfg_drake.diagrams.commands.command import argument, bad_input, option, parse_place
-from tfg_drake.diagrams.commands.explore import progress_line
 from tfg_drake.diagrams.compile_kernels import wait_for_kernels
 from tfg_drake.diagrams.screen import Screen
 
@@ -36,8 +35,7 @@ def fork(
         bad_input("--goal and --candidate exclude each other; name one of them")
     place = None if goal is None else parse_place("--goal", goal, "X,Y")
     command.make_ready(out)
-    with Screen() as show:
-        show("loading")
+    with Screen("loading") as show:
         wait_for_kernels(show, command.interruption)
 
         from tfg_drake.comparison.differences import difference_rows
@@ -51,7 +49,7 @@ def fork(
         result = run_mission(
             request,
             out_dir=out,
-            on_progress=lambda progress: show(progress_line(progress)),
+            on_progress=lambda progress: show(progress.line),
             interrupted=command.interruption,
             monitor=change.monitor,
         )

@@ -308,9 +308,7 @@ def _save(saved: SavedMap, out: Path) -> None:
 
 
 def _load(path: Path) -> SavedMap:
-    with Screen() as show:
-        show(f"reading {path}")
-
+    with Screen(f"reading {path}"):
         from tfg_drake.mapfile.saved_map import load_map
 
         return load_map(path)

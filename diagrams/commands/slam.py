@@ -75,8 +75,7 @@ def slam(
             bad_input(f"--{name} {value}: is for laser recordings; leave it out")
     command.make_ready(out)
     with contextlib.ExitStack() as stack:
-        show = stack.enter_context(Screen())
-        show("loading")
+        show = stack.enter_context(Screen("loading"))
 
         from tfg_drake.diagrams.missions.slam import run_slam, scanner_settings, table_rows
         from tfg_drake.hardware.recordings import load_recording

@@ -61,9 +61,7 @@ def advise(
         bad_input(f"{'--start' if start is not None else '--fresh'}: goes with --world; of a mission both are known")
     if count < 1:
         bad_input(f"--count {count}: must be 1 or more")
-    with Screen() as show:
-        show("loading")
-
+    with Screen("loading") as show:
         from threadpoolctl import threadpool_limits
 
         from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario

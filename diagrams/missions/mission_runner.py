@@ -49,6 +49,17 @@ class Progress:
     position_error: float
     outcome: str = ""
 
+    @property
+    def line(self) -> str:
+        """It on one line of a terminal of 80 columns; what is done now where the mission has ended."""
+        if self.outcome:
+            # In a building of thousands of tags the last solve takes half a minute.
+            return f"{self.time:6.1f} s  {self.outcome}: solving the whole map, writing the run's files"
+        where = f"{self.time:6.1f} s  stage {self.stage:3d} {self.phase:8s}"
+        speed = self.time / max(self.wall_time, 1e-9)
+        error = "" if math.isnan(self.position_error) else f"  error {100.0 * self.position_error:5.1f} cm"
+        return f"{where}{self.landmarks:>9} {self.area:5.0f} m2{error}  {speed:4.1f} x real time"
+
 
 class MissionRunner:
     """Takes one mission through `run`, which may be called once."""

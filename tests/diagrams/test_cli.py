@@ -18,7 +18,6 @@ from tests.diagrams.rooms import ROOM, ROOMS
 from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli, compile_kernels
-from tfg_drake.diagrams.commands import explore as explore_command
 from tfg_drake.diagrams.commands.command import EXIT_CODES
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
@@ -277,7 +276,7 @@ def test_every_signal_ends_a_mission_with_a_code_of_its_own(call, room, tmp_path
         return ""
 
     told = []
-    monkeypatch.setattr(explore_command, "progress_line", interrupt)
+    monkeypatch.setattr(Progress, "line", property(interrupt))
     monkeypatch.setattr(cli, "_tell_at_once", told.append)
     code, out, err = call("explore", room, "--headless", "--json", "--out", tmp_path / "run")
     assert (code, err) == (128 + number, "")
@@ -362,10 +361,10 @@ def test_the_progress_line():
         time=120.0, wall_time=4.0, phase="follow", stage=7, landmarks="63 tags", area=412.4, position_error=0.0213
     )
     expected = " 120.0 s  stage   7 follow    63 tags   412 m2  error   2.1 cm  30.0 x real time"
-    assert explore_command.progress_line(progress) == expected
-    untold = explore_command.progress_line(dataclasses.replace(progress, position_error=math.nan))
+    assert progress.line == expected
+    untold = dataclasses.replace(progress, position_error=math.nan).line
     assert untold == " 120.0 s  stage   7 follow    63 tags   412 m2  30.0 x real time"
-    over = explore_command.progress_line(dataclasses.replace(progress, outcome="complete"))
+    over = dataclasses.replace(progress, outcome="complete").line
     assert over == " 120.0 s  complete: solving the whole map, writing the run's files"
 
 

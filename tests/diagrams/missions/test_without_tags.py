@@ -5,7 +5,6 @@ import re
 import pytest
 
 from tests.diagrams.rooms import room
-from tfg_drake.diagrams.commands.explore import progress_line
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.summary_words import table_rows, title
 
@@ -15,9 +14,7 @@ def mission(tmp_path_factory):
     scenario, lines = room(), []
     scenario.world.tags = []
     folder = tmp_path_factory.mktemp("bare") / "run"
-    done = run.run_mission(
-        scenario, name="bare", out_dir=folder, on_progress=lambda at: lines.append(progress_line(at))
-    )
+    done = run.run_mission(scenario, name="bare", out_dir=folder, on_progress=lambda at: lines.append(at.line))
     return done, lines
 
 
