@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pydrake.systems.framework import Diagram
 
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.driven_explorers import MakeManualExplorer, MakeScriptedExplorer
 from tfg_drake.diagrams.explorer import MakeGoalSelector, MakePlanner, MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
@@ -116,6 +117,16 @@ METHODS = {
         Method("manual", MakeManualExplorer, keeps_budget=False, needs_keys=True),
     )
 }
+
+
+def NamedMethod(option: str, name_or_path: str, scenario: Scenario) -> Method:
+    """The method that an option of the command line names, for a scenario. Raises BadInput."""
+    try:
+        method = FindMethod(name_or_path)
+        method.Check(scenario)
+    except MethodError as error:
+        raise BadInput(f"{option} {error}") from None
+    return method
 
 
 def FindMethod(name_or_path: str) -> Method:

@@ -113,6 +113,7 @@ def explore(
         # Without a terminal nothing is said before all that was given is known to do.
         show: Callable[[str], None] = stack.enter_context(Screen("loading" if sys.stdout.isatty() else ""))
 
+        from tfg_drake.diagrams.methods import NamedMethod
         from tfg_drake.diagrams.missions.mission import MissionRequest
         from tfg_drake.diagrams.missions.resume import cut_short
         from tfg_drake.diagrams.scenario import PrepareScenario
@@ -131,7 +132,7 @@ def explore(
             loaded = request.scenario
         if robot != "sim" and replayed is None:
             link(loaded, robot, links)
-        explorer = find_method(method, loaded)
+        explorer = NamedMethod("--method", method, loaded)
         if explorer.needs_keys and robot != "sim":
             bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
         cockpit, real = None, robot in ROBOTS
@@ -205,16 +206,6 @@ def parse_at(text: str | None) -> list[float] | None:
     if min(place[3:]) <= 0.0:
         bad_input(f"--at {text}: its deviations must be greater than 0")
     return place
-
-
-def find_method(name: str, scenario: Scenario) -> Method:
-    """The method that --method names, for a scenario. Raises BadInput."""
-    from tfg_drake.diagrams.methods import FindMethod, MethodError
-
-    with command.naming("--method ", MethodError):
-        method = FindMethod(name)
-        method.Check(scenario)
-        return method
 
 
 def replayed_run(robot: str) -> Path | None:

@@ -29,7 +29,7 @@ from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import Progress
-from tfg_drake.diagrams.missions.report import write_summary
+from tfg_drake.diagrams.missions.report import SCHEMA, write_summary
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.missions.run_folder import open_run_folder
 from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario, length_of, start_of
@@ -57,7 +57,6 @@ from tfg_drake.tfg.graph import empty_map
 
 _log = logging.getLogger("tfg_drake.slam_command")
 
-SCHEMA = 1
 # What a graph without a robot's way in it is solved by.
 GRAPH_METHOD = "batch"
 # Settings of a recording's scanner begin so.

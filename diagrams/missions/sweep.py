@@ -28,7 +28,7 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
-from tfg_drake.diagrams.methods import FindMethod, Method, MethodError
+from tfg_drake.diagrams.methods import Method, NamedMethod
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import DumpScenario, Scenario
@@ -66,17 +66,14 @@ def _receipt(task: MissionRequest) -> dict[str, Any]:
 def parse_methods(text: str, scenario: Scenario) -> list[Method]:
     """The methods that a list such as "tfg,mine.py" names.
 
-    Raises SweepError for one that there is not, or that the scenario lacks something for.
+    Raises BadInput for one that there is not, or that the scenario lacks something for.
     """
     methods: list[Method] = []
     for word in (word.strip() for word in text.split(",")):
-        try:
-            method = FindMethod(word)
-            method.Check(scenario)
-            if method.needs_keys:
-                raise MethodError(f"{word}: nobody is at the keys; name the keys.csv of a run that was driven by hand")
-        except MethodError as error:
-            raise SweepError(f"--methods {error}") from None
+        method = NamedMethod("--methods", word, scenario)
+        if method.needs_keys:
+            mend = "name the keys.csv of a run that was driven by hand"
+            raise SweepError(f"--methods {word}: nobody is at the keys; {mend}")
         if method.name in [one.name for one in methods]:
             raise SweepError(f"--methods {text}: names {method.name} twice; name each once")
         methods.append(method)

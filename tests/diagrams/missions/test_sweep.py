@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.diagrams.rooms import lasting
+from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions import ray_sweep
 from tfg_drake.diagrams.missions.mission import MissionRequest
@@ -183,7 +184,7 @@ def test_methods_are_named():
     assert (again.method.name, again.method.source) == (own.name, own.source)
     with pytest.raises(SweepError, match="--methods tfg,tfg: names tfg twice; name each once"):
         parse_methods("tfg,tfg", LoadScenario(data=ROOM))
-    with pytest.raises(SweepError, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):
+    with pytest.raises(BadInput, match=r"^--methods scripted: the scenario has no drive; give it one, a list of"):
         parse_methods("tfg,scripted", LoadScenario(data=ROOM))
 
 
