@@ -20,7 +20,7 @@ from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
-from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, Roadmap, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.planning.mission_end import UNSEEN
 from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings
@@ -62,10 +62,14 @@ def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     that of the estimate then, and every landmark that is not doubtful counts as mapped. A file that cannot be written
     is told to the folder, and the others are written all the same.
     """
-    saved, estimate, tfg, map_bytes = _keep_map(mission, folder)
+    saved, estimate, tfg = mission.final_map() or (None, mission.map, mission.tfg)
+    write_map(folder, mission.grid, saved)
+    if (pressed := mission.pressed()) is not None:
+        folder.attempt("keys.csv", lambda path: write_atomic(path, drive_csv(pressed)))
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
-    summary = _known_to_any(mission, estimate, X_WB, map_bytes)
+    files = [path for name in ("map.npz", "grid.npz") if (path := folder.path / name).exists()]
+    summary = _known_to_any(mission, estimate, X_WB, sum(path.stat().st_size for path in files))
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
@@ -126,23 +130,12 @@ def figure_of(
     return run_figure(title, *seen)
 
 
-def _keep_map(mission: Mission, folder: RunFolder) -> tuple[SavedMap | None, MapEstimate | None, TfgMap | None, int]:
-    """Writes the map and the keys that drove; what is saved, the final estimate and TFG, None where there are none, and
-    bytes."""
-    saved, tfg, estimate, grid = None, mission.tfg, mission.map, mission.grid
-    map_bytes = 0
-    final = mission.final_map()
-    if final is not None:
-        saved, estimate, tfg = final
-        if saved is not None:
-            folder.attempt("map.npz", lambda path: save_map(path, saved))
-        map_bytes = _size(folder.path / "map.npz")
+def write_map(folder: RunFolder, grid: GridMap | None, saved: SavedMap | None, *, final: bool = True) -> None:
+    """Writes grid.npz, or map.npz, as far as there is one. final: nothing comes after it."""
     if grid is not None:
-        folder.attempt("grid.npz", lambda path: save_grid(path, grid))
-        map_bytes = _size(folder.path / "grid.npz")
-    if (pressed := mission.pressed()) is not None:
-        folder.attempt("keys.csv", lambda path: write_atomic(path, drive_csv(pressed)))
-    return saved, estimate, tfg, map_bytes
+        folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=final))
+    elif saved is not None:
+        folder.attempt("map.npz", lambda path: save_map(path, saved, final=final))
 
 
 def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArray, map_bytes: int) -> dict[str, Any]:
@@ -240,10 +233,6 @@ def _draw(path: Path, *shown: Any) -> None:
     from tfg_drake.pictures.figure_file import write_figure
 
     write_figure(path, figure_of(*shown))
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
 
 
 def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:

@@ -26,14 +26,12 @@ from tfg_drake.cockpit.page import export_page, viewer_script
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import STATE, Mission, MissionRequest, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
-from tfg_drake.diagrams.missions.report import write_report
+from tfg_drake.diagrams.missions.report import write_map, write_report
 from tfg_drake.diagrams.missions.resume import KNOWN_MAP, scenario_digest
 from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.missions.summary_words import ON_PAGE, left_open_rows
 from tfg_drake.diagrams.scenario import AreasOutside, DumpScenario, MakeWorld, Scenario
-from tfg_drake.grid.saved_grid import save_grid
 from tfg_drake.io.files import of_run, write_atomic
-from tfg_drake.mapfile.saved_map import save_map
 from tfg_drake.mission.interruption import Interruption
 from tfg_drake.notes import NoteKeeper
 from tfg_drake.storage import port_recording
@@ -194,11 +192,7 @@ def _keeper(
         newest = mission.tfg if mission.tfg is not None else mission.grid
         if newest is None or newest.stage <= kept_stage:
             return False
-        grid, found = mission.grid, mission.newest_map()
-        if grid is not None:
-            folder.attempt("grid.npz", lambda path: save_grid(path, grid, final=False))
-        elif found is not None:
-            folder.attempt("map.npz", lambda path: save_map(path, found, final=False))
+        write_map(folder, mission.grid, mission.newest_map(), final=False)
         kept_stage = newest.stage
         return True
 

@@ -169,16 +169,19 @@ def test_a_comparison_keeps_no_map_meanwhile(tmp_path, monkeypatch):
 def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "KEPT_SHARE", 1e-9)
     saved = []
-    monkeypatch.setattr(run, "save_map", lambda path, found, final: saved.append(found.stage))
+    monkeypatch.setattr(report, "save_map", lambda path, found, final: saved.append((found.stage, final)))
     run.run_mission(room(), max_time=14.0, out_dir=tmp_path)
-    assert saved == [1, 3]  # the last at the end
+    assert saved == [(1, False), (3, False), (3, True)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lost", [["map.npz"], ["summary.json"], ["figure.png"], ["trajectory.tum", "truth.tum"]])
 def test_what_cannot_be_written_at_the_end_is_one_file_only(call, tmp_path, monkeypatch, lost):
-    writers = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}
+    writers, keep = {"map.npz": "save_map", "summary.json": "write_atomic", "figure.png": "_draw"}, report.save_map
     monkeypatch.setattr(report, writers.get(lost[0], "write_tum"), _fail)
+    if lost == ["map.npz"]:
+        fails_at_end = lambda path, found, final: _fail() if final else keep(path, found, final=final)  # noqa: E731
+        monkeypatch.setattr(report, "save_map", fails_at_end)
     monkeypatch.setattr(run, "KEPT_SHARE", np.inf)
     (tmp_path / "room.yaml").write_text(DIVIDED + QUICK_LOOK)
     arguments = ["explore", tmp_path / "room.yaml", "--tag-spacing", 1, "--headless", "--max-time", 11.5, "--json"]
