@@ -82,8 +82,8 @@ def flag(name: str, told: str, **given: Any) -> Any:
     return typer.Option(name, help=told, **given)
 
 
-def argument(metavar: str, told: str, **given: Any) -> Any:
-    """An argument, likewise."""
+def argument(metavar: str | None, told: str, **given: Any) -> Any:
+    """An argument, likewise; metavar: None for its parameter's name."""
     return typer.Argument(metavar=metavar, help=told, **given)
 
 

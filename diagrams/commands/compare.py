@@ -7,17 +7,15 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import bad_input, option
+from tfg_drake.diagrams.commands.command import argument, bad_input, option
 from tfg_drake.diagrams.compile_kernels import wait_for_kernels
 from tfg_drake.diagrams.missions import run_folder
 from tfg_drake.diagrams.screen import Screen
 
 
 def compare(
-    scenario: Annotated[str, typer.Argument(help="A shipped scenario or a YAML file.")] = "paper",
+    scenario: Annotated[str, argument(None, "A shipped scenario or a YAML file.")] = "paper",
     world: command.World = None,
     tag_spacing: command.TagSpacing = None,
     start: command.Start = None,

@@ -10,12 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tfg_drake.bad_input import EstimateLost
 from tfg_drake.config import ROBOTS
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import bad_input, flag, option, parse_place
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, parse_place
 from tfg_drake.diagrams.compile_kernels import wait_for_kernels
 from tfg_drake.diagrams.missions import run_folder
 from tfg_drake.diagrams.screen import Screen, say
@@ -48,7 +46,7 @@ ENDS = (
 
 def explore(
     scenario: Annotated[
-        str | None, typer.Argument(help="A shipped scenario or a YAML file [default: paper, or that of a replay].")
+        str | None, argument(None, "A shipped scenario or a YAML file [default: paper, or that of a replay].")
     ] = None,
     world: command.World = None,
     tag_spacing: command.TagSpacing = None,

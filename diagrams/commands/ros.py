@@ -9,10 +9,8 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import bad_input, flag, option
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option
 
 if TYPE_CHECKING:
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
@@ -22,7 +20,7 @@ ros2_app = command.group("ros2", "A robot on a ROS 2 graph.")
 
 @ros2_app.command()
 def emulate(
-    scenario: Annotated[str, typer.Argument(help="Where it stands: a shipped scenario or a YAML file.")] = "house",
+    scenario: Annotated[str, argument(None, "Where it stands: a shipped scenario or a YAML file.")] = "house",
     seed: Annotated[int | None, option("N", "Seed of the emulated noise [default: the scenario's].")] = None,
     network: Annotated[bool, flag("--network", "Join the whole network, not this machine only.")] = False,
 ) -> None:

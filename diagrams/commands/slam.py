@@ -8,11 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from tfg_drake.diagrams.commands import command
 from tfg_drake.diagrams.commands.camera import video_loader
-from tfg_drake.diagrams.commands.command import bad_input, flag, option, positive
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, positive
 from tfg_drake.diagrams.commands.explore import open_meshcat
 from tfg_drake.diagrams.screen import Screen
 
@@ -20,9 +18,10 @@ from tfg_drake.diagrams.screen import Screen
 def slam(
     dataset: Annotated[
         Path,
-        typer.Argument(
-            help="A ROS bag with scans and odometry, a laser log of CARMEN or BreezySLAM, an MR.CLAM or TagSLAM "
-            "folder, a .g2o file or, with --calibration, a video or folder of images."
+        argument(
+            None,
+            "A ROS bag with scans and odometry, a laser log of CARMEN or BreezySLAM, an MR.CLAM or TagSLAM "
+            "folder, a .g2o file or, with --calibration, a video or folder of images.",
         ),
     ],
     robot: Annotated[int | None, option("N", "The robot to map with, if there are several.")] = None,

@@ -107,11 +107,8 @@ def _pack(folder: Path) -> bytes:
 def _unpack(archive: bytes, folder: Path) -> None:
     """The folder as it was packed, in place of what is there: whole or not at all."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        zipfile.ZipFile(io.BytesIO(archive)).extractall(temporary)
-        temporary.chmod(0o755)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
+        unpacked = Path(beside, folder.name)
+        zipfile.ZipFile(io.BytesIO(archive)).extractall(unpacked)
         shutil.rmtree(folder, ignore_errors=True)
-        temporary.replace(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        unpacked.replace(folder)
