@@ -19,7 +19,7 @@ from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.summary_words import table_rows
-from tfg_drake.pictures.map_timeline import write_map_timeline
+from tfg_drake.pictures.tables import write_map_timeline
 from tfg_drake.storage.rows import Table
 from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.timelines import read_timeline
-from tfg_drake.pictures.map_timeline import write_map_timeline
+from tfg_drake.pictures.tables import write_map_timeline
 
 
 def test_a_timeline_of_one_moment_has_all_of_the_map(small_map, tmp_path):
