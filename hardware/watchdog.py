@@ -3,13 +3,14 @@
 It runs where the commands leave the machine, in a process of its own, by the host's monotonic clock (s).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
+from typing import Annotated
 
+from tfg_drake.constraints import Bounds, Positive
 from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import stopped_by
+from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
 # Without a command younger than this the velocity is zero, s. With a tick and the way there the robot has it in 0.6 s.
 COMMAND_TIMEOUT = 0.5
@@ -26,10 +27,10 @@ _NO_ODOMETRY = f"no odometry for more than {ODOMETRY_TIMEOUT} s"
 class Limits:
     """Limits on a command: m/s, rad/s, m/s^2, rad/s^2."""
 
-    speed: float = 0.3
-    turn_rate: float = 1.5
-    acceleration: float = 0.5
-    turn_acceleration: float = 3.5
+    speed: Annotated[float, Bounds(0.0, FASTEST)] = 0.3
+    turn_rate: Annotated[float, Bounds(0.0, FASTEST_TURN)] = 1.5
+    acceleration: Positive = 0.5
+    turn_acceleration: Positive = 3.5
 
 
 class Watchdog:

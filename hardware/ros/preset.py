@@ -1,17 +1,13 @@
 """Preset of a TurtleBot's ROS graph: topics, types, quality of service, limits and mounts, read from YAML."""
 
-from __future__ import annotations
-
 import dataclasses
-import types
-import typing
 from pathlib import Path
-from typing import Any
+from typing import Annotated, ClassVar
 
-from tfg_drake.bad_input import not_radians
+from tfg_drake.constraints import Angle, Bounds, NotNegative, OneOf, Radians
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
-from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
+from tfg_drake.typed_tree import Misfit, read
 
 PRESETS = Path(__file__).parent / "presets"
 
@@ -20,13 +16,29 @@ class PresetError(ValueError):
     """A preset that cannot be used; the message is one line: file, key, what is wrong, how to mend it."""
 
 
+class _NotEmpty:
+    """A text that says something."""
+
+    def fault(self, value: str) -> str:
+        """The complaint about a value, "" for none."""
+        return "" if value else "must not be empty"
+
+
+# No number in a preset is greater.
+_MOST = 1e6
+_Name = Annotated[str, _NotEmpty()]
+_Metres = Annotated[float, Bounds(-_MOST, _MOST)]
+_Positive = Annotated[float, Bounds(0.0, _MOST)]
+
+
 @dataclasses.dataclass(frozen=True)
 class Topic:
     """A topic. type: package/msg/Name. qos: "sensor_data" (best effort) or "reliable"."""
 
-    name: str
-    type: str
-    qos: str = "sensor_data"
+    example: ClassVar[str] = "a topic as {name: /scan, type: sensor_msgs/msg/LaserScan}"
+    name: _Name
+    type: _Name
+    qos: Annotated[str, OneOf(("sensor_data", "reliable"))] = "sensor_data"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +46,11 @@ class Topics:
     """The topics of one robot; those of tags, hazards and battery may be absent. camera_info: for apriltag_msgs; images
     have their own beside them. initial_pose: where somebody says that the robot is, as RViz does."""
 
+    example: ClassVar[str] = "odometry, scan and command, each as {name: /scan, type: sensor_msgs/msg/LaserScan}"
     odometry: Topic
     scan: Topic
     command: Topic
-    hazards: tuple[Topic, ...] = ()
+    hazards: list[Topic] = dataclasses.field(default_factory=list)
     battery: Topic | None = None
     detections: Topic | None = None
     camera_info: Topic | None = None
@@ -50,20 +63,20 @@ class Scanner:
 
     flip: it is mounted upside down. clockwise: it counts its rays so, as seen from above it. field_of_view: what its
     rays span, rad, symmetric to its x axis, 0: as its messages say. clock_offset: how far its clock is ahead of the
-    odometry's, s. unanswered: what a ray says that gives no answer, one of UNANSWERED. least_range: nothing nearer is
-    seen, m.
+    odometry's, s. unanswered: what a ray says that gives no answer: nothing is known there, or nothing was met.
+    least_range: nothing nearer is seen, m.
     """
 
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
+    x: _Metres = 0.0
+    y: _Metres = 0.0
+    yaw: Angle = 0.0
     flip: bool = False
     clockwise: bool = False
-    field_of_view: float = 0.0
-    clock_offset: float = 0.0
-    sigma: float = 0.015
-    unanswered: str = "unknown"
-    least_range: float = 0.0
+    field_of_view: Annotated[float, NotNegative(), Radians()] = 0.0
+    clock_offset: Annotated[float, Bounds(-_MOST, _MOST)] = 0.0
+    sigma: _Positive = 0.015
+    unanswered: Annotated[str, OneOf(("unknown", "free"))] = "unknown"
+    least_range: Annotated[float, NotNegative(), Bounds(most=_MOST)] = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,32 +86,32 @@ class Camera:
     tag_size: side of a tag's black square, m. corner_sigma: standard deviation of a corner, pixels.
     """
 
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
-    pitch: float = 0.0
-    tag_size: float = 0.16
-    corner_sigma: float = 0.5
+    x: _Metres = 0.0
+    y: _Metres = 0.0
+    yaw: Angle = 0.0
+    pitch: Angle = 0.0
+    tag_size: _Positive = 0.16
+    corner_sigma: _Positive = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
 class Frames:
     """Names of frames (REP 105): the map's, that of the base's odometry, the base's body."""
 
-    map: str = "map"
-    odom: str = "odom"
-    base: str = "base_link"
+    map: _Name = "map"
+    odom: _Name = "odom"
+    base: _Name = "base_link"
 
 
 @dataclasses.dataclass(frozen=True)
 class Publish:
     """Names of the topics on which the explorer says what it knows; PUBLISHED has their types."""
 
-    map: str = "/map"
-    markers: str = "/tfg/markers"
-    path: str = "/tfg/path"
-    pose: str = "/tfg/pose"
-    tf: str = "/tf"
+    map: _Name = "/map"
+    markers: _Name = "/tfg/markers"
+    path: _Name = "/tfg/path"
+    pose: _Name = "/tfg/pose"
+    tf: _Name = "/tf"
 
 
 # By the key in `publish`: the type, and whether a late listener gets the newest message.
@@ -113,15 +126,17 @@ PUBLISHED = {
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """One kind of robot. discovery: how far ROS 2 looks for it, one of DISCOVERY."""
+    """One kind of robot. discovery: how far ROS 2 looks for it: in the whole network, as it does by itself, or on this
+    machine only."""
 
+    example: ClassVar[str] = Topics.example
     topics: Topics
     limits: Limits = dataclasses.field(default_factory=Limits)
     scanner: Scanner = dataclasses.field(default_factory=Scanner)
     camera: Camera = dataclasses.field(default_factory=Camera)
     frames: Frames = dataclasses.field(default_factory=Frames)
     publish: Publish = dataclasses.field(default_factory=Publish)
-    discovery: str = "subnet"
+    discovery: Annotated[str, OneOf(("subnet", "localhost"))] = "subnet"
 
 
 # What tags may be looked for in.
@@ -143,15 +158,6 @@ TYPES = {
     "camera_info": ("sensor_msgs/msg/CameraInfo",),
     "initial_pose": ("geometry_msgs/msg/PoseWithCovarianceStamped",),
 }
-QOS = ("sensor_data", "reliable")
-# Nothing is known there, or nothing was met.
-UNANSWERED = ("unknown", "free")
-# In the whole network, as ROS 2 does by itself, or on this machine only.
-DISCOVERY = ("subnet", "localhost")
-_POSITIVE = ("limits.", "scanner.sigma", "camera.tag_size", "camera.corner_sigma")
-# No number in a preset is greater; no robot's limit of speed or turn rate, m/s and rad/s.
-_GREATEST = 1e6
-_MOST = {"limits.speed": FASTEST, "limits.turn_rate": FASTEST_TURN}
 
 
 def load_preset(name_or_path: str | Path) -> Preset:
@@ -166,75 +172,21 @@ def load_preset(name_or_path: str | Path) -> Preset:
     except (OSError, ValueError) as error:
         raise PresetError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     try:
-        preset: Preset = _read(tree, Preset, "")
-        _check(preset.topics)
-        _check_known("discovery: unknown range", preset.discovery, DISCOVERY)
-        _check_known("scanner.unanswered: unknown value", preset.scanner.unanswered, UNANSWERED)
-    except PresetError as error:
-        raise PresetError(f"{path}: {error}") from None
+        preset: Preset = read(tree, Preset, "preset")
+    except Misfit as error:
+        raise PresetError(f"{path}: {str(error).removeprefix('preset.')}") from None
+    if told := _misfit(preset.topics):
+        raise PresetError(f"{path}: {told}")
     return preset
 
 
-def _read(value: Any, schema: Any, place: str) -> Any:
-    """A value of YAML as the schema's type."""
-    if isinstance(schema, types.UnionType):
-        schema = schema.__args__[0]
-    if typing.get_origin(schema) is tuple:
-        if not isinstance(value, list):
-            raise PresetError(f"{place}: expected a list, {_found(value)}")
-        return tuple(_read(item, schema.__args__[0], f"{place}[{i}]") for i, item in enumerate(value))
-    if dataclasses.is_dataclass(schema):
-        return _section(value, schema, place)
-    if schema is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _GREATEST:
-            raise PresetError(f"{place}: expected a number, {_found(value)}")
-        if place.startswith(_POSITIVE) and value <= 0.0:
-            raise PresetError(f"{place}: expected a number above 0, {_found(value)}")
-        if value > _MOST.get(place, _GREATEST):
-            raise PresetError(f"{place}: expected a number up to {_MOST[place]:g}, found {value!r}")
-        if place.endswith(("yaw", "pitch", "field_of_view")) and (told := not_radians(value)):
-            raise PresetError(f"{place}: {told}")
-        if place in ("scanner.least_range", "scanner.field_of_view") and value < 0.0:
-            raise PresetError(f"{place}: expected a number of 0 or more, {_found(value)}")
-        return float(value)
-    if schema is bool:
-        if not isinstance(value, bool):
-            raise PresetError(f"{place}: expected true or false, {_found(value)}")
-        return value
-    if not isinstance(value, str) or not value:
-        raise PresetError(f"{place}: expected text, {_found(value)}")
-    return value
-
-
-def _section(value: Any, schema: Any, place: str) -> Any:
-    hints = typing.get_type_hints(schema)
-    if not isinstance(value, dict):
-        raise PresetError(f"{place or 'preset'}: expected the keys {', '.join(hints)}, {_found(value)}")
-    within = f"{place}." if place else ""
-    for key in value:
-        if key not in hints:
-            raise PresetError(f"{within}{key}: unknown key; the keys here are {', '.join(hints)}")
-    for one in dataclasses.fields(schema):
-        required = one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
-        if required and one.name not in value:
-            _read(None, hints[one.name], f"{within}{one.name}")
-    return schema(**{key: _read(item, hints[key], f"{within}{key}") for key, item in value.items()})
-
-
-def _found(value: Any) -> str:
-    return "missing" if value is None else f"found {value!r}"
-
-
-def _check_known(otherwise: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise PresetError(f"{otherwise} {value}; known are {', '.join(known)}")
-
-
-def _check(topics: Topics) -> None:
+def _misfit(topics: Topics) -> str:
+    """What is wrong with the types of the topics, "" for nothing."""
     for key, known in TYPES.items():
         entry = getattr(topics, key)
-        for topic in entry if isinstance(entry, tuple) else (entry,) if entry is not None else ():
-            _check_known(f"topics.{key}: unknown type", topic.type, known)
-            _check_known(f"topics.{key}: unknown qos", topic.qos, QOS)
+        for topic in entry if isinstance(entry, list) else [entry] if entry is not None else []:
+            if told := OneOf(known).fault(topic.type):
+                return f"topics.{key}.type: {told}"
     if topics.detections is not None and topics.detections.type.startswith("apriltag") and topics.camera_info is None:
-        raise PresetError("topics.camera_info: missing; corners of tags say nothing without it")
+        return "topics.camera_info: missing; corners of tags say nothing without it"
+    return ""
