@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import LaserScan, TagDetections, replace
-from tfg_drake.systems.ports import PERIOD, MessageState
+from tfg_drake.systems.ports import MessageState
 
 
 class HardwareSensor(LeafSystem):
@@ -31,16 +31,10 @@ class HardwareSensor(LeafSystem):
         super().__init__()
         self._source, self._clock = source, clock
         self._kind: Any = type(empty)
-        self._message = MessageState(self, empty)
-        self.DeclareStateOutputPort(name, self._message.index)
-        if source is not None:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        self.DeclareStateOutputPort(name, MessageState(self, empty, self._Update if source else None).index)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
+    def _Update(self, context: Context, before: Any) -> Any:
         now = context.get_time()
         assert self._source is not None
         taken = self._source.take(self._kind, self._clock.host(now))
-        if not taken:
-            return EventStatus.DidNothing()
-        self._message.set(state, replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)))
-        return EventStatus.Succeeded()
+        return replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)) if taken else before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import ChangeConfig
 from tfg_drake.systems.ports import MessageState
@@ -32,15 +32,11 @@ class ChangingWorld(LeafSystem):
         super().__init__()
         self._changes, self._worlds, self._robot_radius = tuple(changes), successive(world, changes), robot_radius
         self._pose = self.DeclareVectorInputPort("pose", 5)
-        self._now = MessageState(self, WorldNow(world, 0, 0.0))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Change)
-        self.DeclareStateOutputPort("world", self._now.index)
+        now = MessageState(self, WorldNow(world, 0, 0.0), self._Change, PERIOD)
+        self.DeclareStateOutputPort("world", now.index)
 
-    def _Change(self, context: Context, state: State) -> EventStatus:
-        count, time = self._now(context).count, context.get_time()
-        p_WB, made = self._pose.Eval(context)[:2], count
+    def _Change(self, context: Context, now: WorldNow) -> WorldNow:
+        made, time, p_WB = now.count, context.get_time(), self._pose.Eval(context)[:2]
         while made < len(self._changes) and is_due(self._changes[made], time, p_WB, self._robot_radius):
             made += 1
-        if made == count:
-            return EventStatus.DidNothing()
-        return self._now.set(state, WorldNow(self._worlds[made], made, time))
+        return now if made == now.count else WorldNow(self._worlds[made], made, time)

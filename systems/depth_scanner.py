@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import ImageDepth32F
 
 from tfg_drake.messages import LaserScan
@@ -53,13 +53,11 @@ class DepthScanner(LeafSystem):
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageDepth32F()))
         self._noise = self.DeclareVectorInputPort("noise", 1, RandomDistribution.kUniform)
         nothing = LaserScan(-math.inf, np.zeros(0), np.zeros(0), self._config.range_max, self._config.sigma)
-        self._message = MessageState(self, nothing)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / rate, 0.0, self._Scan)
-        self.DeclareStateOutputPort("ranges", self._message.index)
+        self.DeclareStateOutputPort("ranges", MessageState(self, nothing, self._Scan, 1.0 / rate).index)
 
     @metered("depth_scanner")
-    def _Scan(self, context: Context, state: State) -> None:
+    def _Scan(self, context: Context, _before: LaserScan) -> LaserScan:
         depth = self._image.Eval(context).data[..., 0]
         if self._noise.HasValue(context):
             depth = with_noise(depth, self._config.noise, int(_SEEDS * self._noise.Eval(context)[0]) + _OTHER)
-        self._message.set(state, depth_scan(depth, self._rays, context.get_time(), self._config))
+        return depth_scan(depth, self._rays, context.get_time(), self._config)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.grid.frontier_goal import TriedPlaces, is_spent, no_tries
 from tfg_drake.messages import GoalChoice, GridMap, MissionStatus, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.systems.cpu_meter import measured, metered
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 
 @message
@@ -51,20 +51,16 @@ class FrontierGoalSelector(LeafSystem):
         super().__init__()
         self._choose, self._robot, self._eager = choose, robot, eager
         self._inputs = MessageInputs(self, "grid", "pose", "mission", "path", "path_status")
-        self._state = MessageState(self, _SelectorState(empty_choice(), no_tries()))
-        self._state.declare_outputs(self, "goal")
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        MessageState(self, _SelectorState(empty_choice(), no_tries()), self._Update).declare_outputs(self, "goal")
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now, (grid, mission) = self._state(context), self._inputs.each(context, "grid", "mission")
+    def _Update(self, context: Context, now: _SelectorState) -> _SelectorState:
+        grid, mission = self._inputs.each(context, "grid", "mission")
         if mission.phase == "choose" and mission.stage == grid.stage > now.goal.stage:
             pose = self._inputs(context, "pose")
-            after = _SelectorState(*measured(self, "goal", self._choose, grid, pose, now.tried))
-        elif now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
-            after = _SelectorState(replace(now.goal, spent=True), now.tried)
-        else:
-            return EventStatus.DidNothing()
-        return self._state.set(state, after)
+            return _SelectorState(*measured(self, "goal", self._choose, grid, pose, now.tried))
+        if now.goal.stage == mission.stage and not now.goal.spent and self._Pointless(context, now, mission, grid):
+            return replace(now, goal=replace(now.goal, spent=True))
+        return now
 
     @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import GridConfig, OdometryConfig
 from tfg_drake.grid import gmapping
-from tfg_drake.messages import GridMap, message
+from tfg_drake.messages import GridMap, PoseEstimate, message
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 
 @message
@@ -46,22 +46,20 @@ class GridMapper(LeafSystem):
         keep_to_one_thread()
         self._inputs = MessageInputs(self, "odometry", "scan", "mission")
         first = gmapping.initial_state(config, odometry, seed)
-        self._state = MessageState(self, _MapperState(first, gmapping.grid_map(first, 0)))
-        declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
-        self._state.declare_outputs(self, "grid", "filter")
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        state = MessageState(self, _MapperState(first, gmapping.grid_map(first, 0)), self._Update)
+        state.declare_outputs(self, pose=self._Pose)
+        state.declare_outputs(self, "grid", "filter")
 
     @metered("grid_mapper")
-    def _CalcPose(self, context: Context):
-        now = self._state(context)
+    def _Pose(self, now: _MapperState) -> PoseEstimate:
         return gmapping.pose_estimate(now.filter, now.grid.stage)
 
     @metered("grid_mapper")
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now, (odometry, scan, mission) = self._state(context), self._inputs.each(context)
+    def _Update(self, context: Context, now: _MapperState) -> _MapperState:
+        odometry, scan, mission = self._inputs.each(context)
         due = mission.phase == "map" and now.grid.stage == mission.stage
         stage = now.grid.stage + due
         moved = gmapping.process_odometry(now.filter, odometry)
         updated = gmapping.process_scan(moved, scan, force=due)
         grid = gmapping.grid_map(updated, stage) if updated is not moved or due else now.grid
-        return self._state.set(state, _MapperState(updated, grid))
+        return _MapperState(updated, grid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import pose_at
@@ -13,7 +13,7 @@ from tfg_drake.grid import path as paths
 from tfg_drake.messages import FloatArray, GridMap, LaserScan, Path, PathStatus, PoseEstimate, message, replace
 from tfg_drake.planning.planner import initial_state
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 
 @message
@@ -56,19 +56,17 @@ class GridPlanner(LeafSystem):
         self._robot, self._keep_out = robot, np.zeros((0, 4)) if keep_out is None else keep_out
         self._inputs = MessageInputs(self, "grid", "pose", "goal", "scan", "mission")
         none = initial_state()
-        self._state = MessageState(self, _PlannerState(none.path, none.status, 0, -math.inf, -math.inf))
-        self._state.declare_outputs(self, "path", path_status=lambda now: now.status)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        state = MessageState(self, _PlannerState(none.path, none.status, 0, -math.inf, -math.inf), self._Update)
+        state.declare_outputs(self, "path", path_status=lambda now: now.status)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now = after = self._state(context)
+    def _Update(self, context: Context, now: _PlannerState) -> _PlannerState:
         grid, pose, goal, scan, mission = self._inputs.each(context)
         asked = (now.path.stage, now.replans) != (mission.stage, mission.replans)
         if mission.phase == "plan" and goal.stage == mission.stage and goal.node >= 0 and asked:
-            after = self._Plan(context, now)
-        elif mission.phase == "follow" and now.status.free and scan.stamp > now.scan_stamp:
-            after = self._Watch(now, grid, scan, pose)
-        return self._state.set(state, after)
+            return self._Plan(context, now)
+        if mission.phase == "follow" and now.status.free and scan.stamp > now.scan_stamp:
+            return self._Watch(now, grid, scan, pose)
+        return now
 
     @metered("grid_planner")
     def _Plan(self, context: Context, now: _PlannerState) -> _PlannerState:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, message, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
@@ -17,7 +17,7 @@ from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 
 @message
@@ -69,29 +69,28 @@ class InfoGainGoalSelector(LeafSystem):
         maps = "map", "landmarks", "tfg", "roadmap", "local_roadmap"
         self._inputs = MessageInputs(self, *maps, "mission", "hypotheses", requested_goal=RequestedGoal)
         self._recall = self.DeclareVectorInputPort("recall", 1)
-        self._state = MessageState(self, _SelectorState(empty_choice()))
+        self._state = MessageState(self, _SelectorState(empty_choice()), self._Update)
         self._state.declare_outputs(self, "goal")
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def Choose(self, context: Context, goal: GoalChoice) -> None:
         """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
         one that it replaces, its node one of the roadmap that can be reached."""
         context.SetAbstractState(int(self._state.index), replace(self._state(context), goal=goal, promise=Promise()))
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        mission, now = self._inputs(context, "mission"), self._state(context)
+    def _Update(self, context: Context, now: _SelectorState) -> _SelectorState:
+        mission = self._inputs(context, "mission")
         if mission.phase != "choose" or mission.stage <= now.goal.stage:
-            return EventStatus.DidNothing()
+            return now
         estimate, tfg, near = self._inputs.each(context, "map", "tfg", "local_roadmap")
         if self._parameters.explorer.gain == "exact":
             estimate = self._inputs.optional(context, "landmarks") or estimate
         if not mission.stage == estimate.stage == tfg.stage == near.stage:
-            return EventStatus.DidNothing()
+            return now
         promise = judged(now.promise, estimate, self._parameters.explorer.prior_sigma)
         goal = self._Choose(context, now.goal, promise, estimate.given_shared())
         stop_gain = self._parameters.explorer.stop_gain
         chosen = _SelectorState(goal, now.sent, promised(goal, estimate, promise, stop_gain))
-        return self._state.set(state, self._Send(context, chosen, mission))
+        return self._Send(context, chosen, mission)
 
     @metered("goal")
     def _Choose(self, context: Context, previous: GoalChoice, promise: Promise, landmarks: MapEstimate) -> GoalChoice:

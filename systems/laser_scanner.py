@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig, as_it_is
 from tfg_drake.geometry.se2 import compose
-from tfg_drake.messages import replace
+from tfg_drake.messages import LaserScan, replace
 from tfg_drake.simulation.laser_scanner import along_rays, no_scan, ray_angles, scan, spoilt, swept
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState
@@ -51,12 +51,11 @@ class LaserScanner(LeafSystem):
         self._noise = self.DeclareVectorInputPort("noise", len(self._angles), RandomDistribution.kGaussian)
         self._ray_faults = self.DeclareVectorInputPort("ray_faults", len(self._angles), RandomDistribution.kUniform)
         self._around = Surroundings(self, world)
-        self._message = MessageState(self, no_scan(config))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Scan)
-        self.DeclareStateOutputPort("ranges", self._message.index)
+        state = MessageState(self, no_scan(config), self._Scan, 1.0 / config.rate)
+        self.DeclareStateOutputPort("ranges", state.index)
 
     @metered("laser_scanner")
-    def _Scan(self, context: Context, state: State) -> None:
+    def _Scan(self, context: Context, _before: LaserScan) -> LaserScan:
         robot, sweep_time = self._pose.Eval(context), self._reality.sweep_time
         noise, stamp = self._noise.Eval(context), context.get_time() + self._reality.clock_offset
         if self._reality.correlation_angle > 0.0:
@@ -69,6 +68,4 @@ class LaserScanner(LeafSystem):
         else:
             message = scan(walls, compose(robot[:3], self._X_BS) if self._X_BS.any() else robot[:3], *sheets)
         message = replace(message, angles=self._angles)
-        if self.has_ray_faults:
-            message = spoilt(message, self._ray_faults.Eval(context), self._reality)
-        self._message.set(state, message)
+        return spoilt(message, self._ray_faults.Eval(context), self._reality) if self.has_ray_faults else message

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus, message, replace
@@ -13,7 +13,7 @@ from tfg_drake.mission.manual_drive import END, LOOK, Pressed, place_sent, send,
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.planning.scripted_drive import end_of_drive
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 # The path that the mission is told of goes so far ahead of the robot, m: nobody knows where the driver will go.
 AHEAD = 0.5
@@ -94,13 +94,12 @@ class ManualDriver(LeafSystem):
             following_status=FollowerStatus,
         )
         self._following = self.DeclareVectorInputPort("following_commanded", 2)
-        self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2)))))
+        self._state = MessageState(self, _Driving(empty_choice(), Path(0, 0, np.zeros((0, 2)))), self._Update)
         self.DeclareVectorOutputPort("velocity_commanded", 2, self._CalcVelocity)
         planned = lambda now: now.goal if now.sent.node >= 0 else empty_choice()  # noqa: E731
         self._state.declare_outputs(self, "goal", "path", "pressed", planned_goal=planned)
         declare_message_output(self, "path_status", self._PathStatus, {self.all_sources_ticket()})
         declare_message_output(self, "follower_status", self._Status, {self.all_sources_ticket()})
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _CalcVelocity(self, context: Context, output: BasicVector) -> None:
         mission = self._inputs(context, "mission")
@@ -127,9 +126,8 @@ class ManualDriver(LeafSystem):
         is_free = now.sent.node < 0 or planned.path_id != now.planned or planned.free
         return PathStatus(now.path.id, free=is_free)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        mission, before = self._inputs(context, "mission"), self._state(context)
-        now = self._Press(before, context)
+    def _Update(self, context: Context, before: _Driving) -> _Driving:
+        mission, now = self._inputs(context, "mission"), self._Press(before, context)
         if mission.phase == "paused" and any(now.velocity):
             now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
         if mission.phase == "observe" and now.looks:
@@ -144,7 +142,7 @@ class ManualDriver(LeafSystem):
             x, y, theta = self._inputs(context, "pose").X_MB.tolist()
             points = np.array([[x, y], [x + AHEAD * np.cos(theta), y + AHEAD * np.sin(theta)]])
             now = replace(now, path=Path(now.path.id + 1, mission.stage, points))
-        return self._state.set(state, now)
+        return now
 
     def _Press(self, now: _Driving, context: Context) -> _Driving:
         """After the keys that are due; a place that the robot is sent to is one, too."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import message
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 
 @message
@@ -37,8 +37,7 @@ class MessageDelay(LeafSystem):
         super().__init__()
         self._delay, self._name = delay, f"{name}_at_once"
         self._inputs = MessageInputs(self, **{self._name: object})
-        self._queue = MessageState(self, _Queue(()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        self._queue = MessageState(self, _Queue(()), self._Update)
         # Until there is a first message, the input's own.
         tickets = self._queue.tickets | {self._inputs.ports[self._name].ticket()}
         declare_message_output(self, name, self._Shown, tickets)
@@ -47,13 +46,10 @@ class MessageDelay(LeafSystem):
         messages = self._queue(context).messages
         return messages[0][1] if messages else self._inputs(context, self._name)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        queue, now = self._queue(context), context.get_time()
-        newest, messages = self._inputs(context, self._name), queue.messages
+    def _Update(self, context: Context, queue: _Queue) -> _Queue:
+        now, newest, messages = context.get_time(), self._inputs(context, self._name), queue.messages
         if not messages or messages[-1][1] is not newest:
             messages = (*messages, (now + self._delay, newest))
         while len(messages) > 1 and messages[1][0] <= now:
             messages = messages[1:]
-        if messages is queue.messages:
-            return EventStatus.DidNothing()
-        return self._queue.set(state, _Queue(messages))
+        return queue if messages is queue.messages else _Queue(messages)

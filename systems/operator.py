@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tfg_drake.messages import SaidPose, message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
@@ -59,7 +59,7 @@ class Operator(LeafSystem):
         super().__init__()
         self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
         beginning = requested(Operation(), "enable") if enabled else Operation()
-        self._state = MessageState(self, _Asked(beginning))
+        self._state = MessageState(self, _Asked(beginning), self._Update)
         for name, calc in (
             ("enable", lambda operation: operation.enabling),
             ("pause", lambda operation: operation.paused),
@@ -69,19 +69,17 @@ class Operator(LeafSystem):
             self.DeclareVectorOutputPort(name, 1, self._Calc(calc), self._state.tickets)
         goal, said = lambda now: now.goal, lambda now: now.said
         self._state.declare_outputs(self, "pushes", requested_goal=goal, said_pose=said)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:
         return lambda context, output: output.SetAtIndex(0, float(calc(self._state(context).operation)))
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
+    def _Update(self, context: Context, before: _Asked) -> _Asked:
         requests = [request for source in self._sources for request in source()]
-        before = self._state(context)
         after, begins = replace(before, begun=True), not before.begun
         if begins and not self._enabled:
             _log.info("nothing moves before it is enabled")
         if not (begins or requests):
-            return EventStatus.DidNothing()
+            return before
         # It holds from the next instant on, which all who listen still have before them.
         then = context.get_time() + PERIOD
         places = [request for request in requests if isinstance(request, tuple)]
@@ -105,4 +103,4 @@ class Operator(LeafSystem):
         for command in commands:
             _log.info("%.2f s: %s", context.get_time(), command)
             after = replace(after, operation=requested(after.operation, command))
-        return self._state.set(state, after)
+        return after

@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
-from tfg_drake.simulation.people import NUMBERS, astray, first_met, ground, nobody, step
+from tfg_drake.simulation.people import NUMBERS, People, astray, first_met, ground, nobody, step
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState
 from tfg_drake.systems.surroundings import PERIOD
@@ -40,14 +40,12 @@ class PeopleWalking(LeafSystem):
         self._pose = self.DeclareVectorInputPort("pose", 5)
         self._numbers = self.DeclareVectorInputPort("numbers", NUMBERS * count, RandomDistribution.kUniform)
         self._inputs = MessageInputs(self, world=WorldNow)
-        self._people = MessageState(self, nobody())
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Step)
-        self.DeclareStateOutputPort("people", self._people.index)
+        self.DeclareStateOutputPort("people", MessageState(self, nobody(), self._Step, PERIOD).index)
 
     @metered("people")
-    def _Step(self, context: Context, state: State) -> None:
-        now, time = self._people(context), context.get_time()
-        robot, numbers = self._pose.Eval(context), self._numbers.Eval(context).reshape(self._count, NUMBERS)
+    def _Step(self, context: Context, now: People) -> People:
+        time, robot = context.get_time(), self._pose.Eval(context)
+        numbers = self._numbers.Eval(context).reshape(self._count, NUMBERS)
         floor = self._ground
         changing = self._inputs.optional(context, "world")
         if changing is not None and changing.count:
@@ -55,7 +53,5 @@ class PeopleWalking(LeafSystem):
             if changing.since >= now.stamp:
                 now = astray(now)
         if len(now.p_WP):
-            after = step(now, time, PERIOD, robot, self._robot_radius, numbers, floor)
-        else:
-            after = first_met(time, robot, numbers, floor)
-        self._people.set(state, after)
+            return step(now, time, PERIOD, robot, self._robot_radius, numbers, floor)
+        return first_met(time, robot, numbers, floor)

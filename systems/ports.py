@@ -110,12 +110,22 @@ class MessageInputs:
 class MessageState(Generic[T]):
     """An abstract state variable that holds messages of one kind; called with a context it is the message there."""
 
-    def __init__(self, system: LeafSystem, initial: T) -> None:
-        """Declares it. initial: the message at first, of the kind of all others."""
+    def __init__(
+        self,
+        system: LeafSystem,
+        initial: T,
+        update: Callable[[Context, T], T] | None = None,
+        period: float = PERIOD,
+    ) -> None:
+        """Declares it. initial: the message at first, of the kind of all others. update: makes the next message of the
+        one before every `period`, s."""
         self._kind = type(initial)
         self.index = system.DeclareAbstractState(AbstractValue.Make(initial))
         self._number = int(self.index)
         self.tickets = {system.abstract_state_ticket(self.index)}
+        if update is not None:
+            event = lambda context, state: self.set(state, update(context, self(context)))  # noqa: E731
+            system.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, event)
 
     def __call__(self, context: Context | State) -> T:
         """The message. Raises TypeError where the variable holds anything else."""

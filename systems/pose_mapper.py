@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 from scipy.linalg import block_diag
 
 from tfg_drake.geometry import se2
@@ -65,20 +65,21 @@ class PoseMapper(LeafSystem):
         self._inputs = MessageInputs(self, "odometry", "detections", "mission")
         nothing = np.zeros(0)
         self._state = MessageState(
-            self, _Seen(empty_map(), np.zeros((0, 4)), nothing.astype(np.int64), nothing, np.zeros((0, 2)), -np.inf)
+            self,
+            _Seen(empty_map(), np.zeros((0, 4)), nothing.astype(np.int64), nothing, np.zeros((0, 2)), -np.inf),
+            self._Update,
         )
         tickets = {*self._state.tickets, self._X_MB.ticket(), self._inputs.ports["odometry"].ticket()}
         declare_message_output(self, "pose", self._CalcPose, {*tickets, self.time_ticket()})
         self._state.declare_outputs(self, map=lambda now: now.estimate)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
     def _CalcPose(self, context: Context) -> PoseEstimate:
         odometry, stage = self._inputs(context, "odometry"), self._state(context).estimate.stage
         X_MB, nothing = self._X_MB.Eval(context), (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         return PoseEstimate(context.get_time(), X_MB, self._covariance, odometry.V_B, stage, *nothing)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        seen, X_MB = self._state(context), self._X_MB.Eval(context)
+    def _Update(self, context: Context, seen: _Seen) -> _Seen:
+        X_MB = self._X_MB.Eval(context)
         detections, mission = self._inputs.each(context, "detections", "mission")
         if detections.stamp > max(seen.stamp, context.get_time() - PERIOD):
             seen = _with_detections(seen, X_MB, detections, self._covariance)
@@ -87,8 +88,7 @@ class PoseMapper(LeafSystem):
                 seen = replace(seen, way=np.vstack([seen.way, [context.get_time(), *X_MB]]))
             elif mission.phase == "map" and len(seen.way):
                 seen = replace(seen, estimate=_mapped(seen, X_MB, self._covariance), way=np.zeros((0, 4)))
-        self._state.set(state, seen)
-        return EventStatus.Succeeded()
+        return seen
 
 
 def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, covariance: FloatArray) -> _Seen:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import operator
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import Roadmap
 from tfg_drake.planning import planner
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import measured
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 
 class PrmPlanner(LeafSystem):
@@ -46,12 +46,11 @@ class PrmPlanner(LeafSystem):
         keep_to_one_thread()
         self._parameters = parameters
         self._inputs = MessageInputs(self, "map", "tfg", "pose", "goal", "scan", "mission")
-        self._state = MessageState(self, planner.initial_state())
+        self._state = MessageState(self, planner.initial_state(), self._Update)
         whole = {self._inputs.ports[name].ticket() for name in ("map", "tfg")}
         declare_message_output(self, "roadmap", self._Roadmap, self._state.tickets | whole)
         local_roadmap, path_status = operator.attrgetter("roadmap"), operator.attrgetter("status")
         self._state.declare_outputs(self, "path", local_roadmap=local_roadmap, path_status=path_status)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
 
     def _Roadmap(self, context: Context) -> Roadmap:
         state = self._state(context)
@@ -61,8 +60,7 @@ class PrmPlanner(LeafSystem):
         met = planner.obstacles_in_map(state, estimate)
         return planner.make_roadmap(state.nodes, tfg, estimate, self._parameters, met, state.driven_before)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        before = self._state(context)
+    def _Update(self, context: Context, before: planner.PlannerState) -> planner.PlannerState:
         now = planner.Now(*(*self._inputs.each(context), self._parameters))
         seen = after = planner.looked(before, now)
         # What is not due is not metered: that would cost more than to find it out.
@@ -72,4 +70,4 @@ class PrmPlanner(LeafSystem):
             after = measured(self, "path", planner.planned, seen, now)
         if after is seen:
             after = measured(self, "prm_planner", planner.watched, seen, now)
-        return self._state.set(state, after)
+        return after

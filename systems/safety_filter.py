@@ -6,7 +6,7 @@ import logging
 import math
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.geometry.motion import advance
@@ -14,7 +14,7 @@ from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.keep_out import walled
-from tfg_drake.safety.scan_watch import HELD, no_watch, watched
+from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     MOST_REFLEXES,
     PRESSED,
@@ -89,9 +89,8 @@ class SafetyFilter(LeafSystem):
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
-        self._watch = MessageState(self, no_watch(no_scan(scan)))
+        self._watch = MessageState(self, no_watch(no_scan(scan)), self._Watch, WATCH_PERIOD)
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._Watch)
         self.DeclareStateOutputPort("velocity", velocity)
         self.DeclareStateOutputPort("enabled", self._enabled)
         self._watch.declare_outputs(self, scan_believed=lambda now: now.believed)
@@ -140,10 +139,10 @@ class SafetyFilter(LeafSystem):
         return state
 
     @metered("safety_filter")
-    def _Watch(self, context: Context, state: State) -> EventStatus:
-        scan, before = self._inputs(context, "scan"), self._watch(context)
+    def _Watch(self, context: Context, before: ScanWatch) -> ScanWatch:
+        scan = self._inputs(context, "scan")
         if not scan.stamp > before.newest:
-            return EventStatus.DidNothing()
+            return before
         odometry = self._inputs(context, "odometry")
         X_OB = _pose_at(odometry, scan.stamp)
         size, barred = (self._robot.radius, self._scanner.least_range), self._Barred(context)
@@ -162,7 +161,7 @@ class SafetyFilter(LeafSystem):
                 told = HELD if unseen else _BLOCKED
                 told = _KEPT_OUT if self._Meets(barred, wanted) and not self._Meets(scan, wanted) else told
                 _log.warning("%.2f s: the base stands: %s", context.get_time(), told)
-        return self._watch.set(state, after)
+        return after
 
     def _Meets(self, scan: LaserScan, speed: float) -> bool:
         """True if the scan shows an obstacle that keeps a standing base from driving on."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import FloatArray, GoalChoice, Path, PathStatus, message
 from tfg_drake.planning.goal_choice import empty_choice
 from tfg_drake.planning.scripted_drive import next_place, straight_path
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState
 
 
 @message
@@ -43,19 +43,16 @@ class ScriptedDriver(LeafSystem):
         super().__init__()
         self._drive = p_MG
         self._inputs = MessageInputs(self, "tfg", "pose", "mission")
-        self._state = MessageState(self, _Scripted(empty_choice(), Path(0, 0, p_MG[:0]), 0))
-        free = lambda now: PathStatus(now.path.id, free=True)  # noqa: E731
-        self._state.declare_outputs(self, "goal", "path", path_status=free)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+        state = MessageState(self, _Scripted(empty_choice(), Path(0, 0, p_MG[:0]), 0), self._Update)
+        state.declare_outputs(self, "goal", "path", path_status=lambda now: PathStatus(now.path.id, free=True))
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now, mission = self._state(context), self._inputs(context, "mission")
-        goal, path = now.goal, now.path
+    def _Update(self, context: Context, now: _Scripted) -> _Scripted:
+        mission, goal, path = self._inputs(context, "mission"), now.goal, now.path
         if mission.phase == "choose" and mission.stage > goal.stage:
             goal = next_place(self._drive, mission.stage, self._inputs(context, "tfg"))
         elif mission.phase == "plan" and (path.stage, now.replans) != (mission.stage, mission.replans):
             X_MB = self._inputs(context, "pose").X_MB
             path = straight_path(path.id + 1, mission.stage, X_MB, goal.p_MG)
         else:
-            return EventStatus.DidNothing()
-        return self._state.set(state, _Scripted(goal, path, mission.replans))
+            return now
+        return _Scripted(goal, path, mission.replans)

@@ -20,14 +20,14 @@ from tfg_drake.slam.estimator import (
     process_odometry,
     process_scan,
 )
-from tfg_drake.slam.estimator_state import initial_state
+from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.relocalizer import said_to_be
 from tfg_drake.slam.shared import by_data_sheet
 from tfg_drake.slam.walls import no_walls
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare_message_output
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
 
 # Odometry of a recording that is silent for so long, s, has ended.
 SILENCE = 1.0
@@ -97,16 +97,20 @@ class SlamEstimator(LeafSystem):
         self._state = MessageState(self, state)
         self._detections_stamp = MessageState(self, -math.inf)
         self._said_stamp = MessageState(self, -math.inf)
-        declare_message_output(self, "pose", self._CalcPose, self._state.tickets)
         nothing = empty_map(prior)
-        tags, landmarks = lambda now: now.published or nothing, lambda now: now.map or nothing
-        self._state.declare_outputs(self, "hypotheses", map=tags, landmarks=landmarks)
+        self._state.declare_outputs(
+            self,
+            pose=self._Pose,
+            map=lambda now: now.published or nothing,
+            landmarks=lambda now: now.map or nothing,
+            hypotheses=lambda now: now.hypotheses,
+        )
         self.DeclareStateOutputPort("estimator_state", self._state.index)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=PERIOD, offset_sec=0.0, update=self._Update)
 
     @metered("slam_estimator")
-    def _CalcPose(self, context: Context) -> PoseEstimate:
-        return pose_estimate(self._state(context))
+    def _Pose(self, now: EstimatorState) -> PoseEstimate:
+        return pose_estimate(now)
 
     @metered("slam_estimator")
     def _Update(self, context: Context, state: State) -> EventStatus:

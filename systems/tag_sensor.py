@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 from scipy.special import ndtr
 
 from tfg_drake.config import TagRealityConfig, TagSensorConfig, as_it_is
@@ -65,14 +65,12 @@ class TagSensor(LeafSystem):
         self.has_frame_noise = reality.clock_jitter > 0.0 or reality.frame_loss_probability > 0.0
         is_white = reality.correlation_time == 0.0
         initial = _SensorState(no_detections(), np.zeros((0, 2)) if is_white else np.zeros((n, 2)))
-        self._state = MessageState(self, initial)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._Detect)
-        self._state.declare_outputs(self, detections=lambda now: now.frame)
+        state = MessageState(self, initial, self._Detect, 1.0 / config.rate)
+        state.declare_outputs(self, detections=lambda now: now.frame)
 
     @metered("tag_sensor")
-    def _Detect(self, context: Context, state: State) -> EventStatus:
-        reality, now = self._reality, self._state(context)
-        pose = self._pose.Eval(context)
+    def _Detect(self, context: Context, now: _SensorState) -> _SensorState:
+        reality, pose = self._reality, self._pose.Eval(context)
         fresh = self._noise.Eval(context).reshape(-1, NOISE_PER_TAG)
         noise = now.noise
         if len(noise):
@@ -84,10 +82,10 @@ class TagSensor(LeafSystem):
         if self.has_frame_noise:
             lost, late = self._frame_noise.Eval(context)
             if ndtr(lost) < reality.frame_loss_probability:
-                return EventStatus.DidNothing()
+                return now
             stamp += reality.clock_jitter * late
         if 0.0 < reality.blurring_turn_rate < abs(pose[4]):
-            return self._state.set(state, _SensorState(replace(no_detections(), stamp=stamp), noise))
+            return _SensorState(replace(no_detections(), stamp=stamp), noise)
         errors = None
         if self.has_tag_errors:
             errors = self._tag_errors.Eval(context).reshape(-1, 2)
@@ -100,4 +98,4 @@ class TagSensor(LeafSystem):
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]
         discs = self._around.people(context)
         frame = detect(world, X_WS, stamp, fresh, self._config, self._stated, errors, discs, reality.detection_range)
-        return self._state.set(state, _SensorState(frame, noise))
+        return _SensorState(frame, noise)

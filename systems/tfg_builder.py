@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, TfgMap, message, replace
@@ -65,21 +65,18 @@ class TfgBuilder(LeafSystem):
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
         self._inputs = MessageInputs(self, "scan", "map", "landmarks", "mission")
-        # One value: Drake copies every abstract state at every event of any system.
-        self._state = MessageState(self, _BuilderState(empty(TfgGraph), empty_map(), ()))
-        self._state.declare_outputs(self, "tfg", tfg_graph=lambda now: now.graph)
         # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
+        # One value: Drake copies every abstract state at every event of any system.
+        state = MessageState(self, _BuilderState(empty(TfgGraph), empty_map(), ()), self._Update, period)
+        state.declare_outputs(self, "tfg", tfg_graph=lambda now: now.graph)
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        now, (estimate, mission) = self._state(context), self._inputs.each(context, "map", "mission")
+    def _Update(self, context: Context, now: _BuilderState) -> _BuilderState:
+        estimate, mission = self._inputs.each(context, "map", "mission")
         if estimate.stage > now.graph.stage:
             landmarks = self._inputs.optional(context, "landmarks")
-            after = self._AddView(now, landmarks or estimate, mission.moving)
-        else:
-            after = self._Collect(context, now, mission.phase)
-        return self._state.set(state, after)
+            return self._AddView(now, landmarks or estimate, mission.moving)
+        return self._Collect(context, now, mission.phase)
 
     def _Collect(self, context: Context, now: _BuilderState, phase: str) -> _BuilderState:
         if phase == "observe" or (phase == "glance" and len(now.scans) < GLANCE_SCANS):

@@ -32,9 +32,8 @@ def mapper():
         context.SetTime(time)
         system.GetInputPort("detections").FixValue(context, frame)
         system.GetInputPort("mission").FixValue(context, MissionStatus(phase, stage, 0.0))
-        after = context.Clone()
-        system._Update(context, after.get_mutable_state())
-        context.SetAbstractState(0, after.get_abstract_state(0).get_value())
+        before = context.get_abstract_state(0).get_value()
+        context.SetAbstractState(0, system._Update(context, before))
 
     return system, context, update
 
