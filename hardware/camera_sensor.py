@@ -64,7 +64,7 @@ class CameraDriver(SensorReader):
         self._looked: collections.deque[float] = collections.deque()
         self._light, self._tag_seen = DARK, False
         size = self._calibration.width, self._calibration.height
-        self._device = FrameReader(source, size, camera.latency)
+        self._device = FrameReader(source, size, camera.latency, self._remark)
         frame = self._device.first(PATIENCE)
         if frame is None:
             why = self._device.error or f"no image in {PATIENCE:.0f} s; is it there, and free?"
@@ -100,8 +100,8 @@ class CameraDriver(SensorReader):
         if self._device.error:
             self._begin = now
         self._spells, names = begun(self._spells, holds := self._holding(now), now)
-        for line in (*self._device.take_remarks(), *(holds[name].line for name in names)):
-            self._remark(line)
+        for name in names:
+            self._remark(holds[name].line)
 
     def _holding(self, now: float) -> dict[str, Remark]:
         rate = len(self._looked) / COUNTED

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -105,17 +105,12 @@ class Driver:
         """Lines for the operator since the last call: what was refused, lost or found again."""
         return []
 
+    def publish(self, key: str, message: dict[str, Any]) -> None:
+        """Tells others what the explorer knows, as a dictionary of a message's fields, from a thread of its own; a
+        header's stamp is the host's time, s."""
+
     def close(self) -> None:
         """Lets go of the robot."""
-
-
-@runtime_checkable
-class Publisher(Protocol):
-    """A driver that can tell others what the explorer knows."""
-
-    def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message as a dictionary of its fields, from a thread of its own; a header's stamp is the host's
-        time, s."""
 
 
 class Outbox:
@@ -295,7 +290,7 @@ class Device:
         self._put(("lock", reason))
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message, as Publisher has it, where the driver is one."""
+        """Has the driver publish a message."""
         self._announcements.put(key, message)
 
     def enable(self) -> None:

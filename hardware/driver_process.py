@@ -20,7 +20,7 @@ import threading
 import time
 from multiprocessing.connection import Connection
 
-from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver, Outbox, Publisher
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver, Outbox
 from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
@@ -91,14 +91,14 @@ def serve(driver: Driver, connection: Connection) -> None:
                 driver.spin(TICK)
 
 
-def announce(publisher: Publisher, connection: Connection) -> None:
+def announce(driver: Driver, connection: Connection) -> None:
     """The process's end: publishes what arrives, until the other end is closed."""
     while True:
         try:
             key, message = connection.recv()
         except (EOFError, OSError):
             return
-        publisher.publish(key, message)
+        driver.publish(key, message)
 
 
 def main() -> None:
@@ -111,8 +111,7 @@ def main() -> None:
     except DeviceError as error:
         connection.send(("ended", str(error)))
         return
-    if isinstance(driver, Publisher):
-        threading.Thread(target=announce, args=(driver, Connection(int(sys.argv[2]))), daemon=True).start()
+    threading.Thread(target=announce, args=(driver, Connection(int(sys.argv[2]))), daemon=True).start()
     try:
         serve(driver, connection)
     finally:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import collections
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 
@@ -25,13 +24,12 @@ class FrameReader:
     error: why there are no images, empty where there are.
     """
 
-    def __init__(self, source: str, size: tuple[int, int], latency: float) -> None:
+    def __init__(self, source: str, size: tuple[int, int], latency: float, tell: Callable[[str], None]) -> None:
         """source: as tfg_drake.vision.frames.frames has it. size: (width, height) that a camera is to give. latency: of
-        images whose camera does not stamp them, s."""
+        images whose camera does not stamp them, s. tell: what the operator is to know, from the thread."""
         self.error = ""
-        self._source, self._size, self._latency = source, size, latency
+        self._source, self._size, self._latency, self._tell = source, size, latency, tell
         self._newest: Frame | None = None
-        self._remarks: collections.deque[str] = collections.deque()
         self._changed = threading.Condition()
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
@@ -50,10 +48,6 @@ class FrameReader:
             frame, self._newest = self._newest, None
         return frame
 
-    def take_remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        return [self._remarks.popleft() for _ in range(len(self._remarks))]
-
     def close(self) -> None:
         """Lets go of the camera."""
         self._closed.set()
@@ -69,7 +63,7 @@ class FrameReader:
             try:
                 for frame in self._live() if is_live(self._source) else self._recorded():
                     if told:
-                        self._remarks.append("images come again")
+                        self._tell("images come again")
                     back_off, seen, told = BACK_OFF, True, False
                     self._put(frame, "")
                     if self._closed.is_set():
@@ -79,7 +73,7 @@ class FrameReader:
                 error = " ".join(str(raised).split())
             self._put(None, error)
             if seen and not told:
-                self._remarks.append(lost)
+                self._tell(lost)
                 told = True
             self._closed.wait(back_off)
             back_off = min(2.0 * back_off, LONGEST_BACK_OFF)

@@ -51,11 +51,11 @@ _KINDS, _LONGEST = 5, 300
 
 
 class Refusals:
-    """Counts refusals. counts: by source and kind of reason."""
+    """Lines for the operator; counts refusals. counts: by source and kind of reason."""
 
     def __init__(self) -> None:
         self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
-        self._lines: list[str] = []
+        self._lines: collections.deque[str] = collections.deque()
 
     def add(self, source: str, kind: str, why: str) -> None:
         """Counts what was refused of a source, and tells the first of its kind: why, in words."""
@@ -65,12 +65,15 @@ class Refusals:
             known = True
         self.counts[source, kind] += 1
         if not known:
-            self._lines.append(" ".join(f"{source}: {why}".split())[:_LONGEST])
+            self.tell(" ".join(f"{source}: {why}".split())[:_LONGEST])
+
+    def tell(self, line: str) -> None:
+        """Tells something else, every time; from any thread."""
+        self._lines.append(line)
 
     def take(self) -> list[str]:
         """The lines since the last call."""
-        lines, self._lines = self._lines, []
-        return lines
+        return [self._lines.popleft() for _ in range(len(self._lines))]
 
 
 class Judge:

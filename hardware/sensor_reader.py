@@ -17,17 +17,15 @@ BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
 
 
 class Inbox:
-    """Messages and lines for the operator until they are taken. refusals: of what arrived and cannot be used."""
+    """Messages and lines for the operator until they are taken. refusals: these lines, of what cannot be used, too."""
 
     def __init__(self) -> None:
         self.refusals = Refusals()
-        self._remarks: list[str] = []
         self._messages: list[Message] = []
 
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call."""
-        remarks, self._remarks = self._remarks, []
-        return [*remarks, *self.refusals.take()]
+        return self.refusals.take()
 
     def take(self) -> list[Message]:
         """The messages since the last call."""
@@ -58,7 +56,7 @@ class SensorReader(Inbox, Driver):
         self._device = None
 
     def _remark(self, line: str) -> None:
-        self._remarks.append(f"{self.name}: {line}")
+        self.refusals.tell(f"{self.name}: {line}")
 
 
 class ReconnectingReader(SensorReader, abc.ABC):

@@ -279,7 +279,7 @@ def _opening(
         from tfg_drake.hardware.socket_sensors import SocketDriver
 
         return functools.partial(SocketDriver, spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
-    from tfg_drake.hardware.ros.graph_driver import open_sensors
+    from tfg_drake.hardware.ros.graph_driver import SensorDriver, opened
 
     host = spec.host if spec.transport == "rosbridge" else None
-    return functools.partial(open_sensors, host, spec.port, tuple(topics), preset, base)
+    return functools.partial(opened, SensorDriver, host, spec.port, preset, tuple(topics), base)

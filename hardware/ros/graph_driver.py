@@ -7,13 +7,13 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from tfg_drake.hardware.device import Device, DeviceError, Driver, Message
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.conversions import ros_time
 from tfg_drake.hardware.ros.intake import SILENCE, Intake
-from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Publish, Topic
+from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
@@ -21,6 +21,7 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 # How long to look for the topics, and for their first messages, s.
 PATIENCE = 10.0
 Send = Callable[[dict[str, Any]], None]
+D = TypeVar("D", bound="GraphDriver")
 # By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.
 KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
@@ -61,33 +62,30 @@ class Graph(Protocol):
         """Leaves the graph."""
 
 
-def join(host: str | None, port: int, name: str, preset: Preset) -> Graph:
-    """Joins a graph as the node `name`; raises DeviceError. host, port: of rosbridge, None and any for ROS 2."""
+def opened(kind: type[D], host: str | None, port: int, preset: Preset, *wanted: Any) -> D:
+    """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, None and any for ROS 2. wanted:
+    as the kind of driver has it."""
     if host is None:
         from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-        return Ros2Graph(name, preset.discovery)
+        return kind(Ros2Graph(kind.node, preset.discovery), preset, *wanted)
     from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
 
-    return RosbridgeGraph(host, port)
-
-
-def open_base(preset: Preset, host: str | None, port: int) -> GraphBaseDriver:
-    """The driver of a preset's base; raises DeviceError. host, port: as of `join`."""
-    return GraphBaseDriver(join(host, port, "tfg_drake", preset), preset)
+    return kind(RosbridgeGraph(host, port), preset, *wanted)
 
 
 def connect(preset: Preset, host: str | None = None, port: int = 0) -> Device:
-    """The base of a preset's robot, in a process of its own; raises DeviceError. host, port: as of `join`."""
-    return Device(partial(open_base, preset, host, port))
+    """The base of a preset's robot, in a process of its own; raises DeviceError. host, port: as of `opened`."""
+    return Device(partial(opened, GraphBaseDriver, host, port, preset))
 
 
 class GraphDriver(Driver):
-    """Takes in what a graph has to say; a subclass says what of it."""
+    """Takes in what a graph has to say; a subclass says what of it. node: its name on the graph."""
 
+    node: str
     _intake: Intake
 
-    def __init__(self, graph: Graph, preset: Preset) -> None:
+    def __init__(self, graph: Graph, preset: Preset, *_wanted: Any) -> None:
         """preset: of the robot that the graph is about, or whose mounts hold."""
         self._graph, self._preset = graph, preset
 
@@ -95,14 +93,9 @@ class GraphDriver(Driver):
         """Waits until somebody publishes a topic, or listens to it, as the preset has it; raises DeviceError."""
         graph = self._graph
         verb, ask = ("listens to", graph.listeners) if listened else ("publishes", graph.types)
-        end = time.monotonic() + PATIENCE
-        while not (types := ask(topic.name)):
-            if types is None:
-                return  # it will show when nothing arrives
-            if time.monotonic() > end:
-                instead = self._instead((topic.type,), topic.name)
-                raise DeviceError(f"{graph.label}: nobody {verb} {topic.name} ({topic.type}); {instead}")
-            graph.spin(10.0 * TICK)
+        types = self._types(topic.name, ask, f"{verb} {topic.name} ({topic.type})", (topic.type,))
+        if types is None:
+            return  # it will show when nothing arrives
         if topic.type not in types:
             raise DeviceError(f"{graph.label}: {topic.name} is {types[0]}, the preset has {topic.type}: set its type")
         if topic.qos == "reliable" and not listened and graph.best_effort(topic.name):
@@ -110,6 +103,18 @@ class GraphDriver(Driver):
                 f"{graph.label}: {topic.name} is published best effort, the preset has reliable: set its qos to "
                 "sensor_data"
             )
+
+    def _types(
+        self, name: str, ask: Callable[[str], list[str] | None], what: str, kinds: tuple[str, ...]
+    ) -> list[str] | None:
+        """The types that a topic of one of these kinds has, waited for; None where that cannot be told. Raises
+        DeviceError where nobody does `what`."""
+        end = time.monotonic() + PATIENCE
+        while not (types := ask(name)) and types is not None:
+            if time.monotonic() > end:
+                raise DeviceError(f"{self._graph.label}: nobody {what}; {self._instead(kinds, name)}")
+            self._graph.spin(10.0 * TICK)
+        return types
 
     def _instead(self, kinds: tuple[str, ...], name: str) -> str:
         """Topics to name to who asked for one, `name`, that is not there: of its kinds if there are some."""
@@ -166,6 +171,8 @@ class GraphBaseDriver(GraphDriver):
     """Drives a base by a preset's command and listens to its odometry, alarms and battery, and to nothing else: its
     process is the watchdog's, too."""
 
+    node = "tfg_drake"
+
     def __init__(self, graph: Graph, preset: Preset) -> None:
         """Waits until odometry arrives; raises DeviceError."""
         super().__init__(graph, preset)
@@ -199,51 +206,6 @@ class GraphBaseDriver(GraphDriver):
         self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
 
 
-class Announcer:
-    """Publishes messages by their key in `publish`; a topic is advertised with its first message. Thread-safe."""
-
-    def __init__(
-        self, names: Publish, advertise: Callable[[Topic], Send], robot_clock: Callable[[float], float]
-    ) -> None:
-        """advertise: a topic, which may raise DeviceError. robot_clock: ROS time, s, at the host's time, s."""
-        self._names, self._advertise, self._robot_clock = names, advertise, robot_clock
-        self._senders: dict[str, Send | None] = {}
-        self._remarks: list[str] = []
-        self._lock = threading.Lock()
-        self._closed = False
-
-    def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Sends a message, its stamps brought to ROS time. A topic that cannot be advertised is said once, then left
-        out: the robot drives without it."""
-        with self._lock:
-            if self._closed:
-                return
-            if key not in self._senders:
-                self._senders[key] = self._sender(key)
-            if (send := self._senders[key]) is not None:
-                send(with_ros_stamps(message, self._robot_clock))
-
-    def _sender(self, key: str) -> Send | None:
-        kind, latched = PUBLISHED[key]
-        topic = Topic(getattr(self._names, key), kind, "latched" if latched else "reliable")
-        try:
-            return self._advertise(topic)
-        except DeviceError as error:
-            self._remarks.append(f"{topic.name} is not published: {error}")
-            return None
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        with self._lock:
-            remarks, self._remarks = self._remarks, []
-        return remarks
-
-    def close(self) -> None:
-        """Sends nothing more, so that the graph may be left."""
-        with self._lock:
-            self._closed = True
-
-
 def with_ros_stamps(message: dict[str, Any], robot: Callable[[float], float]) -> dict[str, Any]:
     """The message, its headers' stamps brought from the host's clock (s) to ROS time by robot(stamp), s."""
     changed = dict(message)
@@ -255,19 +217,13 @@ def with_ros_stamps(message: dict[str, Any], robot: Callable[[float], float]) ->
     return changed
 
 
-def open_sensors(
-    host: str | None, port: int, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool
-) -> SensorDriver:
-    """Joins a graph; raises DeviceError. host, port: as of `join`. Else as of SensorDriver."""
-    return SensorDriver(join(host, port, "tfg_drake_sensors", preset), topics, preset, base)
-
-
 class SensorDriver(GraphDriver):
-    """Listens, and drives nothing; see tfg_drake.hardware.device.Driver. It publishes what the explorer knows, see
-    tfg_drake.hardware.device.Publisher."""
+    """Listens, and drives nothing; see tfg_drake.hardware.device.Driver. It publishes what the explorer knows."""
+
+    node = "tfg_drake_sensors"
 
     def __init__(
-        self, graph: Graph, topics: tuple[tuple[str, str | Topic], ...], preset: Preset, base: bool = False
+        self, graph: Graph, preset: Preset, topics: tuple[tuple[str, str | Topic], ...], base: bool = False
     ) -> None:
         """Waits until every topic is there and has sent a message; raises DeviceError.
 
@@ -276,7 +232,9 @@ class SensorDriver(GraphDriver):
         this graph, so its odometry tells the clock and how the robot moves, and somebody may say where that is.
         """
         super().__init__(graph, preset)
-        self._announcer = Announcer(preset.publish, graph.publisher, lambda now: self._intake.clock.robot(now))
+        self._senders: dict[str, Send | None] = {}
+        # Held by who publishes, and by who leaves the graph.
+        self._lock, self._left = threading.Lock(), False
         self.sources: dict[type, str] = {}
         try:
             needed = []
@@ -313,16 +271,12 @@ class SensorDriver(GraphDriver):
     def _named(self, use: str, name: str) -> Topic:
         """The topic of this name, of the type that the graph has it with; raises DeviceError."""
         graph, known = self._graph, TYPES[KEYS[use][0]]
-        end = time.monotonic() + PATIENCE
-        while not (types := graph.types(name)):
-            if types is None:
-                raise DeviceError(
-                    f"{graph.label}: what {name} is cannot be told, because rosapi does not answer: start it on the "
-                    "robot with `ros2 launch rosbridge_server rosbridge_websocket_launch.xml`"
-                )
-            if time.monotonic() > end:
-                raise DeviceError(f"{graph.label}: nobody publishes {name}; {self._instead(known, name)}")
-            graph.spin(10.0 * TICK)
+        types = self._types(name, graph.types, f"publishes {name}", known)
+        if types is None:
+            raise DeviceError(
+                f"{graph.label}: what {name} is cannot be told, because rosapi does not answer: start it on the "
+                "robot with `ros2 launch rosbridge_server rosbridge_websocket_launch.xml`"
+            )
         if not (fitting := [kind for kind in types if kind in known]):
             raise DeviceError(
                 f"{graph.label}: {name} is {types[0]}; {use} come as {' or '.join(known)}: name a topic of that type"
@@ -330,16 +284,29 @@ class SensorDriver(GraphDriver):
         return Topic(name, fitting[0])
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Publishes a message on the preset's topic for it."""
-        self._announcer.publish(key, message)
+        """Publishes a message on the preset's topic for it, its stamps brought to ROS time; the topic is advertised
+        with its first one. One that cannot be is said once, then left out: the robot drives without it."""
+        with self._lock:
+            if self._left:
+                return
+            if key not in self._senders:
+                self._senders[key] = self._sender(key)
+            if (send := self._senders[key]) is not None:
+                send(with_ros_stamps(message, self._intake.clock.robot))
 
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        return [*super().remarks(), *self._announcer.remarks()]
+    def _sender(self, key: str) -> Send | None:
+        kind, latched = PUBLISHED[key]
+        topic = Topic(getattr(self._preset.publish, key), kind, "latched" if latched else "reliable")
+        try:
+            return self._graph.publisher(topic)
+        except DeviceError as error:
+            self._intake.refusals.tell(f"{topic.name} is not published: {error}")
+            return None
 
     def close(self) -> None:
         """Leaves the graph."""
-        self._announcer.close()
+        with self._lock:
+            self._left = True
         super().close()
 
 

@@ -242,7 +242,7 @@ class Intake(Inbox):
         """Remarks on odometry in another frame than the preset's: our map -> odom would join nothing."""
         frame, expected = str(conversions.field(message, "header.frame_id")), self._preset.frames.odom
         if frame.lstrip("/") != expected:
-            self._remarks.append(
+            self.refusals.tell(
                 f"{topic.name} is in the frame {frame[:100]}, the preset has {expected}: set its frames.odom"
             )
 

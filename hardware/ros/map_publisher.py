@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
 
-from tfg_drake.hardware.device import Publisher
+from tfg_drake.hardware.device import Device
 from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
@@ -37,7 +37,7 @@ class MapPublisher(LeafSystem):
     exactly what was published. Stamps of what has none are those of the pose.
     """
 
-    def __init__(self, device: Publisher, frames: Frames, clock: HostClock) -> None:
+    def __init__(self, device: Device, frames: Frames, clock: HostClock) -> None:
         """clock: the station's."""
         super().__init__()
         self.set_name("map_publisher")
@@ -52,7 +52,7 @@ class MapPublisher(LeafSystem):
         builder: DiagramBuilder,
         station: System,
         explorer: System,
-        device: Publisher,
+        device: Device,
         frames: Frames,
         clock: HostClock,
     ) -> MapPublisher:

@@ -124,7 +124,7 @@ def test_a_graph_without_a_detector(ros_domain):
     thread.start()
     try:
         for topic in ("/eye/image_raw", "/eye/image_raw/compressed"):
-            driver = SensorDriver(Ros2Graph("listener", "localhost"), (("tags", topic),), preset)
+            driver = SensorDriver(Ros2Graph("listener", "localhost"), preset, (("tags", topic),))
             seen, end = driver.take(), time.monotonic() + 60.0
             while not seen and time.monotonic() < end:
                 driver.spin(0.05)

@@ -16,7 +16,7 @@ from tfg_drake.io.extras import pip_install
 def complaint(preset, port):
     """What opening a preset's driver in this process says."""
     with pytest.raises(DeviceError) as error:
-        graph_driver.open_base(preset, "localhost", port)
+        graph_driver.opened(graph_driver.GraphBaseDriver, "localhost", port, preset)
     return str(error.value)
 
 

@@ -124,13 +124,13 @@ def test_who_is_on_the_robots_graph_is_told_where_somebody_says_that_it_is():
     still = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
     messages = {odometry.name: {"pose": {"pose": pose}, "twist": {"twist": still}}}
     graph = Graph({odometry.name: odometry.type}, messages)
-    driver = SensorDriver(graph, (), PRESET, base=True)
+    driver = SensorDriver(graph, PRESET, (), base=True)
     told = {"header": {"frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.25] * 36}}
     graph._receivers[said.name](told, time.monotonic())
     (one,) = [message for message in driver.take() if isinstance(message, SaidPose)]
     assert (one.X_WB.tolist(), one.sigma.tolist()) == ([1.0, 2.0, 0.0], [0.5, 0.5])
     graph = Graph({"/tags": "sensor_msgs/msg/PointCloud2"}, {"/tags": {}})
-    SensorDriver(graph, (("tags", "/tags"),), PRESET)
+    SensorDriver(graph, PRESET, (("tags", "/tags"),))
     assert list(graph._receivers) == ["/tags"]
 
 
@@ -139,7 +139,7 @@ def test_corners_of_tags_bring_their_camera():
     corners = [296.0, 216.0, 344.0, 216.0, 344.0, 264.0, 296.0, 264.0]
     messages = {"/tags": {"detections": [{"id": 5, "corners": corners}]}, INFO: CAMERA}
     graph = Graph({"/tags": APRILTAG, INFO: "sensor_msgs/msg/CameraInfo"}, messages)
-    driver = SensorDriver(graph, (("tags", "/tags"),), PRESET)
+    driver = SensorDriver(graph, PRESET, (("tags", "/tags"),))
     newest = driver.take()[-1]
     assert newest.ids.tolist() == [5]
     assert newest.range == pytest.approx([2.0 + PRESET.camera.x])
@@ -171,6 +171,6 @@ def test_corners_of_tags_bring_their_camera():
 def test_topics_that_are_not_there(graph, line, monkeypatch):
     monkeypatch.setattr(graph_driver, "PATIENCE", 0.2)
     with pytest.raises(DeviceError) as error:
-        SensorDriver(graph, (("tags", "/here"),), PRESET)
+        SensorDriver(graph, PRESET, (("tags", "/here"),))
     assert str(error.value) == f"ros2: {line}"
     assert graph.closed
