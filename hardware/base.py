@@ -7,22 +7,19 @@ import logging
 import math
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
-from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
 # Of commands, s: the simulated station's.
 COMMAND_PERIOD = 1.0 / 32.0
-# Without a message younger than this from each of them the base stands, and moves on when they are back, s. A camera's
-# frames are few where a slow computer looks for tags in them, and nobody is run over for want of one.
-STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # After this long without one there is no more hope, s.
 LOST = 60.0
 # The first turn and a half, rad: so many moves of scans it takes to be sure of what is wrong with them.
@@ -97,13 +94,9 @@ class HardwareBase(LeafSystem):
         self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)))
         self.DeclareStateOutputPort("odometry", self._odometry.index)
         self._state.declare_outputs(self, "hazards")
-        self.DeclareVectorOutputPort("enabled", 1, self._CalcEnabled, self._state.tickets)
+        self._state.declare_numbers(self, enabled=lambda now: now.enabled and not now.waiting)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Hear)
         self.DeclarePeriodicUnrestrictedUpdateEvent(COMMAND_PERIOD, 0.0, self._Drive)
-
-    def _CalcEnabled(self, context: Context, output: BasicVector) -> None:
-        now = self._state(context)
-        output.SetAtIndex(0, float(now.enabled and not now.waiting))
 
     def _Hear(self, context: Context, state: State) -> EventStatus:
         now = context.get_time()
@@ -143,7 +136,7 @@ class HardwareBase(LeafSystem):
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
         """Enables or stops the device where that is wanted, and notices where it stopped by itself."""
         time = context.get_time()
-        wanted = float(self._enable.Eval(context)[0]) if self._enable.HasValue(context) else 0.0
+        wanted = number(self._enable, context, 0.0)
         if wanted == 0.0:
             if before.enabled:
                 self._device.lock("stopped by the operator")
@@ -186,10 +179,7 @@ class HardwareBase(LeafSystem):
         now = context.get_time()
         if before.begun > now:
             before = replace(before, begun=now, since=now)
-        stamps = {
-            "odometry": self._odometry(context).stamp,
-            "scan": self._inputs(context, "scan").stamp,
-        }
+        stamps = {"odometry": self._odometry(context).stamp, "scan": self._inputs(context, "scan").stamp}
         if self.devices.tags is not None:
             stamps["tags"] = self._inputs(context, "detections").stamp
         stale = [name for name, stamp in stamps.items() if not now - max(before.begun, stamp) <= STALE[name]]

@@ -17,15 +17,13 @@ import numpy as np
 from tfg_drake.hardware.device import BaseState, Device, DeviceError
 from tfg_drake.hardware.plausible import made_up
 from tfg_drake.hardware.remarks import battery, where
-from tfg_drake.hardware.robot_devices import RobotDevices
+from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.percent import percent
 
 # How long is listened, s, and how often it is looked whether anything has come.
 LISTENS, LOOKS_EVERY = 2.0, 0.02
-# Even the fastest message of a kind may be no older than this when it is there, s.
-OLDEST = {Odometry: 0.5, LaserScan: 0.4, TagDetections: 1.0}
 # A ray so near to a sighting's bearing, rad, shows what stands there.
 BESIDE = 0.02
 # So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
@@ -82,8 +80,8 @@ def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool
     checks = [
         _battery(state),
         _hazards(heard[Hazards].messages, on_ros),
-        _arrives("odometry", heard[Odometry], OLDEST[Odometry], "see the base's driver"),
-        _arrives("scan", heard[LaserScan], OLDEST[LaserScan], "see the scanner's driver"),
+        _arrives("odometry", heard[Odometry], "see the base's driver"),
+        _arrives("scan", heard[LaserScan], "see the scanner's driver"),
         _rays(scans),
     ]
     if TagDetections not in heard:
@@ -91,7 +89,7 @@ def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool
     frames = heard[TagDetections].messages
     return [
         *checks,
-        _arrives("tags", heard[TagDetections], OLDEST[TagDetections], "see the camera and the tags' detector"),
+        _arrives("tags", heard[TagDetections], "see the camera and the tags' detector"),
         _ids(frames),
         _sizes(tag_factors(scans[-1], frames) if scans and len(scans[-1].ranges) else np.zeros(0)),
     ]
@@ -119,11 +117,11 @@ def _hazards(said: Sequence[Hazards], on_ros: bool) -> Check:
     return Check("bumper, cliff", found or "answer, none is pressed", "see what presses it" if found else "")
 
 
-def _arrives(name: str, heard: Heard, oldest: float, mend: str) -> Check:
-    """How often messages of a kind come and how old they are, which may be as much as oldest, s."""
+def _arrives(name: str, heard: Heard, mend: str) -> Check:
+    """How often messages of a kind come and how old even the fastest of them are."""
     if not heard.messages:
         return Check(name, f"none in {LISTENS:g} s", f"{mend}, and whether its clock is this computer's")
-    late = "" if heard.age <= oldest else f"its clock is behind this computer's, or it is slow: {mend}"
+    late = "" if heard.age <= STALE[name] else f"its clock is behind this computer's, or it is slow: {mend}"
     return Check(name, f"{len(heard.messages) / LISTENS:.0f} a second, {heard.age:.2f} s old", late)
 
 

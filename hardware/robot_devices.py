@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 # Whose mounts and topics hold where nobody says otherwise.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
+# The newest message of each may be so old, s. A camera's frames are few where a slow computer looks for tags in them,
+# and nobody is run over for want of one.
+STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
 # As a source of tags: the robot has none, whatever its preset says.
 NO_TAGS = "none"
 # Cameras of our own that tags come from: each as a source, and its configuration.
@@ -63,6 +67,7 @@ class HostClock:
 @dataclasses.dataclass(frozen=True)
 class RobotDevices:
     """base: a device. tags, scan: sources of TagDetections and LaserScan; tags None of a robot that has none.
+    processes: that were opened for them, the base's first.
 
     limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
     and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
@@ -73,6 +78,7 @@ class RobotDevices:
     tags: Source | None
     scan: Source
     limits: Limits
+    processes: Sequence[Device] = ()
     publisher: SensorSource | None = None
     frames: Frames | None = None
     least_range: float = 0.0
@@ -82,17 +88,12 @@ class RobotDevices:
 
     def take_remarks(self) -> list[str]:
         """Lines for the operator that the processes of base and sensors had to say since the last call."""
-        return [line for source in self._distinct() for line in source.take_remarks()]
+        return [line for process in self.processes for line in process.take_remarks()]
 
     def close(self) -> None:
         """Stops the base, and closes all of them; once is enough."""
-        for source in self._distinct():
-            source.close()
-
-    def _distinct(self) -> list[Device | Source]:
-        """The base first, then what reads the sensors."""
-        every = (self.base, self.tags, self.scan, self.publisher)
-        return list({id(source): source for source in every if source is not None}.values())
+        for process in self.processes:
+            process.close()
 
 
 def check_devices(config: HardwareConfig) -> None:
@@ -137,11 +138,11 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         preset = dataclasses.replace(preset, limits=limits)
     view = _view(cameras) if cameras else None
     base = _open_base(config, preset, limits, graph)
-    opened: list[Device | Source] = [base]
+    opened: list[Device] = [base]
     try:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
         sources = open_sources(specs, preset, graph, config)
-        opened += sources.values()
+        opened += {id(source): source for source in sources.values()}.values()
         tags: list[Source] = [sources["tags"]] if "tags" in sources else []
         for text, camera in cameras[1:]:
             further = open_sources({"tags": text}, preset, None, dataclasses.replace(config, camera=camera))["tags"]
@@ -158,6 +159,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         CamerasSource(tags) if len(tags) > 1 else next(iter(tags), None),
         SweepSource(scan, base.odometry_near) if scanner == "rplidar" else scan,
         limits,
+        opened,
         sources.get("base"),
         preset.frames if on_ros else None,
         _least_range(scanner, preset),

@@ -45,45 +45,23 @@ class Source(Protocol):
     def take(self, kind: type[T], until: float) -> list[T]:
         """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
 
-    def take_remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
 
-    def close(self) -> None:
-        """Lets go of what it reads."""
-
-
-class _MadeOf:
-    """A source that is made of others."""
-
-    def __init__(self, *sources: Source) -> None:
-        self._sources = sources
-
-    def take_remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        return [line for source in self._sources for line in source.take_remarks()]
-
-    def close(self) -> None:
-        """Lets go of them."""
-        for source in self._sources:
-            source.close()
-
-
-class CamerasSource(_MadeOf):
+class CamerasSource:
     """Tags of several cameras as those of one: in order, one message a call, for what looks at them takes one at a
     time. Where they say more than is taken the oldest are missed, of each camera alike."""
 
     def __init__(self, cameras: Sequence[Source]) -> None:
-        super().__init__(*cameras)
+        self._cameras = cameras
         self._waiting: list[TagDetections] = []
         self._given = -math.inf
 
     def take(self, kind: type[Any], until: float) -> list[Any]:
         """The oldest message stamped `until` (s) or before that was not taken yet, if there is one."""
-        arrived = [one for camera in self._sources for one in camera.take(TagDetections, until)]
+        arrived = [one for camera in self._cameras for one in camera.take(TagDetections, until)]
         # One that was longer on its way than another camera's next is of no use any more.
         waiting = [one for one in (*self._waiting, *arrived) if one.stamp > self._given]
         waiting.sort(key=lambda one: one.stamp)
-        self._waiting = waiting[-len(self._sources) :]
+        self._waiting = waiting[-len(self._cameras) :]
         if not self._waiting:
             return []
         oldest = self._waiting.pop(0)
@@ -91,18 +69,17 @@ class CamerasSource(_MadeOf):
         return [oldest]
 
 
-class SweepSource(_MadeOf):
+class SweepSource:
     """Scans of a scanner that turns while the robot moves: its sweeps, undone by what the robot's odometry said."""
 
     def __init__(self, sweeps: Source, odometry: Callable[[float], Odometry | None]) -> None:
         """odometry: the message nearest to a time, s; None where there is none."""
-        super().__init__(sweeps)
-        self._odometry = odometry
+        self._sweeps, self._odometry = sweeps, odometry
 
     def take(self, kind: type[Any], until: float) -> list[Any]:
         """The scans stamped `until` (s) or before that were not taken yet, in order."""
         scans = []
-        for sweep in self._sources[0].take(Sweep, until):
+        for sweep in self._sweeps.take(Sweep, until):
             odometry = self._odometry(sweep.stamp)
             scans.append(scan_of(sweep, np.zeros(2) if odometry is None else odometry.V_B))
         return scans

@@ -17,7 +17,7 @@ from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState, number
 
 
 @message
@@ -94,7 +94,7 @@ class InfoGainGoalSelector(LeafSystem):
 
     @metered("goal")
     def _Choose(self, context: Context, previous: GoalChoice, promise: Promise, landmarks: MapEstimate) -> GoalChoice:
-        recalled = self._recall.HasValue(context) and bool(self._recall.Eval(context)[0] > 0.5)
+        recalled = number(self._recall, context, 0.0) > 0.5
         (tags, tfg, near), parameters = self._inputs.each(context, "map", "tfg", "local_roadmap"), self._parameters
         is_large, radius = not tags.is_joint, planning_radius(tags, parameters.explorer)
         explorer = dataclasses.replace(parameters.explorer, density=density_shown(landmarks, tfg, parameters.explorer))

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.mission.sequence import MissionInputs, initial_status, step
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
 # The outputs of the TFG explorer that map, by port.
 MAPS = ("map", "tfg")
@@ -69,13 +69,8 @@ class MissionSequencer(LeafSystem):
             max_speed=self._max_speed,
             glance_period=self._glance_period,
             bumper=self._inputs(context, "hazards").bumper != 0,
-            pause=flag(self._pause, context, False),
-            enable=flag(self._enable, context, True),
-            stop=flag(self._stop, context, False),
+            pause=number(self._pause, context, 0.0) > 0.5,
+            enable=number(self._enable, context, 1.0) > 0.5,
+            stop=number(self._stop, context, 0.0) > 0.5,
         )
         return self._status.set(state, step(status, inputs))
-
-
-def flag(port, context: Context, default: bool) -> bool:
-    """True if a (1,) input is above 0.5; the default if it is not connected."""
-    return bool(port.Eval(context)[0] > 0.5) if port.HasValue(context) else default

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import SaidPose, message, replace
 from tfg_drake.mission.operation import Operation, Request, requested
@@ -60,18 +60,15 @@ class Operator(LeafSystem):
         self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
         beginning = requested(Operation(), "enable") if enabled else Operation()
         self._state = MessageState(self, _Asked(beginning), self._Update)
-        for name, calc in (
-            ("enable", lambda operation: operation.enabling),
-            ("pause", lambda operation: operation.paused),
-            ("stop", lambda operation: operation.ended),
-            ("recall", lambda operation: operation.recalled),
-        ):
-            self.DeclareVectorOutputPort(name, 1, self._Calc(calc), self._state.tickets)
+        self._state.declare_numbers(
+            self,
+            enable=lambda now: now.operation.enabling,
+            pause=lambda now: now.operation.paused,
+            stop=lambda now: now.operation.ended,
+            recall=lambda now: now.operation.recalled,
+        )
         goal, said = lambda now: now.goal, lambda now: now.said
         self._state.declare_outputs(self, "pushes", requested_goal=goal, said_pose=said)
-
-    def _Calc(self, calc: Callable[[Operation], float]) -> Callable[[Context, BasicVector], None]:
-        return lambda context, output: output.SetAtIndex(0, float(calc(self._state(context).operation)))
 
     def _Update(self, context: Context, before: _Asked) -> _Asked:
         requests = [request for source in self._sources for request in source()]

@@ -10,8 +10,8 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tfg_drake.messages import FloatArray, MissionStatus, message, replace
 from tfg_drake.mission.sequence import initial_status
-from tfg_drake.systems.mission_sequencer import MAPS, flag
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
+from tfg_drake.systems.mission_sequencer import MAPS
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
 # A piece of the way is mapped after this length, m, and so many scans at least: some logs have but one a metre.
 PIECE_LENGTH = 1.0
@@ -74,7 +74,7 @@ class PieceSequencer(LeafSystem):
         if status.phase == "done":
             return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
         ended = time >= self._end_time
-        if flag(self._stop, context, False):
+        if number(self._stop, context, 0.0) > 0.5:
             status = replace(status, phase="done", since=time, outcome="interrupted", reason="told to end")
         elif status.phase == "glance":
             now = self._driven(context, now)

@@ -151,8 +151,20 @@ class MessageState(Generic[T]):
         for name, part in (named | parts).items():
             declare_message_output(system, name, functools.partial(self._part, part), self.tickets)
 
+    def declare_numbers(self, system: LeafSystem, **parts: Callable[[T], float]) -> None:
+        """Declares output ports of the same system: vectors of size 1, of what is made of the message alone, by the
+        port's name."""
+        for name, part in parts.items():
+            calc = lambda context, output, part=part: output.SetAtIndex(0, float(part(self(context))))  # noqa: E731
+            system.DeclareVectorOutputPort(name, 1, calc, self.tickets)
+
     def _part(self, part: Callable[[T], object], context: Context) -> object:
         return part(self(context))
+
+
+def number(port: InputPort, context: Context, default: float) -> float:
+    """The first entry of a vector that comes in, the default if the port is not connected."""
+    return float(port.Eval(context)[0]) if port.HasValue(context) else default
 
 
 def connect_by_name(builder: DiagramBuilder, listener: System, *speakers: System, **heard_as: str) -> None:

@@ -27,7 +27,7 @@ from tfg_drake.safety.velocity_filter import (
 )
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, MessageState
+from tfg_drake.systems.ports import MessageInputs, MessageState, number
 
 PERIOD = 1.0 / 32.0
 # As often as odometry comes; scans are fewer.
@@ -97,7 +97,7 @@ class SafetyFilter(LeafSystem):
 
     @metered("safety_filter")
     def _Filter(self, context: Context, update: DiscreteValues) -> None:
-        wanted = float(self._enable.Eval(context)[0]) if self._enable.HasValue(context) else math.inf
+        wanted = number(self._enable, context, math.inf)
         spent = self._Spent(context, wanted)
         enabled = wanted not in (0.0, spent)
         before = self._State(context)
@@ -175,7 +175,7 @@ class SafetyFilter(LeafSystem):
         hazards, enabled = self._inputs(context, "hazards"), context.get_discrete_state(self._enabled)
         kept = hazards.bumper or stopped_by(hazards) is not None or enabled.value()[0] == 0.0
         stands = self._State(context)[SPEED] == 0.0 and not kept
-        return float(self._command.Eval(context)[0]) if stands and self._command.HasValue(context) else 0.0
+        return number(self._command, context, 0.0) if stands else 0.0
 
 
 def _pose_at(odometry: Odometry, time: float) -> FloatArray:

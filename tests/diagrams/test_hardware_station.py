@@ -38,7 +38,7 @@ class Station:
     def __init__(self, velocity=(0.2, 0.5), enable=1.0, *, tags=True):
         """tags: there is a source of them."""
         self.device = FakeDevice()
-        devices = RobotDevices(self.device, self.device if tags else None, self.device, Limits())
+        devices = RobotDevices(self.device, self.device if tags else None, self.device, Limits(), [self.device])
         self.diagram = MakeHardwareStation(Scenario(), devices)
         self.simulator = Simulator(self.diagram)
         self.context = self.simulator.get_mutable_context()

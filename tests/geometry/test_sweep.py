@@ -51,9 +51,6 @@ class Sweeps:
     def take(self, kind, until):
         return [swept()] if kind is Sweep and until >= 2.0 else []
 
-    def take_remarks(self):
-        return ["a line"]
-
 
 def test_a_source_asks_how_the_robot_moved_then():
     asked = []
@@ -64,4 +61,3 @@ def test_a_source_asks_how_the_robot_moved_then():
     np.testing.assert_array_equal(scan.ranges, scan_of(swept(), V_B).ranges)
     (still,) = SweepSource(Sweeps(), lambda stamp: None).take(object, 2.0)
     np.testing.assert_array_equal(still.ranges, scan_of(swept(), np.zeros(2)).ranges)
-    assert source.take_remarks() == ["a line"]

@@ -16,18 +16,12 @@ class Camera:
     """Says what a test puts in."""
 
     def __init__(self, *stamps):
-        self.waiting, self.closed = [seen(stamp) for stamp in stamps], False
+        self.waiting = [seen(stamp) for stamp in stamps]
 
     def take(self, kind, until):
         taken = [one for one in self.waiting if one.stamp <= until]
         self.waiting = [one for one in self.waiting if one.stamp > until]
         return taken
-
-    def take_remarks(self):
-        return ["a line"]
-
-    def close(self):
-        self.closed = True
 
 
 def test_messages_come_in_order_one_at_a_time_and_none_is_lost():
@@ -45,12 +39,3 @@ def test_what_is_too_much_or_too_late_is_missed():
     right.waiting.append(seen(1.105))
     assert [one.stamp for one in cameras.take(TagDetections, math.inf)] == [1.2]
     assert cameras.take(TagDetections, math.inf) == []
-
-
-def test_all_are_heard_and_closed():
-    left, right = Camera(), Camera()
-    cameras = CamerasSource([left, right])
-    assert cameras.take_remarks() == ["a line", "a line"]
-    cameras.close()
-    assert left.closed
-    assert right.closed
