@@ -187,7 +187,7 @@ class Device:
         # Since when the process takes no orders, s; None while it does.
         self._full: float | None = None
         self._ended: str | None = None
-        self._ready = False
+        before = self.heard
         self._reader = threading.Thread(target=self._read, daemon=True)
         try:
             self._start()
@@ -196,9 +196,9 @@ class Device:
             raise DeviceError(self._ended) from None
         self._put(self._open_driver)
         with self._changed:
-            self._changed.wait_for(lambda: self._ready or self._ended is not None, START_TIMEOUT)
-        if not self._ready:
-            line = self._ended or f"the robot's process did not begin in {START_TIMEOUT:.0f} s"
+            begun = self._changed.wait_for(lambda: self.heard > before, START_TIMEOUT)
+        line = self._ended or ("" if begun else f"the robot's process did not begin in {START_TIMEOUT:.0f} s")
+        if line:
             self._end()
             raise DeviceError(line)
 
@@ -369,8 +369,6 @@ class Device:
                     self._remarks.append(content)
                 elif kind == "answer":
                     self._answers, self._locked = self._answers + 1, content
-                elif kind == "ready":
-                    self._ready = True
                 elif kind == "ended":
                     self._ended = self._ended or content
                 self._changed.notify_all()

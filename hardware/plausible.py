@@ -37,15 +37,6 @@ SCAN_RANGE, BEYOND = 1000.0, 6.0
 _HALF_TURN = math.pi + 1e-6
 # All bits of an alarm.
 _ALL_BITS = 7
-# How what is wrong with a sighting is told.
-_TOLD = {
-    "ids": "id {:d}",
-    "range": "range {:g} m",
-    "bearing": "bearing {:g} rad",
-    "sigma_range": "deviation {:g} m of a range",
-    "sigma_bearing": "deviation {:g} rad of a bearing",
-}
-
 # Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
 _KINDS, _LONGEST = 5, 300
 
@@ -157,22 +148,23 @@ def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str,
         return None, {"shape": "ids, ranges, bearings and deviations are not as many of each; check the detector"}
     if n > MOST_TAGS:
         return None, {"number": f"{n} sightings in one message are not plausible; check the detector"}
+    # By its column which sightings are plausible, and how what is wrong with one is told.
     plausible = {
-        "ids": (message.ids >= 0) & (message.ids < IDS),
-        "range": (message.range > 0.0) & (message.range <= TAG_RANGE),
-        "bearing": np.abs(message.bearing) <= _HALF_TURN,
-        "sigma_range": _within(message.sigma_range, *SIGMA_RANGE),
-        "sigma_bearing": _within(message.sigma_bearing, *SIGMA_BEARING),
+        "ids": ((message.ids >= 0) & (message.ids < IDS), "id {:d}"),
+        "range": ((message.range > 0.0) & (message.range <= TAG_RANGE), "range {:g} m"),
+        "bearing": (np.abs(message.bearing) <= _HALF_TURN, "bearing {:g} rad"),
+        "sigma_range": (_within(message.sigma_range, *SIGMA_RANGE), "deviation {:g} m of a range"),
+        "sigma_bearing": (_within(message.sigma_bearing, *SIGMA_BEARING), "deviation {:g} rad of a bearing"),
     }
     reasons = {}
-    for name, good in plausible.items():
+    for name, (good, told) in plausible.items():
         if not good.all():
-            first, bad = _TOLD[name].format(getattr(message, name)[~good][0]), n - int(good.sum())
+            first, bad = told.format(getattr(message, name)[~good][0]), n - int(good.sum())
             others = "; the others are used" if bad < n else ""
             reasons[name] = f"{bad} of {n} sightings refused: {first} is not plausible; check the detector{others}"
     if not reasons:
         return message, {}
-    return take(message, np.logical_and.reduce(list(plausible.values()))), reasons
+    return take(message, np.logical_and.reduce([good for good, _ in plausible.values()])), reasons
 
 
 def _scan(message: LaserScan) -> tuple[LaserScan | None, dict[str, str]]:

@@ -6,13 +6,15 @@ import dataclasses
 import logging
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
+from tfg_drake.hardware.camera_sensor import known_view
 from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.kobuki import driver as kobuki
+from tfg_drake.hardware.realsense_sensor import LEAST_DEPTH
 from tfg_drake.hardware.ros.graph_driver import connect
 from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
+from tfg_drake.hardware.rplidar.sweeps import LEAST_RANGE
 from tfg_drake.hardware.sensor_source import (
     CamerasSource,
     SensorSource,
@@ -24,15 +26,15 @@ from tfg_drake.hardware.sensor_source import (
 )
 from tfg_drake.hardware.serial_port import check_port
 from tfg_drake.hardware.watchdog import Limits
-
-if TYPE_CHECKING:
-    from tfg_drake.vision.camera_view import CameraView
+from tfg_drake.vision.camera_view import CameraView, joint_view
 
 # Whose mounts and topics hold where nobody says otherwise.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
 # The newest message of each may be so old, s. A camera's frames are few where a slow computer looks for tags in them,
 # and nobody is run over for want of one.
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
+# How near a scanner sees, by its transport, m. What serves a socket says itself where nothing is known.
+NEAREST = {"rplidar": LEAST_RANGE, "realsense": LEAST_DEPTH, "socket": 0.0}
 # As a source of tags: the robot has none, whatever its preset says.
 NO_TAGS = "none"
 # Cameras of our own that tags come from: each as a source, and its configuration.
@@ -136,7 +138,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     if on_ros:
         limits = _lesser(preset.limits, limits)
         preset = dataclasses.replace(preset, limits=limits)
-    view = _view(cameras) if cameras else None
+    view = joint_view([(camera.yaw, known_view(text, camera)) for text, camera in cameras]) if cameras else None
     base = _open_base(config, preset, limits, graph)
     opened: list[Device] = [base]
     try:
@@ -162,7 +164,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         opened,
         sources.get("base"),
         preset.frames if on_ros else None,
-        _least_range(scanner, preset),
+        NEAREST.get(scanner, preset.scanner.least_range),
         view,
     )
 
@@ -186,30 +188,6 @@ def _cameras(config: HardwareConfig) -> _Cameras:
                 "be two tags; print all of one family"
             )
     return list(zip(texts, known, strict=False))
-
-
-def _view(cameras: _Cameras) -> CameraView:
-    """Joint view of the cameras; raises DeviceError."""
-    from tfg_drake.hardware.camera_sensor import known_view
-
-    views = [(camera.yaw, known_view(text, camera)) for text, camera in cameras]
-    from tfg_drake.vision.camera_view import joint_view
-
-    return joint_view(views)
-
-
-def _least_range(scanner: str, preset: Preset) -> float:
-    """How near a scanner on a transport sees, m."""
-    if scanner == "rplidar":
-        from tfg_drake.hardware.rplidar.sweeps import LEAST_RANGE
-
-        return LEAST_RANGE
-    if scanner == "realsense":
-        from tfg_drake.hardware.realsense_sensor import LEAST_DEPTH
-
-        return LEAST_DEPTH
-    # What serves a socket says itself where nothing is known.
-    return 0.0 if scanner == "socket" else preset.scanner.least_range
 
 
 def _graph(config: HardwareConfig) -> SourceSpec | None:

@@ -18,8 +18,13 @@ import numpy as np
 
 from tfg_drake.config import HardwareConfig
 from tfg_drake.geometry.sweep import Sweep, scan_of
+from tfg_drake.hardware.camera_sensor import CameraDriver
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
+from tfg_drake.hardware.realsense_sensor import RealsenseDriver
+from tfg_drake.hardware.ros.graph_driver import SensorDriver, opened
 from tfg_drake.hardware.ros.preset import Preset, Topic
+from tfg_drake.hardware.rplidar.driver import RplidarDriver
+from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 
 T = TypeVar("T", LaserScan, Sweep, TagDetections)
@@ -220,16 +225,16 @@ def open_sources(
             if use not in specs and topic is not None:
                 place[use] = base
                 wanted[base].append((use, topic))
-    opened: dict[SourceSpec, SensorSource] = {}
+    sources: dict[SourceSpec, SensorSource] = {}
     try:
         for spec, topics in wanted.items():
             name = " and ".join((*(use for use, _ in topics), *(["the robot"] if not topics else [])))
-            opened[spec] = SensorSource(f"{name} of {spec}", _opening(spec, topics, preset, spec == base, hardware))
+            sources[spec] = SensorSource(f"{name} of {spec}", _opening(spec, topics, preset, spec == base, hardware))
     except DeviceError:
-        for source in opened.values():
+        for source in sources.values():
             source.close()
         raise
-    return {use: opened[spec] for use, spec in place.items()}
+    return {use: sources[spec] for use, spec in place.items()}
 
 
 def _opening(
@@ -241,22 +246,11 @@ def _opening(
 ) -> OpenDriver:
     own = hardware or HardwareConfig()
     if spec.transport == "camera":
-        from tfg_drake.hardware.camera_sensor import CameraDriver
-
         return functools.partial(CameraDriver, spec.device, own.camera)
-    if spec.transport == "rplidar":
-        from tfg_drake.hardware.rplidar.driver import RplidarDriver
-
-        return functools.partial(RplidarDriver, spec.device, own.scanner)
-    if spec.transport == "realsense":
-        from tfg_drake.hardware.realsense_sensor import RealsenseDriver
-
-        return functools.partial(RealsenseDriver, spec.device, own.scanner)
+    if spec.transport in OWN:
+        driver = RplidarDriver if spec.transport == "rplidar" else RealsenseDriver
+        return functools.partial(driver, spec.device, own.scanner)
     if spec.transport == "socket":
-        from tfg_drake.hardware.socket_sensors import SocketDriver
-
         return functools.partial(SocketDriver, spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
-    from tfg_drake.hardware.ros.graph_driver import SensorDriver, opened
-
     host = spec.host if spec.transport == "rosbridge" else None
     return functools.partial(opened, SensorDriver, host, spec.port, preset, tuple(topics), base)

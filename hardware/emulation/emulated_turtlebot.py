@@ -4,6 +4,7 @@ messages (dictionaries of their fields), for whichever transport."""
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import math
 import time
@@ -180,7 +181,11 @@ class Ros2Emulator:
         topics = preset.topics
         assert topics.detections is not None
         published = {"odometry": topics.odometry, "scan": topics.scan, "detections": topics.detections}
+        transforms = Topic("/tf", "tf2_msgs/msg/TFMessage", "reliable")
         self._graph = Ros2Graph("turtlebot4", preset.discovery)
+        with contextlib.suppress(DeviceError):  # only pictures need it
+            self._graph.require(transforms)
+            published = {"tf": transforms, **published}
         try:
             self._publishers = {key: self._graph.publisher(topic) for key, topic in published.items()}
             self._graph.subscribe(topics.command, lambda message, _: robot.drive(message))
@@ -188,12 +193,6 @@ class Ros2Emulator:
             self.close()
             raise
         self.topics = [*published.values(), topics.command]
-        transforms = Topic("/tf", "tf2_msgs/msg/TFMessage", "reliable")
-        try:
-            self._publishers["tf"] = self._graph.publisher(transforms)
-            self.topics.insert(0, transforms)
-        except DeviceError:
-            pass  # only pictures need it
 
     def run(self, go_on: Callable[[], bool]) -> None:
         """In real time, while go_on()."""

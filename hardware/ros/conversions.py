@@ -100,6 +100,12 @@ def _sequence(message: Any, path: str, most: int) -> Any:
     return values
 
 
+def content(message: Any, most: int) -> bytes:
+    """The bytes of `data`, which rosbridge sends as base64."""
+    data = _sequence(message, "data", most)
+    return base64.b64decode(data, validate=True) if isinstance(data, str) else bytes(data)
+
+
 def ros_stamp(message: Any) -> float | None:
     """std_msgs/Header's stamp, s since the ROS clock's epoch; None of a message that has no header."""
     try:
@@ -277,8 +283,7 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     n = count(message, "width", MOST_TAGS) * count(message, "height", MOST_TAGS)
     if n > MOST_TAGS:
         raise ValueError(f"{n} points; {MOST_TAGS} are the most that is plausible")
-    data = _sequence(message, "data", 2 * MOST_TAGS * _LONGEST_POINT)
-    points = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else bytes(data), layout, n)
+    points = np.frombuffer(content(message, 2 * MOST_TAGS * _LONGEST_POINT), layout, n)
     columns = {name: points[name].astype(float) for name in COLUMNS}
     ids = columns.pop("id")
     bearing = columns["bearing"]

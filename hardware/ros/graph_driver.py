@@ -139,8 +139,8 @@ class GraphDriver(Driver):
         if silent := sorted(names - intake.arrived):
             raise DeviceError(f"{label}: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start its driver")
         if not intake.clock.ready:
-            slow = f"{intake.clock_source} falls silent for more than {SILENCE} s at times"
-            if intake.clock_source is None:
+            slow = f"{intake.clock.source} falls silent for more than {SILENCE} s at times"
+            if intake.clock.source is None:
                 slow = f"too little arrives in {PATIENCE:.0f} s: it needs 2 Hz or more"
             raise DeviceError(f"{label}: {slow}")
         if line := intake.clock.skew():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from typing import Any
 
 import cv2
@@ -111,8 +110,5 @@ def _numbers(camera_info: Any, name: str, most: int) -> FloatArray:
 
 
 def _bytes(message: Any) -> Image:
-    """The data of an image (n,), which rosbridge sends as base64."""
-    data = conversions.field(message, "data")
-    if isinstance(data, str):
-        data = base64.b64decode(data, validate=True)
-    return np.frombuffer(data, dtype=np.uint8) if not isinstance(data, list) else np.array(data, dtype=np.uint8)
+    """The data of an image (n,)."""
+    return np.frombuffer(conversions.content(message, 2 * _WIDEST * _LONGEST_ROW), dtype=np.uint8)

@@ -56,9 +56,11 @@ class ClockJump(Exception):
 class StampClock:
     """Brings ROS stamps to the host's monotonic clock."""
 
-    def __init__(self, silence: float = SILENCE) -> None:
-        """silence: s without a message to learn from, after which the clock is learned anew."""
-        self._offset, self._source, self._silence = 0.0, "", silence
+    def __init__(self, source: str | None = None) -> None:
+        """source: the topic that it is learned from, whose messages arrive at once; None where it is learned from them
+        all, which may be slow."""
+        self.source, self._offset = source, 0.0
+        self._silence = SENSOR_SILENCE if source is None else SILENCE
         self._reset()
 
     def _reset(self) -> None:
@@ -72,13 +74,7 @@ class StampClock:
         """True if it is learned."""
         return self._heard - self._began >= LEARN
 
-    def odometry(self, topic: str, stamp: float, arrival: float) -> float | None:
-        """As `learn`, for the topic whose messages arrive at once."""
-        self._source = topic
-        return self.learn(topic, stamp, arrival)
-
-    def learn(self, topic: str, stamp: float, arrival: float) -> float | None:
-        """As `host`, for a topic that the clock is learned from."""
+    def _learn(self, stamp: float, arrival: float) -> None:
         if arrival - self._heard > self._silence:
             self._reset()
         dt = arrival - self._heard
@@ -93,11 +89,12 @@ class StampClock:
         elif arrival - stamp > self._offset - JUMP:
             self._offset += min(SLEW * dt, max(-SLEW * dt, target - self._offset))
         self._heard = arrival
-        return self.host(topic, stamp, arrival)
 
     def host(self, topic: str, stamp: float, arrival: float) -> float | None:
         """The host's time, s, of a stamp that arrived at `arrival`; None where the clock is not learned yet, or the
         message is late: not newer than the one before it. Raises ClockJump, and starts to learn anew."""
+        if self.source in (None, topic):
+            self._learn(stamp, arrival)
         self._least[topic] = min(self._least.get(topic, math.inf), arrival - stamp)
         last = self._last.get(topic, -math.inf)
         if self.ready and (stamp < last - JUMP or stamp + self._offset > arrival + JUMP):
@@ -115,7 +112,7 @@ class StampClock:
         wall = time.time() - time.monotonic()
         for topic, least in self._least.items():
             behind = wall + least
-            allowed = MAX_SKEW if behind < 0.0 or topic == self._source else MAX_AGE
+            allowed = MAX_SKEW if behind < 0.0 or topic == self.source else MAX_AGE
             if abs(behind) > allowed:
                 side = "behind" if behind > 0.0 else "ahead of"
                 return (
@@ -128,8 +125,8 @@ class StampClock:
 class Intake(Inbox):
     """Converts ROS messages of either transport; one thread may use it.
 
-    clock_source: the topic that the clock is learned from, None where it is learned from them all. alarm: why the base
-    must not drive for its battery, None where it may.
+    clock: learned from the odometry, from all topics where there is none. alarm: why the base must not drive for its
+    battery, None where it may.
     """
 
     def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
@@ -138,8 +135,7 @@ class Intake(Inbox):
         else the clock from them all.
         """
         super().__init__()
-        self.clock_source = next((topic.name for key, topic in topics if key in ("odometry", "clock")), None)
-        self.clock = StampClock(SENSOR_SILENCE) if self.clock_source is None else StampClock()
+        self.clock = StampClock(next((topic.name for key, topic in topics if key in ("odometry", "clock")), None))
         self._preset = preset
         self._V_B = np.zeros(2)
         self._watched = WatchedOdometry()
@@ -192,10 +188,6 @@ class Intake(Inbox):
 
     def _host_stamp(self, key: str, topic: Topic, message: Any, arrival: float) -> float | None:
         stamp = conversions.ros_stamp(message)
-        if key in ("odometry", "clock") and stamp is not None:
-            return self.clock.odometry(topic.name, stamp, arrival)
-        if self.clock_source is None and stamp is not None:
-            return self.clock.learn(topic.name, stamp, arrival)
         if stamp is None:
             # An alarm without a stamp is of now, and comes once: it must not be lost.
             return arrival if self.clock.ready or key == "hazards" else None

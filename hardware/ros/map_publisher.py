@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, State, System
+from typing import Any
+
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
 
 from tfg_drake.hardware.device import Device
 from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace
-from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name
+from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, connect_by_name
 
 _SHOWN = ("map", "tfg", "roadmap", "goal", "path", "grid")
 
@@ -43,9 +44,9 @@ class MapPublisher(LeafSystem):
         self.set_name("map_publisher")
         self._device, self._frames, self._clock = device, frames, clock
         self._Get = MessageInputs(self, "pose", "odometry", *_SHOWN).optional
-        self._published = self.DeclareAbstractState(AbstractValue.Make(object()))
+        # Copying the context costs nothing, since a message's deep copy is itself.
+        self._published = MessageState(self, dict.fromkeys(_SHOWN), lambda context, _: self._Now(context))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Remember)
 
     @staticmethod
     def AddToBuilder(
@@ -74,9 +75,7 @@ class MapPublisher(LeafSystem):
         return EventStatus.Succeeded()
 
     def _PublishMap(self, context: Context, stamp: float) -> None:
-        now = {name: self._Get(context, name) for name in _SHOWN}
-        before = context.get_abstract_state(int(self._published)).get_value()
-        before = before if isinstance(before, dict) else dict.fromkeys(_SHOWN)
+        now, before = self._Now(context), self._published(context)
         changed = {name for name, message in now.items() if message is not before[name]}
         frames, publish = self._frames, self._device.publish
         if "tfg" in changed:
@@ -92,7 +91,5 @@ class MapPublisher(LeafSystem):
         if "path" in changed:
             publish("path", map_messages.path(now["path"], stamp, frames))
 
-    def _Remember(self, context: Context, state: State) -> None:
-        # Copying the context costs nothing, since a message's deep copy is itself.
-        published = {name: self._Get(context, name) for name in _SHOWN}
-        state.get_mutable_abstract_state(int(self._published)).set_value(published)
+    def _Now(self, context: Context) -> dict[str, Any]:
+        return {name: self._Get(context, name) for name in _SHOWN}

@@ -15,13 +15,13 @@ class Robot:
     """Odometry at 50 Hz with a delay of 5 to 8 ms."""
 
     def __init__(self):
-        self.clock, self.now, self.offset, self.count = StampClock(), 50.0, OFFSET, 0
+        self.clock, self.now, self.offset, self.count = StampClock("/odom"), 50.0, OFFSET, 0
 
     def tick(self):
         self.now += PERIOD
         self.count += 1
         delay = 0.005 + 0.001 * (self.count % 4)
-        return self.clock.odometry("/odom", self.now - self.offset, self.now + delay)
+        return self.clock.host("/odom", self.now - self.offset, self.now + delay)
 
     def run(self, duration):
         return [self.tick() for _ in range(round(duration / PERIOD))]
@@ -90,13 +90,13 @@ def test_two_quartzes_drift_apart(robot):
 def test_a_message_held_up_keeps_its_age(robot):
     robot.now += 0.4
     stamp = robot.now - 0.4 - OFFSET + PERIOD
-    assert robot.clock.odometry("/odom", stamp, robot.now) < robot.now - 0.3
+    assert robot.clock.host("/odom", stamp, robot.now) < robot.now - 0.3
 
 
 @pytest.mark.parametrize(("behind", "words"), [(37.5, "37.50 s behind"), (-2.0, "2.00 s ahead of")])
 def test_too_large_a_skew_is_one_line(behind, words):
-    clock, wall, now = StampClock(), time.time(), time.monotonic()
-    clock.odometry("/odom", wall - behind, now)
+    clock, wall, now = StampClock("/odom"), time.time(), time.monotonic()
+    clock.host("/odom", wall - behind, now)
     assert clock.skew() == (
         f"/odom is stamped {words} this computer's clock (0.25 s are allowed); "
         "synchronise both, with chrony for example"
@@ -104,14 +104,14 @@ def test_too_large_a_skew_is_one_line(behind, words):
 
 
 def test_a_small_skew_is_allowed():
-    clock, wall, now = StampClock(), time.time(), time.monotonic()
-    clock.odometry("/odom", wall - 0.5 * MAX_SKEW, now)
+    clock, wall, now = StampClock("/odom"), time.time(), time.monotonic()
+    clock.host("/odom", wall - 0.5 * MAX_SKEW, now)
     assert clock.skew() is None
 
 
 def test_a_camera_may_be_late_but_not_ahead():
-    clock, wall, now = StampClock(), time.time(), time.monotonic()
-    clock.odometry("/odom", wall, now)
+    clock, wall, now = StampClock("/odom"), time.time(), time.monotonic()
+    clock.host("/odom", wall, now)
     clock.host("/detections", wall - 0.4, now)
     assert clock.skew() is None
     clock.host("/scan", wall + 0.6, now)
