@@ -16,13 +16,15 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.map_messages import Fields, pose_fields, transform
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.ros.ros2 import Ros2Graph
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
-from tfg_drake.simulation import differential_drive, odometry
+from tfg_drake.simulation import differential_drive as drive
+from tfg_drake.simulation import odometry
 from tfg_drake.world.world import World
 
 # A step of it, s; odometry comes with every one, tags and a scan with every third.
@@ -57,11 +59,10 @@ class EmulatedTurtlebot(EmulatedSensors):
         # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would not see ahead.
         super().__init__(world, tags, dataclasses.replace(scanner, field_of_view=2.0 * math.pi), seed)
         self._preset, self._wheels = preset, wheels
-        self._robot = RobotConfig(max_acceleration=ACCELERATION)
         self._run_errors = odometry.run_errors(self._noise(3), wheels)
-        self._base = differential_drive.initial_state(world.start, world.walls, self._robot)
+        self._body = EmulatedBody(world.walls, world.start, RobotConfig(max_acceleration=ACCELERATION))
         self._odometry = odometry.initial_state(world.start)
-        self._steps, self._distance = 0, 0.0
+        self._steps = 0
         self._command = (0.0, 0.0)
         self.silent: set[str] = set()
         self.clock = time.time() - time.monotonic()
@@ -79,14 +80,9 @@ class EmulatedTurtlebot(EmulatedSensors):
     def step(self) -> dict[str, Fields]:
         """One period on; the messages to publish, by their key in the preset's topics, and "tf"."""
         now = time.monotonic()
-        before = self._base[differential_drive.X : differential_drive.Y + 1]
-        self._base = differential_drive.step(
-            self._base, np.array(self._command), self._world.walls, self._robot, PERIOD
-        )
+        self._body.move(self._command, PERIOD)
         self._steps += 1
-        pose = self._base[differential_drive.X : differential_drive.TURN_RATE + 1]
-        X_WB = pose[:3].copy()
-        self._distance += float(np.hypot(*(X_WB[:2] - before)))
+        pose, X_WB = self._body.state[drive.X : drive.TURN_RATE + 1], self._body.pose.copy()
         self.poses.append((now, X_WB))
         self._odometry = odometry.integrate(
             self._odometry, self._steps * PERIOD, pose, self._run_errors, self._noise(2), self._wheels
@@ -118,15 +114,8 @@ class EmulatedTurtlebot(EmulatedSensors):
             spin(max(0.0, due - time.monotonic()))
 
     def truth(self) -> dict[str, Any]:
-        """How it fared: stamp (s of this machine's monotonic clock), pose X_WB (m, rad), contacts with walls so far and
-        distance gone so far (m)."""
-        base = self._base
-        return {
-            "stamp": self.poses[-1][0],
-            "pose": base[differential_drive.X : differential_drive.THETA + 1].tolist(),
-            "contacts": int(base[differential_drive.CONTACTS]),
-            "distance": self._distance,
-        }
+        """The truth, as EmulatedBody has it."""
+        return self._body.truth(self.poses[-1][0])
 
 
 def _odometry(header: Fields, base: str, message: Odometry) -> Fields:

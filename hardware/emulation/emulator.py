@@ -4,6 +4,7 @@ text, see docs/kobuki_emulator.md."""
 from __future__ import annotations
 
 import collections
+import dataclasses
 import json
 import math
 import random
@@ -12,6 +13,7 @@ import time
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
 from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors, sensor_fault
 from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
@@ -43,31 +45,25 @@ _OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
 DOCKED = 6
 
 
-class EmulatedBase:
+class EmulatedBase(EmulatedBody):
     """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
 
-    state: of tfg_drake.simulation.differential_drive, the truth. distance: how far it has gone so far, m. outputs: the
-    newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop, cliff, buttons,
-    charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper besides. clock: s
-    that its stamps are ahead of the time since it was switched on. turned: what the gyro has turned, rad. stuck: which
-    of "gyro" and "encoders" say what they said when they got stuck, whatever it does; what they miss meanwhile is never
-    said. firmware: the version that it says, (major, minor, patch).
+    outputs: the newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop,
+    cliff, buttons, charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper
+    besides. clock: s that its stamps are ahead of the time since it was switched on. turned: what the gyro has turned,
+    rad. stuck: which of "gyro" and "encoders" say what they said when they got stuck, whatever it does; what they miss
+    meanwhile is never said. firmware: the version that it says, (major, minor, patch).
     """
 
     def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
-        """walls: (m, 4) in W, m. start: (3,) X_WS. robot: its radius and accelerations count; speeds are the base's."""
-        self._walls = walls
-        self._robot = RobotConfig(
-            robot.radius, MAX_SPEED, MAX_TURN_RATE, robot.max_acceleration, robot.max_turn_acceleration
-        )
-        self.state = drive.initial_state(start, walls, self._robot)
+        """robot: its radius and accelerations count; speeds are the base's."""
+        super().__init__(walls, start, dataclasses.replace(robot, max_speed=MAX_SPEED, max_turn_rate=MAX_TURN_RATE))
         self.outputs = 0
         self.sounds: list[int] = []
         self.bumper = self.wheel_drop = self.cliff = self.buttons = self.charger = self.overcurrent = 0
         self.battery = FULL
         self.clock = 0.0
         self.stuck: set[str] = set()
-        self.distance = 0.0
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
         self.turned = 0.0
@@ -80,12 +76,6 @@ class EmulatedBase:
     def time(self) -> float:
         """Time since it was switched on, s."""
         return float(self.state[drive.TIME])
-
-    @property
-    def pose(self) -> FloatArray:
-        """The true pose X_WB (3,)."""
-        pose: FloatArray = self.state[drive.X : drive.THETA + 1]
-        return pose
 
     def obey(self, part: p.SubPayload) -> None:
         """Takes one command; answers come with the next frame."""
@@ -107,8 +97,7 @@ class EmulatedBase:
 
     def step(self) -> None:
         """Moves on by one PERIOD."""
-        before = self.pose
-        self.state = drive.step(self.state, np.array(self._command), self._walls, self._robot, PERIOD)
+        self.move(self._command, PERIOD)
         speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
         if "encoders" not in self.stuck:
             self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
@@ -116,7 +105,6 @@ class EmulatedBase:
         if "gyro" not in self.stuck:
             self.turned += PERIOD * turn_rate
             self._turn_rate = turn_rate
-        self.distance += math.hypot(*(self.pose - before)[:2])
 
     def feedback(self) -> list[p.SubPayload]:
         """The sub-payloads of one frame: the streamed ones, then the answers to requests."""
@@ -197,14 +185,9 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         self._deframer = p.Deframer()
 
     def report(self) -> dict[str, object]:
-        """The truth: stamp (s of time.monotonic()), pose X_WB (m, rad), contacts so far, distance gone so far (m)."""
+        """The truth, as EmulatedBody has it."""
         with self._lock:
-            return {
-                "stamp": self._begin + self.base.time,
-                "pose": self.base.pose.tolist(),
-                "contacts": int(self.base.state[drive.CONTACTS]),
-                "distance": self.base.distance,
-            }
+            return self.base.truth(self._begin + self.base.time)
 
     def close(self) -> None:
         """Switches the base off, pulls the cable and closes the socket."""
