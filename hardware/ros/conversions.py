@@ -164,10 +164,10 @@ def _planar(message: Any) -> tuple[float, float, float]:
     return px, py, math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def _told(message: Any, path: str) -> float:
-    """A number of a twist, 0 where it is none: null and nan say no more than 0 does."""
+def _told(message: Any, path: str, otherwise: float = 0.0) -> float:
+    """A number, or another one where it is null or nan, which say nothing; of a twist no more than 0 does."""
     value = field(message, path)
-    return 0.0 if value is None or value != value else number(message, path)
+    return otherwise if value is None or value != value else number(message, path)
 
 
 def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) -> LaserScan:
@@ -340,16 +340,12 @@ def battery(message: Any, stamp: float) -> BaseState:
     """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100, as some drivers have it. Its voltage
     says little where nobody knows the battery. nan, null and what is not above 0 say nothing: a driver that does not
     know writes any."""
-    volts, charge = (_known(message, name) for name in ("voltage", "percentage"))
+    told = (_told(message, name, math.nan) for name in ("voltage", "percentage"))
+    volts, charge = (value if value > 0.0 else math.nan for value in told)
     charge = charge if charge <= GREATEST_SHARE else 0.01 * charge
     charging = count(message, "power_supply_status", 255) == _CHARGING
     level = "good" if charging or not charge <= LOW_CHARGE else "low" if charge > DANGEROUS_CHARGE else "dangerous"
     return BaseState(stamp, volts, charge, level, "charger" if charging else "", charging)
-
-
-def _known(message: Any, path: str) -> float:
-    value = field(message, path)
-    return math.nan if value is None or value != value or value <= 0 else _bounded(value, path, 1e4)
 
 
 def twist(speed: float, turn_rate: float) -> dict[str, dict[str, float]]:

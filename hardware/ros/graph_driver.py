@@ -90,8 +90,10 @@ class GraphDriver(Driver):
         self._graph, self._preset = graph, preset
 
     def _find(self, topic: Topic, listened: bool = False) -> None:
-        """Waits until somebody publishes a topic, or listens to it, as the preset has it; raises DeviceError."""
+        """Waits until somebody publishes a topic, or listens to it, as the preset has it; raises DeviceError, at once
+        where its type cannot be read here."""
         graph = self._graph
+        graph.require(topic)
         verb, ask = ("listens to", graph.listeners) if listened else ("publishes", graph.types)
         types = self._types(topic.name, ask, f"{verb} {topic.name} ({topic.type})", (topic.type,))
         if types is None:
@@ -252,21 +254,17 @@ class SensorDriver(GraphDriver):
             if base:
                 needed.append(("clock", preset.topics.odometry))
             for key, topic in needed:
-                self._seek(topic, mend="; or give --tags none" if key in ("detections", "camera_info") else "")
+                try:
+                    self._find(topic)
+                except DeviceError as error:
+                    mend = "; or give --tags none" if key in ("detections", "camera_info") else ""
+                    raise DeviceError(f"{error}{mend}") from None
             said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
             self._listen([*needed, *said])
             self._wait({topic.name for _, topic in needed})
         except DeviceError:
             self.close()
             raise
-
-    def _seek(self, topic: Topic, mend: str) -> None:
-        """Waits until somebody publishes a topic of a type that is known here; raises DeviceError, which ends so."""
-        try:
-            self._graph.require(topic)
-            self._find(topic)
-        except DeviceError as error:
-            raise DeviceError(f"{error}{mend}") from None
 
     def _named(self, use: str, name: str) -> Topic:
         """The topic of this name, of the type that the graph has it with; raises DeviceError."""
