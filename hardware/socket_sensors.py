@@ -6,6 +6,7 @@ import json
 import math
 import socket
 import time
+import typing
 from multiprocessing.connection import wait
 from typing import Any
 
@@ -15,7 +16,8 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.plausible import judged
 from tfg_drake.hardware.sensor_reader import ReconnectingReader
 from tfg_drake.hardware.watchdog import TICK
-from tfg_drake.messages import FloatArray, LaserScan, TagDetections
+from tfg_drake.messages import LaserScan, TagDetections
+from tfg_drake.table import dtype_of
 
 # How long to wait for the server, and for its first lines, s.
 PATIENCE = 5.0
@@ -23,13 +25,14 @@ PATIENCE = 5.0
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 
-_NAMES = {LaserScan: "scan", TagDetections: "detections"}
+_KINDS: dict[str, type[LaserScan] | type[TagDetections]] = {"scan": LaserScan, "detections": TagDetections}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
 def message_of(line: bytes) -> TagDetections | LaserScan | None:
     """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly.
 
-    Whether it is plausible is not judged here, see tfg_drake.hardware.plausible.
+    Whether it is plausible, and its lists are of one length, is not judged here, see tfg_drake.hardware.plausible.
     """
     try:
         fields = json.loads(line)
@@ -37,50 +40,38 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
         raise ValueError("no JSON") from None
     if not isinstance(fields, dict) or not isinstance(fields.get("type"), str):
         raise ValueError("no object with a type")
+    if (kind := _KINDS.get(fields["type"])) is None:
+        return None
+    # What JSON has no number for: null is free, 0 is unknown.
+    free: list[bool] = []
+    if kind is LaserScan and isinstance(ranges := fields.get("ranges"), list):
+        free = [one is None for one in ranges]
+        fields["ranges"] = [0.0 if one is None else one for one in ranges]
     try:
-        if fields["type"] == "detections":
-            return _detections(fields)
-        return _scan(fields) if fields["type"] == "scan" else None
+        values = {name: _value(fields.get(name), name, hint) for name, hint in typing.get_type_hints(kind).items()}
     except OverflowError:
         raise ValueError(f"{fields['type']}: a number is too large") from None
+    except ValueError as error:
+        raise ValueError(f"{fields['type']}: {error}") from None
+    if kind is LaserScan:
+        values["ranges"][values["ranges"] == 0.0] = math.nan
+        values["ranges"][free] = math.inf
+    return kind(**values)
 
 
-def _detections(fields: dict[str, Any]) -> TagDetections:
-    ids = fields.get("ids")
-    if not isinstance(ids, list) or not all(type(one) is int and abs(one) < 2**63 for one in ids):
-        raise ValueError("detections: ids is no list of whole numbers")
-    columns = (_numbers(fields, key, len(ids)) for key in ("range", "bearing", "sigma_range", "sigma_bearing"))
-    return TagDetections(_number(fields, "stamp"), np.array(ids, dtype=np.int64), *columns)
-
-
-def _scan(fields: dict[str, Any]) -> LaserScan:
-    ranges = fields.get("ranges")
-    if not isinstance(ranges, list):
-        raise ValueError("scan: ranges is no list of numbers")
-    angles = _numbers(fields, "angles", len(ranges))
-    hit = np.array([one is not None for one in ranges], dtype=bool)
-    distances = np.full(len(ranges), math.inf)
-    met = [one for one in ranges if one is not None]
-    distances[hit] = _numbers(fields | {"ranges": met}, "ranges", len(met))
-    distances[distances == 0.0] = math.nan
-    range_max, sigma = _number(fields, "range_max"), _number(fields, "sigma")
-    return LaserScan(_number(fields, "stamp"), angles, distances, range_max, sigma)
-
-
-def _number(fields: dict[str, Any], key: str) -> float:
-    value = fields.get(key)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(f"{fields['type']}: {key} is no number")
-    return float(value)
-
-
-def _numbers(fields: dict[str, Any], key: str, count: int) -> FloatArray:
-    values = fields.get(key)
-    if not isinstance(values, list) or not all(type(one) in (int, float) for one in values):
-        raise ValueError(f"{fields['type']}: {key} is no list of numbers")
-    array = np.array(values, dtype=float)
-    if len(array) != count or not np.isfinite(array).all():
-        raise ValueError(f"{fields['type']}: {key} must hold {count} finite numbers")
+def _value(value: Any, name: str, hint: Any) -> Any:
+    """A field of a message, of the type of its annotation."""
+    dtype = dtype_of(hint)
+    if dtype is None:
+        if type(value) not in (int, float) or not math.isfinite(value):
+            raise ValueError(f"{name} is no number")
+        return float(value)
+    numbers = (int,) if dtype == np.int64 else (int, float)
+    if not isinstance(value, list) or not all(type(one) in numbers for one in value):
+        raise ValueError(f"{name} is no list of {'whole ' if dtype == np.int64 else ''}numbers")
+    array = np.array(value, dtype=dtype)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must hold finite numbers")
     return array
 
 
