@@ -164,10 +164,10 @@ def _planar(message: Any) -> tuple[float, float, float]:
     return px, py, math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def _told(message: Any, path: str, otherwise: float = 0.0) -> float:
+def _told(message: Any, path: str, otherwise: float = 0.0, most: float = 1e9) -> float:
     """A number, or another one where it is null or nan, which say nothing; of a twist no more than 0 does."""
     value = field(message, path)
-    return otherwise if value is None or value != value else number(message, path)
+    return otherwise if value is None or value != value else number(message, path, most)
 
 
 def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) -> LaserScan:
@@ -340,7 +340,7 @@ def battery(message: Any, stamp: float) -> BaseState:
     """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100, as some drivers have it. Its voltage
     says little where nobody knows the battery. nan, null and what is not above 0 say nothing: a driver that does not
     know writes any."""
-    told = (_told(message, name, math.nan) for name in ("voltage", "percentage"))
+    told = (_told(message, name, math.nan, 1e4) for name in ("voltage", "percentage"))
     volts, charge = (value if value > 0.0 else math.nan for value in told)
     charge = charge if charge <= GREATEST_SHARE else 0.01 * charge
     charging = count(message, "power_supply_status", 255) == _CHARGING
