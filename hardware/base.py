@@ -7,7 +7,7 @@ import logging
 import math
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.hardware.device import BaseState, DeviceError
 from tfg_drake.hardware.remarks import Watch, watched
@@ -16,7 +16,7 @@ from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
-from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
+from tfg_drake.systems.ports import MessageInputs, MessageState, number
 
 # Of commands, s: the simulated station's.
 COMMAND_PERIOD = 1.0 / 32.0
@@ -90,30 +90,23 @@ class HardwareBase(LeafSystem):
         self._enable = self.DeclareVectorInputPort("enable", 1)
         self._inputs = MessageInputs(self, "detections", "scan")
         begin = replace(self._device.first(Odometry), stamp=0.0, V_B=np.zeros(2), at_rest=True)
-        self._odometry = MessageState(self, begin)
-        self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)))
+        self._odometry = MessageState(self, begin, self._Hear)
+        self._state = MessageState(self, _BaseState(Hazards(0.0, 0, 0, 0)), self._Drive, COMMAND_PERIOD)
         self.DeclareStateOutputPort("odometry", self._odometry.index)
         self._state.declare_outputs(self, "hazards")
         self._state.declare_numbers(self, enabled=lambda now: now.enabled and not now.waiting)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Hear)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(COMMAND_PERIOD, 0.0, self._Drive)
 
-    def _Hear(self, context: Context, state: State) -> EventStatus:
+    def _Hear(self, context: Context, before: Odometry) -> Odometry:
         now = context.get_time()
         heard = self._device.take(Odometry, self._clock.host(now))
         if not heard:
-            return EventStatus.DidNothing()
+            return before
+        stamp = max(0.0, self._clock.station(heard[-1].stamp, now))
         # At rest only if it was so all the time since the message before.
-        newest = replace(
-            heard[-1],
-            stamp=max(0.0, self._clock.station(heard[-1].stamp, now)),
-            at_rest=all(one.at_rest for one in heard),
-        )
-        self._odometry.set(state, newest)
-        return EventStatus.Succeeded()
+        return replace(heard[-1], stamp=stamp, at_rest=all(one.at_rest for one in heard))
 
-    def _Drive(self, context: Context, state: State) -> EventStatus:
-        before, time = self._state(context), context.get_time()
+    def _Drive(self, context: Context, before: _BaseState) -> _BaseState:
+        time = context.get_time()
         now = self._Enabled(self._Waiting(before, context), context)
         hazards = [now.hazards, *self._device.take(Hazards, self._clock.host(time))]
         if len(hazards) > 1:
@@ -130,8 +123,7 @@ class HardwareBase(LeafSystem):
             _log.warning("%.2f s: %s", time, line)
         for line in self.devices.take_remarks():
             take_note("sensor", time, line)
-        self._state.set(state, replace(now, watch=watch, scans=scans))
-        return EventStatus.Succeeded()
+        return replace(now, watch=watch, scans=scans)
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
         """Enables or stops the device where that is wanted, and notices where it stopped by itself."""

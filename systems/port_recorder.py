@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort, System
 
 from tfg_drake.storage import port_recording as storage
 from tfg_drake.storage.foxglove import PATH, POSE
@@ -67,7 +67,7 @@ class PortRecorder(LeafSystem):
         unheard = dict.fromkeys(storage.REQUESTS.values(), "")
         connect_by_name(builder, self, explorer, station, **unheard)
 
-    def _Write(self, context: Context) -> EventStatus:
+    def _Write(self, context: Context) -> None:
         now = context.get_time()
         for name in storage.MESSAGES:
             self._writer.write(name, now, self._inputs(context, name))
@@ -88,4 +88,3 @@ class PortRecorder(LeafSystem):
             # Surfaces come into the TFG a moment after the landmarks.
             if tfg is not None and tfg.stage == estimate.stage:
                 self._writer.write_map(now, estimate, tfg)
-        return EventStatus.Succeeded()

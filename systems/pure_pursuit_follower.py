@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, RobotConfig
 from tfg_drake.geometry.se2 import wrap_angle
@@ -77,7 +77,7 @@ class PurePursuitFollower(LeafSystem):
         )
 
     @metered("follower")
-    def _Update(self, context: Context, discrete: DiscreteValues) -> EventStatus:
+    def _Update(self, context: Context, discrete: DiscreteValues) -> None:
         x = context.get_discrete_state(self._state).value().tolist()
         pose, mission = self._inputs.each(context, "pose", "mission")
         moving = pose.speed.tolist()
@@ -94,7 +94,6 @@ class PurePursuitFollower(LeafSystem):
             x[FINISHED] = float(self._inputs(context, "goal").verdict == "goal")
         discrete.set_value(self._state, x)
         discrete.set_value(self._command, [speed, turn_rate])
-        return EventStatus.Succeeded()
 
     def _Turn(self, x: list[float], mission: MissionStatus, goal: GoalChoice, pose: PoseEstimate) -> float:
         """The turn rate, rad/s."""

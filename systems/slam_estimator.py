@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.mapfile.known_map import begun_with
@@ -113,7 +113,7 @@ class SlamEstimator(LeafSystem):
         return pose_estimate(now)
 
     @metered("slam_estimator")
-    def _Update(self, context: Context, state: State) -> EventStatus:
+    def _Update(self, context: Context, state: State) -> None:
         estimator = self._state(context)
         detections_stamp = self._detections_stamp(context)
         odometry, detections, mission, scan = self._inputs.each(context, "odometry", "detections", "mission", "scan")
@@ -140,4 +140,3 @@ class SlamEstimator(LeafSystem):
             explored = goal is not None and goal.is_explored
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
         self._state.set(state, estimator)
-        return EventStatus.Succeeded()

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, System
 
 from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
@@ -116,7 +116,7 @@ class TimelineRecorder(LeafSystem):
         self._whole_due: dict[str, float] = {}  # when all of a large map is written again
         self._count = 0
 
-    def _Write(self, everything: bool, context: Context) -> EventStatus:
+    def _Write(self, everything: bool, context: Context) -> None:
         now = context.get_time()
         if everything or self._count % POSES_A_LOOK == 0:
             self._Look(context, now, everything)
@@ -128,7 +128,6 @@ class TimelineRecorder(LeafSystem):
         self._WriteMoving(context, now, scans=everything or self._count % POSES_A_SCAN == 0)
         self._count += 1
         self._writer.flush(all_of_it=everything)
-        return EventStatus.Succeeded()
 
     def _Look(self, context: Context, now: float, everything: bool) -> None:
         """Writes what has changed since the last look; everything: also what has been written too much lately."""

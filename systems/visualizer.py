@@ -14,7 +14,7 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
+from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import transform
@@ -109,11 +109,10 @@ class TfgVisualizer(TimelineRecorder):
         """Shows the map at another pose (3,) in the world from a time on, s, as it becomes known."""
         self._scene.write("frame", time, {"pose": X_WM})
 
-    def _Begin(self, context: Context) -> EventStatus:
+    def _Begin(self, context: Context) -> None:
         # What is drawn belongs to a simulation: another one begins anew.
         self._Forget()
         self._scene.begin(context.get_time())
-        return EventStatus.Succeeded()
 
 
 class MeshcatScene:

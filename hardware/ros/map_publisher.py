@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem, System
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, System
 
 from tfg_drake.hardware.device import Device
 from tfg_drake.hardware.robot_devices import HostClock
@@ -62,17 +62,16 @@ class MapPublisher(LeafSystem):
         connect_by_name(builder, publisher, explorer, station, odometry="base.odometry")
         return publisher
 
-    def _Publish(self, context: Context) -> EventStatus:
+    def _Publish(self, context: Context) -> None:
         pose = self._Get(context, "pose")
         if pose is None:
-            return EventStatus.DidNothing()
+            return
         pose = replace(pose, stamp=self._clock.host(pose.stamp))
         self._device.publish("pose", map_messages.pose(pose, self._frames))
         if (odometry := self._Get(context, "odometry")) is not None:
             odometry = replace(odometry, stamp=self._clock.host(odometry.stamp))
             self._device.publish("tf", map_messages.map_to_odom(pose, odometry, self._frames))
         self._PublishMap(context, pose.stamp)
-        return EventStatus.Succeeded()
 
     def _PublishMap(self, context: Context, stamp: float) -> None:
         now, before = self._Now(context), self._published(context)
