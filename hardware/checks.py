@@ -16,11 +16,10 @@ import numpy as np
 
 from tfg_drake.hardware.device import BaseState, Device, DeviceError
 from tfg_drake.hardware.plausible import made_up
-from tfg_drake.hardware.remarks import battery, where
+from tfg_drake.hardware.remarks import battery, charge_left, where
 from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
-from tfg_drake.percent import percent
 
 # How long is listened, s, and how often it is looked whether anything has come.
 LISTENS, LOOKS_EVERY = 2.0, 0.02
@@ -104,9 +103,8 @@ def refuse(checks: Sequence[Check]) -> None:
 def _battery(state: BaseState | None) -> Check:
     if state is None:
         return Check("battery", "the base says nothing of it")
-    level = f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
     charger = f"take the robot off its {state.charger}" if state.charger else ""
-    return Check("battery", level, "charge it" if battery(state) else charger)
+    return Check("battery", charge_left(state), "charge it" if battery(state) else charger)
 
 
 def _hazards(said: Sequence[Hazards], on_ros: bool) -> Check:

@@ -20,8 +20,9 @@ import threading
 import time
 from multiprocessing.connection import Connection
 
-from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, Driver, Outbox
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, BaseState, DeviceError, Driver, Outbox
 from tfg_drake.hardware.plausible import Judge
+from tfg_drake.hardware.remarks import alarms
 from tfg_drake.hardware.watchdog import TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
@@ -49,6 +50,8 @@ def serve(driver: Driver, connection: Connection) -> None:
                     watchdog.hear(min(message.stamp, now))
                 elif isinstance(message, Hazards):
                     watchdog.hear_hazards(message)
+                elif isinstance(message, BaseState):
+                    watchdog.hear_alarms(alarms(message), now)
                 outbox.put("message", message)
             for line in (*driver.remarks(), *judge.refusals.take()):
                 outbox.put("remark", line)

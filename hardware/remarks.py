@@ -22,6 +22,12 @@ LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
 COUNTED, SHARE = 1.5, 0.1
 # Of a Kobuki B0, B1 and B2, by their bits.
 BUTTONS: dict[int, Command] = {1: "stop", 2: "pause", 4: "enable"}
+_WHEELS = {1: "the right wheel", 4: "the left wheel", 5: "both wheels"}
+_CHARGERS = {
+    "dock": "the base stands in its dock: put it on the floor, then enable it",
+    "adapter": "the base is charging by its adapter: pull the plug, then enable it",
+    "charger": "the base is charging: take it off its dock or its cable, then enable it",
+}
 # The operator is told this long before, s: the reason stands in the log before what the robot does about it.
 TOLD_BEFORE = 1.0
 
@@ -92,9 +98,26 @@ def where(bits: int) -> str:
     return ", ".join(name for bit, name in ((4, "left"), (2, "centre"), (1, "right")) if bits & bit) or "none"
 
 
+def charge_left(state: BaseState) -> str:
+    """What is left in a battery, in words."""
+    return f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
+
+
+def alarms(state: BaseState) -> dict[str, str]:
+    """Why a base must not drive, by what it says of itself: by the field that tells so."""
+    reasons = {}
+    if wheels := _WHEELS.get(state.overcurrent):
+        reasons["overcurrent"] = f"overcurrent of {wheels}: see what blocks the wheels, then enable the base"
+    if state.charger:
+        reasons["charger"] = _CHARGERS[state.charger]
+    if state.battery_level == "dangerous":
+        reasons["battery"] = f"the battery is down to {charge_left(state)}: charge it, then enable the base"
+    return reasons
+
+
 def battery(state: BaseState) -> dict[str, Remark]:
     """The remark on a battery: "battery low", "battery dangerous" or none."""
-    left = f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
+    left = charge_left(state)
     if state.battery_level == "low":
         line = f"the battery is low, {left}: the mission ends, at home if explorer.return_home is set"
         return {"battery low": Remark(line, LOW_LASTS)}

@@ -5,6 +5,7 @@ It runs where the commands leave the machine, in a process of its own, by the ho
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Annotated
 
 from tfg_drake.constraints import Bounds, Positive
@@ -16,6 +17,9 @@ from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 COMMAND_TIMEOUT = 0.5
 # Without odometry younger than this the velocity is zero until it is enabled anew, s.
 ODOMETRY_TIMEOUT = 0.5
+# What a base says of itself must last so long before it stops it, s: a wheel that starts and one garbled frame are no
+# alarm.
+LASTING = 0.2
 # The velocity is sent this often, s.
 TICK = 0.02
 # Reasons that say less than any other.
@@ -37,7 +41,8 @@ class Watchdog:
     """Holds the newest command and says what velocity to send; locked until enabled.
 
     It stops at once, and goes on by itself, where there is no fresh command, or one that is not finite. A wheel that
-    hangs and a cliff lock it. While the bumper is pressed it turns and backs, but does not go forward.
+    hangs and a cliff lock it, and so does what the base says of charger, battery and current, once it has lasted. While
+    the bumper is pressed it turns and backs, but does not go forward.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -46,6 +51,8 @@ class Watchdog:
         self._command, self._sent = (0.0, 0.0), -math.inf
         self._heard = -math.inf
         self._hazard: str | None = None
+        # By its kind why the base must not drive, and since when; None before it has said anything of itself.
+        self._alarms: dict[str, tuple[str, float]] | None = None
         self._blocked = False
         self._velocity, self._when = (0.0, 0.0), -math.inf
 
@@ -63,6 +70,12 @@ class Watchdog:
         self._hazard, self._blocked = stopped_by(hazards), hazards.bumper != 0
         if self._hazard is not None:
             self.lock(self._hazard)
+
+    def hear_alarms(self, alarms: Mapping[str, str], now: float) -> None:
+        """Why the base must not drive by what it said of itself at `now`, s, by kind of reason."""
+        # What is so at first has been so before.
+        since, before = (-math.inf, {}) if self._alarms is None else (now, self._alarms)
+        self._alarms = {kind: (why, before[kind][1] if kind in before else since) for kind, why in alarms.items()}
 
     def lock(self, reason: str) -> None:
         """Zero velocity from now on, until `enable`. The first reason counts that says more than "no odometry"."""
@@ -101,6 +114,9 @@ class Watchdog:
         return self._velocity
 
     def _check(self, now: float) -> None:
+        for why, since in (self._alarms or {}).values():
+            if now - since >= LASTING:
+                self.lock(why)
         if not now - self._heard <= ODOMETRY_TIMEOUT:
             self._locked = self._locked or _NO_ODOMETRY
 

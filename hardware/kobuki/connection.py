@@ -27,8 +27,8 @@ _MAJOR = "1"
 class Connection:
     """Reads the base's frames from an open port.
 
-    core: the newest frame's, None before the first. alarm: why it says that it must not drive, None where it may.
-    reckoning: dead reckoning, going on from an earlier connection's. driven: the base was last told to move.
+    core: the newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's.
+    driven: the base was last told to move.
     firmware, hardware, unique_id: as in tfg_drake.hardware.device.BaseState.
     """
 
@@ -39,12 +39,10 @@ class Connection:
         self._said_anything = False
         self._messages: list[Message] = []
         self._state: BaseState | None = None
-        # Frames so far, when the first one came, s, and since when it must not drive for what reason.
+        # Frames so far, and when the first one came, s.
         self._frames, self._begun = 0, now
-        self._alarms: dict[str, float] = {}
         self._fault: str | None = None
         self.core: p.CoreSensors | None = None
-        self.alarm: str | None = None
         self.reckoning, self.driven = before, False
         self.firmware = self.hardware = self.unique_id = ""
 
@@ -112,9 +110,6 @@ class Connection:
         if self.core is None:
             self._begun = self.reckoning.stamp
         self._frames += 1
-        # A base that is found in its dock has been there before.
-        self._alarms = alarms.lasting(self._alarms, core, now if self.core is not None else -math.inf)
-        self.alarm = alarms.fault(self._alarms, now)
         self.core, self._heard = core, now
         # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.
         if before is None or self.reckoning.stamp > before.stamp:
@@ -151,9 +146,9 @@ class Connection:
         return taken
 
     def fault(self) -> str | None:
-        """Why the base must stop, once for what has happened and as long as it lasts for its own alarms."""
+        """Why the base must stop, once."""
         fault, self._fault = self._fault, None
-        return fault or self.alarm
+        return fault
 
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""

@@ -130,8 +130,8 @@ class KobukiDriver(Driver):
         return [] if self._connection is None or self._guardian is None else self._connection.take()
 
     def fault(self) -> str | None:
-        """Why there is no base, as long as there is none, that its stop button B0 is pressed, its own alarm, or what is
-        wrong with its clock, gyro or wheels."""
+        """Why there is no base, as long as there is none, that its stop button B0 is pressed, or what is wrong with its
+        clock, gyro or wheels."""
         connection = self._connection
         if self._trouble or connection is None or connection.core is None:
             return self._trouble or None

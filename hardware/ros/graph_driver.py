@@ -198,10 +198,6 @@ class GraphBaseDriver(GraphDriver):
             self.close()
             raise
 
-    def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once, or as long as its battery says so."""
-        return super().fault() or self._intake.alarm
-
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
         kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())

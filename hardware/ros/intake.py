@@ -42,11 +42,6 @@ SENSOR_SILENCE = 2.0
 # The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives.
 MAX_SKEW = 0.25
 MAX_AGE = 0.5
-# Why a base must not drive, by its charger or the level of its battery.
-_ALARMS = {
-    "charger": "the base is charging: take it off its dock or its cable, then enable it",
-    "dangerous": f"the battery is down to {100.0 * conversions.DANGEROUS_CHARGE:g} %: charge it, then enable the base",
-}
 
 
 class ClockJump(Exception):
@@ -125,8 +120,7 @@ class StampClock:
 class Intake(Inbox):
     """Converts ROS messages of either transport; one thread may use it.
 
-    clock: learned from the odometry, from all topics where there is none. alarm: why the base must not drive for its
-    battery, None where it may.
+    clock: learned from the odometry, from all topics where there is none.
     """
 
     def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
@@ -148,7 +142,6 @@ class Intake(Inbox):
         self._eyes: ImageTags | None = None
         self._families: list[str] = []
         self._fault: str | None = None
-        self.alarm: str | None = None
         self.arrived: set[str] = set()
 
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
@@ -172,9 +165,7 @@ class Intake(Inbox):
             self._camera = None if self._images else conversions.calibration(message)
         elif key == "battery":
             # Of now, whatever its stamp: nothing is reckoned with it.
-            state = conversions.battery(message, arrival)
-            self.alarm = _ALARMS.get(state.charger or state.battery_level)
-            self._messages.append(state)
+            self._messages.append(conversions.battery(message, arrival))
         elif key == "initial_pose":
             self._messages.append(conversions.said_pose(message, arrival, self._preset.frames.map))
         elif key == "detections" and not topic.type.endswith("PointCloud2") and self._camera_info is None:

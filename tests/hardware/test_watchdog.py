@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tfg_drake.hardware.device import BaseState
+from tfg_drake.hardware.remarks import alarms
 from tfg_drake.hardware.watchdog import COMMAND_TIMEOUT, ODOMETRY_TIMEOUT, TICK, Limits, Watchdog
 from tfg_drake.messages import Hazards
 
@@ -233,3 +235,47 @@ def test_it_speeds_up_within_its_limits(commands):
             assert abs(after[i]) <= limit + 1e-12
             from_rest = before[i] if before[i] * after[i] > 0.0 else 0.0
             assert abs(after[i]) - abs(from_rest) <= gain * TICK + 1e-9
+
+
+def locked_by(states, period=0.02):
+    """What locks an enabled watchdog after each of some states of its base, which drove well before."""
+    watchdog, all_of = Watchdog(Limits()), []
+    watchdog.hear(0.0)
+    watchdog.hear_alarms({}, 0.0)
+    watchdog.enable(0.0)
+    for i, one in enumerate(states):
+        watchdog.hear(period * i)
+        watchdog.hear_alarms(alarms(one), period * i)
+        watchdog.velocity(period * i)
+        all_of.append(watchdog.locked)
+    return all_of
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"overcurrent": 4}, "overcurrent of the left wheel: see what blocks the wheels, then enable the base"),
+        ({"overcurrent": 5}, "overcurrent of both wheels"),
+        ({"charger": "adapter"}, "the base is charging by its adapter: pull the plug, then enable it"),
+        ({"charger": "dock"}, "the base stands in its dock: put it on the floor, then enable it"),
+        ({"battery_level": "dangerous"}, "the battery is down to 13.0 V: charge it, then enable the base"),
+    ],
+)
+def test_what_a_base_says_of_itself_stops_it_where_it_lasts(said, words):
+    ill, well = BaseState(0.0, 13.0, **said), BaseState(0.0, 16.5)
+    there = locked_by([ill] * 15)
+    assert there[:10] == [None] * 10
+    assert all(reason.startswith(words) for reason in there[11:])
+    assert locked_by(([ill] * 8 + [well]) * 10) == [None] * 90
+
+
+def test_a_low_battery_is_no_reason_to_stand():
+    assert locked_by([BaseState(0.0, 13.8, battery_level="low")] * 100) == [None] * 100
+
+
+def test_a_base_that_is_found_in_its_dock_is_not_enabled():
+    watchdog = Watchdog(Limits())
+    watchdog.hear(5.0)
+    watchdog.hear_alarms(alarms(BaseState(5.0, charger="dock")), 5.0)
+    watchdog.enable(5.0)
+    assert watchdog.locked == "the base stands in its dock: put it on the floor, then enable it"

@@ -26,33 +26,3 @@ def test_the_charger_by_its_bits(bits, name):
 
 def test_overcurrent_by_the_bits_of_hazards():
     assert [alarms.overcurrent(core(overcurrent=bits)) for bits in range(4)] == [0, 4, 1, 5]
-
-
-def faults(cores, period=0.02):
-    """The fault after each of some frames."""
-    since, all_of = {}, []
-    for i, one in enumerate(cores):
-        since = alarms.lasting(since, one, period * i)
-        all_of.append(alarms.fault(since, period * i))
-    return all_of
-
-
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        ({"overcurrent": 1}, "overcurrent of the left wheel: see what blocks the wheels, then enable the base"),
-        ({"overcurrent": 3}, "overcurrent of both wheels"),
-        ({"charger": 22}, "the base is charging by its adapter: pull the plug, then enable it"),
-        ({"charger": 6}, "the base stands in its dock: put it on the floor, then enable it"),
-        ({"battery": 130}, "the battery is down to 13.2 V: charge it, then enable the base"),
-    ],
-)
-def test_what_lasts_stops_the_base_and_what_does_not_does_not(said, words):
-    there = faults([core(**said)] * 15)
-    assert there[:10] == [None] * 10
-    assert all(fault.startswith(words) for fault in there[11:])
-    assert faults(([core(**said)] * 8 + [core()]) * 10) == [None] * 90
-
-
-def test_a_low_battery_is_no_reason_to_stand():
-    assert faults([core(battery=138)] * 100) == [None] * 100

@@ -115,7 +115,7 @@ def test_wheels_that_do_not_turn_as_they_are_told_lock_the_base(emulator, drivin
 
 
 def test_what_the_base_says_against_driving_stops_it_until_it_is_over_and_enabled_anew(emulator, driving):
-    """test_alarms.py has all that it may say."""
+    """test_watchdog.py has all that it may say."""
     words, before = "overcurrent of the right wheel: see what blocks the wheels", emulator.base.overcurrent
     begin = time.monotonic()
     emulator.base.overcurrent = 2
