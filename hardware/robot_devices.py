@@ -136,7 +136,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
     on_ros = graph is not None
     if on_ros:
-        limits = _lesser(preset.limits, limits)
+        limits = Limits(*map(min, dataclasses.astuple(preset.limits), dataclasses.astuple(limits)))
         preset = dataclasses.replace(preset, limits=limits)
     view = joint_view([(camera.yaw, known_view(text, camera)) for text, camera in cameras]) if cameras else None
     base = _open_base(config, preset, limits, graph)
@@ -206,8 +206,3 @@ def _open_base(config: HardwareConfig, preset: Preset, limits: Limits, graph: So
     if graph is None:
         return kobuki.connect(config.port, limits)
     return connect(preset, graph.host if graph.transport == "rosbridge" else None, graph.port)
-
-
-def _lesser(one: Limits, other: Limits) -> Limits:
-    pairs = zip(dataclasses.astuple(one), dataclasses.astuple(other), strict=True)
-    return Limits(*(min(pair) for pair in pairs))

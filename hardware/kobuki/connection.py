@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 from typing import TYPE_CHECKING
 
 from tfg_drake.hardware.device import BaseState, Message
-from tfg_drake.hardware.kobuki import alarms, odometry
 from tfg_drake.hardware.kobuki import codec as p
+from tfg_drake.hardware.kobuki import odometry
+from tfg_drake.hardware.kobuki.base_state import base_state
+from tfg_drake.messages import replace
 
 if TYPE_CHECKING:
     import serial
@@ -120,14 +121,8 @@ class Connection:
 
     def _say_state(self, core: p.CoreSensors, stamp: float) -> None:
         bad, due = self._deframer.bad, 1.0 + _FRAME_RATE * (stamp - self._begun)
-        state = BaseState(
-            stamp=stamp,
-            battery=round(0.1 * core.battery, 1) if core.battery else math.nan,
-            battery_level=alarms.battery_level(core),
-            charger=alarms.charger(core),
-            charging=core.charger & 4 != 0,
-            overcurrent=alarms.overcurrent(core),
-            buttons=core.buttons & 7,
+        state = replace(
+            base_state(core, stamp),
             firmware=self.firmware,
             hardware=self.hardware,
             unique_id=self.unique_id,
