@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,9 +123,10 @@ def MountPose(mount: CameraMount) -> RigidTransform:
     return RigidTransform(RotationMatrix(mount.R_BC), mount.p_BC)
 
 
-def PlanarPose(X_WB: NDArray[np.float64]) -> RigidTransform:
-    """X_WB in space of a pose (3,) on the floor."""
-    return RigidTransform(RotationMatrix.MakeZRotation(X_WB[2]), [X_WB[0], X_WB[1], 0.0])
+def PlanarPose(X_WB: NDArray[Any]) -> RigidTransform:
+    """X_WB in space of a pose (3,) on the floor, of whatever follows it in the array."""
+    x, y, theta = np.asarray(X_WB[:3], dtype=float)
+    return RigidTransform(RotationMatrix.MakeZRotation(theta), [x, y, 0.0])
 
 
 class WorldView:

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import pose_at
-from tfg_drake.messages import FloatArray, LaserScan, Odometry, replace
+from tfg_drake.messages import FloatArray, LaserScan, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.keep_out import walled
 from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
@@ -144,7 +144,7 @@ class SafetyFilter(LeafSystem):
         if not scan.stamp > before.newest:
             return before
         odometry = self._inputs(context, "odometry")
-        X_OB = _pose_at(odometry, scan.stamp)
+        X_OB = advance(odometry.X_OB, odometry.V_B[0], odometry.V_B[1], scan.stamp - odometry.stamp)
         size, barred = (self._robot.radius, self._scanner.least_range), self._Barred(context)
         after = watched(before, scan, X_OB, odometry.at_rest, *size, barred)
         if after.doubt != before.doubt:
@@ -176,8 +176,3 @@ class SafetyFilter(LeafSystem):
         kept = hazards.bumper or stopped_by(hazards) is not None or enabled.value()[0] == 0.0
         stands = self._State(context)[SPEED] == 0.0 and not kept
         return number(self._command, context, 0.0) if stands else 0.0
-
-
-def _pose_at(odometry: Odometry, time: float) -> FloatArray:
-    """X_OB (3,) at a time, s, near that of an odometry message."""
-    return advance(odometry.X_OB, odometry.V_B[0], odometry.V_B[1], time - odometry.stamp)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Meshcat, Rgba
-from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
@@ -26,6 +25,7 @@ from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
 from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
@@ -132,7 +132,7 @@ class MeshcatScene:
         self._legend_y = self._words_y[0] - lines * pixel, self._words_y[0]
 
     def is_due(self, layer: str, time: float) -> bool:
-        """True unless a recording took too much of the layer lately."""
+        """True unless the layer was drawn, or a recording took too much of it, lately."""
         return time >= self._due.get(layer, -math.inf)
 
     def flush(self, *, all_of_it: bool = True) -> None:
@@ -147,7 +147,7 @@ class MeshcatScene:
         self._recorded = False
         self._shown: dict[str, tuple[bool, float]] = {}
         self._due: dict[str, float] = {}
-        self._people, self._next_scan, self._next_words = 0, 0.0, 0.0
+        self._people = 0
         self._said: dict[str, str] = {}
         self._way: list[FloatArray] = []
         self._attempt(functools.partial(self._Begin, time))
@@ -178,7 +178,7 @@ class MeshcatScene:
         meshcat, (x_min, y_min, x_max, y_max) = self._meshcat, self._view
         meshcat.Delete("/tfg")
         for path in ("/tfg/map", "/tfg/truth"):
-            meshcat.SetTransform(path, _planar(self._X_WM), time)
+            meshcat.SetTransform(path, PlanarPose(self._X_WM), time)
         self._Toggle("/tfg/truth", self._world is not None, time, self._IsRecorded())
         if self._world is not None:
             floor = np.array([[(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]])
@@ -198,13 +198,13 @@ class MeshcatScene:
     def _Write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> None:
         if layer == "frame":
             self._X_WM = arrays["pose"]
-            self._meshcat.SetTransform("/tfg/map", _planar(arrays["pose"]), time)
+            self._meshcat.SetTransform("/tfg/map", PlanarPose(arrays["pose"]), time)
         elif layer == "pose":
-            self._meshcat.SetTransform("/tfg/map/robot", _planar(arrays["pose"]), time)
+            self._meshcat.SetTransform("/tfg/map/robot", PlanarPose(arrays["pose"]), time)
             self._ShowTrail(arrays["pose"].astype(float), time)
             self._ShowWords(time)
         elif layer == "truth":
-            self._meshcat.SetTransform("/tfg/truth", _planar(arrays["pose"]), time)
+            self._meshcat.SetTransform("/tfg/truth", PlanarPose(arrays["pose"]), time)
             if not self._shown["/tfg/truth"][0]:
                 self._Toggle("/tfg/truth", True, time, self._IsRecorded())
         elif layer == "people":
@@ -217,7 +217,7 @@ class MeshcatScene:
             self._said["mission"] = f"stage {told['stage']}, {told['outcome'].replace('_', ' ') or told['phase']}"
             if over:
                 self._said.pop("goal", None)
-                self._next_words = time
+                self._due["words"] = time
                 self._ShowWords(time)
         elif layer == "scan":
             self._ShowScan(arrays["rays"][1:][arrays["met"]], time)
@@ -245,10 +245,10 @@ class MeshcatScene:
         self._Show("uncertainty", time, "pose", {"points": pose[None, :2], "covariance": covariance}, {})
 
     def _ShowWords(self, time: float) -> None:
-        if time < self._next_words:
+        if not self.is_due("words", time):
             return
         path = self._NextVersion("words", time, "/tfg")
-        self._next_words = time + (RECORDED_WORDS if self._recorded else WORDS)
+        self._due["words"] = time + (RECORDED_WORDS if self._recorded else WORDS)
         said = ", ".join([f"{time:.0f} s", *(self._said[name] for name in ("mission", "goal") if name in self._said)])
         self._ShowPlate(path, words_plate(said), *self._words_y)
 
@@ -268,13 +268,13 @@ class MeshcatScene:
                 body = circles(np.zeros((1, 2)), RADIUS)
                 person = Solid("person", body, 0.0, PERSON_HEIGHT, LIGHT.person, 0.8)
                 self._ShowSolids(f"/tfg/people/{k}", [person])
-            self._meshcat.SetTransform(f"/tfg/people/{k}", _planar(np.append(place, 0.0)), time)
+            self._meshcat.SetTransform(f"/tfg/people/{k}", PlanarPose(np.append(place, 0.0)), time)
         self._people = max(self._people, len(points))
 
     def _ShowScan(self, points: FloatArray, time: float) -> None:
-        if self._IsRecorded() and time < self._next_scan:
+        if self._IsRecorded() and not self.is_due("scan", time):
             return
-        self._next_scan = time + RECORDED_SCANS
+        self._due["scan"] = time + RECORDED_SCANS
         cloud = PointCloud(len(points))
         cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), SCAN_HEIGHT)]).T
         path = self._NextVersion("scan", time)
@@ -394,11 +394,6 @@ def _mesh(obj: str, files: Mapping[str, bytes]) -> Mesh:
     """A mesh by the text of an OBJ file and the files that it names."""
     there = {name: MemoryFile(content, f".{name.partition('.')[2]}", name) for name, content in files.items()}
     return Mesh(InMemoryMesh(mesh_file=MemoryFile(obj.encode(), ".obj", "mesh"), supporting_files=there))
-
-
-def _planar(X_AB: FloatArray) -> RigidTransform:
-    x, y, theta = np.asarray(X_AB[:3], dtype=float)
-    return RigidTransform(RotationMatrix.MakeZRotation(theta), [x, y, 0.0])
 
 
 def _view(world: World | None, X_WM: FloatArray) -> tuple[float, float, float, float]:
