@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotCameraConfig
-from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.device import DeviceError, imported
 from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.remarks import Remark, Spells, begun
 from tfg_drake.hardware.sensor_reader import SensorReader
-from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import TagDetections
 
 if TYPE_CHECKING:
@@ -132,10 +131,7 @@ def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration
     """The calibration of the camera that is called `name`; raises DeviceError."""
     # What OpenCV and FFmpeg would say in their own words is said here in ours.
     os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
-    try:
-        import robotpy_apriltag  # noqa: F401
-    except ImportError as error:
-        raise DeviceError(f"{name}: {error.name} is not installed: {pip_install('camera')}") from None
+    imported(name, "robotpy_apriltag", "camera")
     from tfg_drake.vision.calibration import CalibrationError, load_calibration
 
     if not camera.calibration:

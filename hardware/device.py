@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import importlib
 import itertools
 import math
 import select
@@ -25,6 +26,7 @@ import numpy as np
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.watchdog import Limits
+from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections, message
 
 
@@ -73,6 +75,14 @@ _NO_ANSWER = "the robot's process does not answer"
 
 class DeviceError(BadInput, RuntimeError):
     """The robot cannot be used; the message is one line: what is wrong and how to mend it."""
+
+
+def imported(name: str, package: str, extra: str) -> Any:
+    """A package that comes with an extra of ours; raises DeviceError without it. name: of what needs it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise DeviceError(f"{name}: {package} is not installed: {pip_install(extra)}") from None
 
 
 class Driver:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.config import RobotScannerConfig
-from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.device import DeviceError, imported
 from tfg_drake.hardware.sensor_reader import ReconnectingReader
-from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import LaserScan
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
@@ -41,13 +40,7 @@ class RealsenseDriver(ReconnectingReader):
         empty for any camera."""
         name = f"realsense:{device}"
         super().__init__(name, {LaserScan: f"scan of {name}"})
-        try:
-            import pyrealsense2
-        except ImportError:
-            raise DeviceError(
-                f"{name}: pyrealsense2 is not installed; get it with {pip_install('realsense')}"
-            ) from None
-        self._rs: Any = pyrealsense2
+        self._rs = imported(name, "pyrealsense2", "realsense")
         self._wants = device
         self._mount = CameraMount(mount.x, mount.y, mount.z, mount.yaw, mount.pitch, math.pi if mount.flip else 0.0)
         try:

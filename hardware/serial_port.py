@@ -8,8 +8,7 @@ import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tfg_drake.hardware.device import DeviceError
-from tfg_drake.io.extras import pip_install
+from tfg_drake.hardware.device import DeviceError, imported
 
 if TYPE_CHECKING:
     import serial
@@ -45,12 +44,10 @@ def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
 
     What it had received before is thrown away. Raises DeviceError.
     """
+    pyserial = imported(path, "serial", "serial")
     try:
-        import serial
-    except ModuleNotFoundError:
-        raise DeviceError(f"the package pyserial is missing: {pip_install('serial')}") from None
-    try:
-        return serial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
+        port: serial.Serial = pyserial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
+        return port
     except (OSError, ValueError, termios.error) as error:
         # ValueError of a path that is none; the last where the device goes away while it is being opened.
         mend = _MENDS.get(getattr(error, "errno", 0), "is no serial port that can be used; name that of {name}")

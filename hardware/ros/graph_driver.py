@@ -9,13 +9,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from tfg_drake.hardware.device import Device, DeviceError, Driver, Message
+from tfg_drake.hardware.device import Device, DeviceError, Driver, Message, imported
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.conversions import ros_time
 from tfg_drake.hardware.ros.intake import SILENCE, Intake
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Topic
 from tfg_drake.hardware.watchdog import TICK
-from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 # How long to look for the topics, and for their first messages, s.
@@ -307,12 +306,6 @@ class SensorDriver(GraphDriver):
 def _beside(image: Topic) -> Topic:
     """The camera_info of a topic of images, in the same namespace, as image_transport has it; raises DeviceError where
     there is nothing that sees."""
-    try:
-        import robotpy_apriltag  # noqa: F401
-    except ImportError as error:
-        raise DeviceError(
-            f"{image.name}: {error.name} is not installed, tags cannot be found in images; get it with "
-            f"{pip_install('camera')}"
-        ) from None
+    imported(f"tags in images of {image.name}", "robotpy_apriltag", "camera")
     name = image.name.removesuffix("/compressed").rpartition("/")[0]
     return Topic(f"{name}/camera_info", TYPES["camera_info"][0])

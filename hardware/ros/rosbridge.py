@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tfg_drake.hardware.device import WAITING, DeviceError
+from tfg_drake.hardware.device import WAITING, DeviceError, imported
 from tfg_drake.hardware.ros.graph_driver import Graph
 from tfg_drake.hardware.ros.preset import Topic
-from tfg_drake.io.extras import pip_install
 
 # How long to wait for the server, and for the node rosapi, which lists its topics, s.
 PATIENCE, ROSAPI_PATIENCE = 10.0, 3.0
@@ -35,11 +34,7 @@ class RosbridgeGraph(Graph):
 
     def __init__(self, host: str, port: int) -> None:
         """Connects; raises DeviceError without roslibpy or a server."""
-        try:
-            import roslibpy
-        except ImportError:
-            raise DeviceError(f"rosbridge: roslibpy is not installed: {pip_install('rosbridge')}") from None
-        self._roslibpy = roslibpy
+        self._roslibpy = roslibpy = imported("rosbridge", "roslibpy", "rosbridge")
         self._rosapi = True
         self._arrived: queue.Queue[tuple[Receive, Any, float]] = queue.Queue(WAITING)
         self._ros = roslibpy.Ros(host, port, transport="asyncio")

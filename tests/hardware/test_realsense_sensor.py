@@ -116,4 +116,4 @@ def test_what_cannot_be_used(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyrealsense2", None)
     with pytest.raises(DeviceError) as error:
         RealsenseDriver("", RobotScannerConfig())
-    assert str(error.value) == f"realsense:: pyrealsense2 is not installed; get it with {pip_install('realsense')}"
+    assert str(error.value) == f"realsense:: pyrealsense2 is not installed: {pip_install('realsense')}"

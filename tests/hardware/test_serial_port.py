@@ -15,7 +15,7 @@ from tfg_drake.io.extras import pip_install
 
 def test_without_pyserial(monkeypatch, emulator):
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(DeviceError, match=re.escape(f"the package pyserial is missing: {pip_install('serial')}")):
+    with pytest.raises(DeviceError, match=re.escape(f": serial is not installed: {pip_install('serial')}")):
         open_port(emulator.device, 115200, KOBUKI)
 
 
