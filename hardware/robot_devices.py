@@ -196,8 +196,8 @@ def _graph(config: HardwareConfig) -> SourceSpec | None:
         return None
     if config.robot == "ros2":
         return SourceSpec("ros2")
-    host, colon, port = config.bridge.rpartition(":")
-    if not colon or not port.isdigit():
+    host, _, port = config.bridge.rpartition(":")
+    if not host or not port.isdigit():
         raise DeviceError(f"rosbridge: {config.bridge} is no HOST:PORT; name the server such as localhost:9090")
     return SourceSpec("rosbridge", host, int(port))
 
@@ -205,4 +205,4 @@ def _graph(config: HardwareConfig) -> SourceSpec | None:
 def _open_base(config: HardwareConfig, preset: Preset, limits: Limits, graph: SourceSpec | None) -> Device:
     if graph is None:
         return kobuki.connect(config.port, limits)
-    return connect(preset, graph.host if graph.transport == "rosbridge" else None, graph.port)
+    return connect(preset, graph.host, graph.port)

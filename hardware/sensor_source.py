@@ -252,5 +252,4 @@ def _opening(
         return functools.partial(driver, spec.device, own.scanner)
     if spec.transport == "socket":
         return functools.partial(SocketDriver, spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
-    host = spec.host if spec.transport == "rosbridge" else None
-    return functools.partial(opened, SensorDriver, host, spec.port, preset, tuple(topics), base)
+    return functools.partial(opened, SensorDriver, spec.host, spec.port, preset, tuple(topics), base)

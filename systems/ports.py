@@ -51,11 +51,6 @@ KINDS: Mapping[str, type] = {
 T = TypeVar("T")
 
 
-def declare_message_input(system: LeafSystem, name: str) -> InputPort:
-    """Declares an input port for messages."""
-    return cast(InputPort, system.DeclareAbstractInputPort(name, AbstractValue.Make(object())))
-
-
 def declare_message_output(
     system: LeafSystem, name: str, calc: Callable[[Context], object], prerequisites_of_calc: set[Any]
 ) -> OutputPort:
@@ -70,33 +65,27 @@ def declare_message_output(
     return cast(OutputPort, port)
 
 
-def eval_message(port: InputPort, context: Context, kind: type[T]) -> T:
-    """The message at an input port.
-
-    Raises TypeError where the port is not connected or holds anything else than a kind.
-    """
-    try:
-        value = port.Eval(context)
-    except (RuntimeError, SystemExit) as error:
-        if port.HasValue(context):
-            raise
-        raise TypeError(f"{_name(port)} must be connected to an output of {kind.__name__}.") from error
-    if not isinstance(value, kind):
-        raise TypeError(f"{_name(port)} must hold {kind.__name__}, not {type(value).__name__}.")
-    return value
-
-
 class MessageInputs:
     """Input ports for messages, by name; called with a context and one of the names it is the message there."""
 
     def __init__(self, system: LeafSystem, *names: str, **kinds: type) -> None:
         """Declares them. names: of KINDS. kinds: what others hold, by the port's name."""
         self._kinds = {name: KINDS[name] for name in names} | kinds
-        self.ports = {name: declare_message_input(system, name) for name in self._kinds}
+        anything = AbstractValue.Make(object())
+        self.ports = {name: system.DeclareAbstractInputPort(name, anything) for name in self._kinds}
 
     def __call__(self, context: Context, name: str) -> Any:
-        """The message. Raises TypeError as `eval_message` does."""
-        return eval_message(self.ports[name], context, self._kinds[name])
+        """The message. Raises TypeError where the port is not connected or holds one of another kind."""
+        port, kind = self.ports[name], self._kinds[name]
+        try:
+            value = port.Eval(context)
+        except (RuntimeError, SystemExit) as error:
+            if port.HasValue(context):
+                raise
+            raise TypeError(f"{_name(port)} must be connected to an output of {kind.__name__}.") from error
+        if not isinstance(value, kind):
+            raise TypeError(f"{_name(port)} must hold {kind.__name__}, not {type(value).__name__}.")
+        return value
 
     def optional(self, context: Context, name: str) -> Any:
         """The same, None where the port is not connected."""

@@ -30,8 +30,6 @@ from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageInputs, MessageState, number
 
 PERIOD = 1.0 / 32.0
-# As often as odometry comes; scans are fewer.
-WATCH_PERIOD = 1.0 / 16.0
 # Scans in a row before it is said why the base stands that is told to drive: about two seconds.
 _HELD_SCANS = 20
 # What stops the base is no farther from where it is to stop than this, m: noise, and its way while it brakes.
@@ -89,7 +87,8 @@ class SafetyFilter(LeafSystem):
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
-        self._watch = MessageState(self, no_watch(no_scan(scan)), self._Watch, WATCH_PERIOD)
+        # As often as odometry comes; scans are fewer.
+        self._watch = MessageState(self, no_watch(no_scan(scan)), self._Watch)
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
         self.DeclareStateOutputPort("velocity", velocity)
         self.DeclareStateOutputPort("enabled", self._enabled)

@@ -61,10 +61,10 @@ class Graph(Protocol):
         """Leaves the graph."""
 
 
-def opened(kind: type[D], host: str | None, port: int, preset: Preset, *wanted: Any) -> D:
-    """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, None and any for ROS 2. wanted:
-    as the kind of driver has it."""
-    if host is None:
+def opened(kind: type[D], host: str, port: int, preset: Preset, *wanted: Any) -> D:
+    """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, none for ROS 2. wanted: as the
+    kind of driver has it."""
+    if not host:
         from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
         return kind(Ros2Graph(kind.node, preset.discovery), preset, *wanted)
@@ -73,7 +73,7 @@ def opened(kind: type[D], host: str | None, port: int, preset: Preset, *wanted: 
     return kind(RosbridgeGraph(host, port), preset, *wanted)
 
 
-def connect(preset: Preset, host: str | None = None, port: int = 0) -> Device:
+def connect(preset: Preset, host: str = "", port: int = 0) -> Device:
     """The base of a preset's robot, in a process of its own; raises DeviceError. host, port: as of `opened`."""
     return Device(partial(opened, GraphBaseDriver, host, port, preset))
 

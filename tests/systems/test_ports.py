@@ -6,21 +6,16 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import LeafSystem
 
 from tfg_drake.messages import Hazards, Odometry
-from tfg_drake.systems.ports import (
-    MessageState,
-    declare_message_input,
-    declare_message_output,
-    eval_message,
-)
+from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
 
 class _Relay(LeafSystem):
     def __init__(self):
         super().__init__()
         self.set_name("relay")
-        port = declare_message_input(self, "odometry")
+        self.inputs = MessageInputs(self, "odometry")
         self.state = MessageState(self, Odometry(0.0, np.zeros(3), np.zeros(2)))
-        declare_message_output(self, "out", lambda c: eval_message(port, c, Odometry), {port.ticket()})
+        declare_message_output(self, "out", lambda c: self.inputs(c, "odometry"), {self.all_input_ports_ticket()})
 
 
 def test_a_message_passes_through():
@@ -35,10 +30,10 @@ def test_the_wrong_message_and_no_message_are_named():
     relay = _Relay()
     context = relay.CreateDefaultContext()
     with pytest.raises(TypeError, match=r"^relay\.odometry must be connected to an output of Odometry\.$"):
-        eval_message(relay.get_input_port(0), context, Odometry)
+        relay.inputs(context, "odometry")
     relay.get_input_port(0).FixValue(context, AbstractValue.Make(Hazards(0.0, 0, 0, 0)))
     with pytest.raises(TypeError, match=r"^relay\.odometry must hold Odometry, not Hazards\.$"):
-        eval_message(relay.get_input_port(0), context, Odometry)
+        relay.inputs(context, "odometry")
 
 
 def test_state_survives_a_clone():

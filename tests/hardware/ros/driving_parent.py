@@ -8,7 +8,7 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.ros.graph_driver import connect
 from tfg_drake.hardware.ros.preset import load_preset
 
-host, port = sys.argv[1:] or (None, 0)
+host, port = sys.argv[1:] or ("", 0)
 device = connect(load_preset("emulated"), host, int(port))
 while True:
     # On a loaded machine odometry may pause: a robot without any is not enabled, or locked again.

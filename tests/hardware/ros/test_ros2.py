@@ -13,14 +13,14 @@ from tfg_drake.hardware.ros.preset import Topic, load_preset
 def complaint(preset):
     """What opening the driver of a preset's base in this process says."""
     with pytest.raises(DeviceError) as error:
-        graph_driver.opened(graph_driver.GraphBaseDriver, None, 0, preset)
+        graph_driver.opened(graph_driver.GraphBaseDriver, "", 0, preset)
     return str(error.value)
 
 
 def complaint_of_scan(preset):
     """What opening the driver of its scanner says."""
     with pytest.raises(DeviceError) as error:
-        graph_driver.opened(graph_driver.SensorDriver, None, 0, preset, (("scan", preset.topics.scan),), True)
+        graph_driver.opened(graph_driver.SensorDriver, "", 0, preset, (("scan", preset.topics.scan),), True)
     return str(error.value)
 
 
