@@ -2,8 +2,8 @@
 
 ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive what opens the driver,
 ("command", sent, speed, turn_rate), ("enable", sent), ("lock", reason) and ("close",).
-What it says: ("ready", None), ("message", message) of those that are plausible, ("locked", reason or None), ("answer",
-reason or None) to an enable, ("remark", line) for the operator, ("alive", None) twice a second, and ("ended", line).
+What it says: ("message", message) of those that are plausible, ("locked", reason or None), ("answer", reason or None)
+to an enable, ("remark", line) for the operator, ("alive", None) twice a second from its beginning, and ("ended", line).
 When the other end is gone the robot stands and the process ends.
 What comes by the second is published: a pipe of its own, with a thread at either end, so a map of a large building
 holds up neither the planner nor the watchdog.
@@ -38,7 +38,6 @@ def serve(driver: Driver, connection: Connection) -> None:
     """Drives until the other end of the connection is closed or its process gone."""
     watchdog, outbox, parent = Watchdog(driver.limits), Outbox(connection, WAITING), os.getppid()
     judge = Judge(driver.sources)
-    outbox.put("ready", None)
     told, moved, said_alive = watchdog.locked, False, -math.inf
     try:
         while os.getppid() == parent:
