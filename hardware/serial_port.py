@@ -40,7 +40,8 @@ def check_port(path: str, device: SerialDevice) -> None:
 
 
 def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
-    """The port, raw and ours alone; reading and writing its file descriptor never blocks.
+    """The port, raw and ours alone. Reading it gives what is there and raises OSError where the line is cut; writing to
+    its file descriptor never blocks.
 
     What it had received before is thrown away. Raises DeviceError.
     """

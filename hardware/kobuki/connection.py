@@ -49,8 +49,7 @@ class Connection:
 
     def fileno(self) -> int:
         """The port's file descriptor, ready when there is something to read."""
-        descriptor: int = self._port.fileno()
-        return descriptor
+        return int(self._port.fileno())
 
     @property
     def ready(self) -> bool:
@@ -72,17 +71,15 @@ class Connection:
         return None
 
     def read(self, now: float) -> bool:
-        """Takes in what has come by now, s; False where the port is gone, which a ready port without bytes is."""
+        """Takes in what has come by now, s; False where the port is gone."""
         try:
-            data = os.read(self.fileno(), 4096)
-        except BlockingIOError:
-            return True
+            data = self._port.read(4096)
         except OSError:
             return False
         self._said_anything |= bool(data)
         for payload in self._deframer.feed(data):
             self._take(p.decode(payload, p.FEEDBACK), now)
-        return bool(data)
+        return True
 
     def _take(self, parts: tuple[p.SubPayload, ...], now: float) -> None:
         """One frame."""

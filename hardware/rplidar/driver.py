@@ -23,6 +23,8 @@ RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
 ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
 # A scanner that says nothing for so long is started again, s.
 SILENT = 2.0
+# Bytes that are read at once, at most: of many turns.
+_MOST = 1 << 16
 
 
 class RplidarDriver(ReconnectingReader):
@@ -96,23 +98,13 @@ class RplidarDriver(ReconnectingReader):
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
         while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
             if wait([self._device.fileno()], left):
-                heard += self._read()
+                heard += self._device.read(_MOST)
         return told
-
-    def _read(self) -> bytes:
-        """The bytes so far; raises OSError if the line is cut."""
-        try:
-            data = os.read(self._device.fileno(), 1 << 16)
-        except BlockingIOError:
-            return b""
-        if not data:
-            raise OSError("the line is cut")
-        return data
 
     def _receive(self, left: float) -> None:
         try:
             if wait([self._device.fileno()], left):
-                self._take_in(self._read(), time.monotonic())
+                self._take_in(self._device.read(_MOST), time.monotonic())
             if time.monotonic() - self._heard > SILENT:
                 self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
         except OSError:

@@ -270,7 +270,7 @@ class Kobuki:
         self._rng, self.now = random.Random(seed), 1000.0
         reader, self._writer = os.pipe()
         os.set_blocking(reader, False)
-        port: Any = SimpleNamespace(fileno=lambda: reader, close=lambda: os.close(reader))
+        port: Any = SimpleNamespace(read=lambda size: os.read(reader, size), close=lambda: os.close(reader))
         self._connection = Connection(port, self.now, None)
 
     def message(self) -> bytes:
