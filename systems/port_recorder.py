@@ -78,11 +78,10 @@ class PortRecorder(LeafSystem):
             if requested is not None and requested.count:
                 self._writer.write(name, now, requested)
         look = functools.partial(self._inputs.optional, context)
-        pose, path = look("pose"), look("path")
-        if pose is not None:
-            self._writer.write(POSE, now, pose)
-        if path is not None:
-            self._writer.write(PATH, now, path)
+        pose = look("pose")
+        for topic, message in ((POSE, pose), (PATH, look("path"))):
+            if message is not None:
+                self._writer.write(topic, now, message)
         if pose is not None and self._writer.wants_map(pose.stage):
             estimate, tfg = look("map"), look("tfg")
             # Surfaces come into the TFG a moment after the landmarks.

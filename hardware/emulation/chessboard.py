@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tfg_drake.messages import FloatArray
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image
 
@@ -29,7 +28,8 @@ def board_view(calibration: CameraCalibration, number: int) -> Image:
     # The squares' outer corners, a square beyond the inner ones.
     inner = np.array([COLUMNS - 1, ROWS - 1])
     outer = np.array([[-1, -1], [COLUMNS, -1], [COLUMNS, ROWS], [-1, ROWS]]) - 0.5 * inner
-    seen = _projected(np.column_stack([outer * SQUARE, np.zeros(4)]) @ R.T + p, calibration)
+    corners = (np.column_stack([outer * SQUARE, np.zeros(4)]) @ R.T + p) @ calibration.matrix.T
+    seen = corners[:, :2] / corners[:, 2:]
     drawn = (np.array([[1, 1], [COLUMNS + 2, 1], [COLUMNS + 2, ROWS + 2], [1, ROWS + 2]]) * _CELL - 0.5).astype(float)
     size = calibration.width * _FINER, calibration.height * _FINER
     H = cv2.getPerspectiveTransform(drawn.astype(np.float32), ((seen + 0.5) * _FINER - 0.5).astype(np.float32))
@@ -42,8 +42,3 @@ def _board() -> Image:
     """White, a square wide, round the squares."""
     squares = (np.add.outer(np.arange(ROWS + 1), np.arange(COLUMNS + 1)) % 2 * 255).astype(np.uint8)
     return np.pad(np.kron(squares, np.ones((_CELL, _CELL), dtype=np.uint8)), _CELL, constant_values=255)
-
-
-def _projected(points: FloatArray, calibration: CameraCalibration) -> FloatArray:
-    homogeneous = points @ calibration.matrix.T
-    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
