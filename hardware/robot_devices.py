@@ -13,7 +13,7 @@ from tfg_drake.hardware.device import Device, DeviceError
 from tfg_drake.hardware.kobuki import driver as kobuki
 from tfg_drake.hardware.realsense_sensor import LEAST_DEPTH
 from tfg_drake.hardware.ros.graph_driver import connect
-from tfg_drake.hardware.ros.preset import Frames, Preset, PresetError, load_preset
+from tfg_drake.hardware.ros.preset import Frames, Preset, load_preset
 from tfg_drake.hardware.rplidar.sweeps import LEAST_RANGE
 from tfg_drake.hardware.sensor_source import (
     CamerasSource,
@@ -108,10 +108,7 @@ def check_devices(config: HardwareConfig) -> None:
 def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, SourceSpec], dict[str, str], _Cameras, SourceSpec | None]:
     """The preset, of tags and scan the source, parsed and as text, our own cameras, and the graph that the base is on;
     raises DeviceError."""
-    try:
-        preset = load_preset(config.preset or PRESET_OF[config.robot])
-    except PresetError as error:
-        raise DeviceError(str(error)) from None
+    preset = load_preset(config.preset or PRESET_OF[config.robot])
     cameras = _cameras(config)
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
     if config.tags == NO_TAGS:
@@ -144,7 +141,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     try:
         # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
         sources = open_sources(specs, preset, graph, config)
-        opened += {id(source): source for source in sources.values()}.values()
+        opened += dict.fromkeys(sources.values())
         tags: list[Source] = [sources["tags"]] if "tags" in sources else []
         for text, camera in cameras[1:]:
             further = open_sources({"tags": text}, preset, None, dataclasses.replace(config, camera=camera))["tags"]

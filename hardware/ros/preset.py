@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from tfg_drake.constraints import Angle, Bounds, NotNegative, OneOf, Radians
+from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.typed_tree import Misfit, read
@@ -12,7 +13,7 @@ from tfg_drake.typed_tree import Misfit, read
 PRESETS = Path(__file__).parent / "presets"
 
 
-class PresetError(ValueError):
+class PresetError(DeviceError):
     """A preset that cannot be used; the message is one line: file, key, what is wrong, how to mend it."""
 
 
