@@ -93,10 +93,8 @@ def read_messages(files: Collection[Path], kinds: Collection[str], tell: Callabl
         for file in files:
             with file.open("rb") as stream:
                 yield from _of_file(file, stream, kinds, unpacked, tell)
-    except FileNotFoundError as error:
-        raise DatasetError(f"{error.filename}: no such file or folder; name a data set") from None
     except OSError as error:
-        raise DatasetError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+        raise DatasetError(f"{error.filename}: {(error.strerror or str(error)).lower()}; name a data set") from None
 
 
 class _Unpacked:

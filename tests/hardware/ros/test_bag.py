@@ -453,7 +453,7 @@ def test_an_mcap_without_chunks_and_index(tmp_path):
 
 
 def test_what_is_no_bag_is_told(tmp_path):
-    with pytest.raises(DatasetError, match=r"none.mcap: no such file or folder; name a data set"):
+    with pytest.raises(DatasetError, match=r"none.mcap: no such file or directory; name a data set"):
         load_bag(tmp_path / "none.mcap")
     for part in (b"", b"no bag at all"):
         (tmp_path / "b.mcap").write_bytes(part)
