@@ -17,11 +17,13 @@ BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
 
 
 class Inbox:
-    """Messages and lines for the operator until they are taken. refusals: these lines, of what cannot be used, too."""
+    """Messages, lines for the operator and a fault until they are taken. refusals: the lines, of what cannot be used,
+    too."""
 
     def __init__(self) -> None:
         self.refusals = Refusals()
         self._messages: list[Message] = []
+        self._fault: str | None = None
 
     def remarks(self) -> list[str]:
         """Lines for the operator since the last call."""
@@ -31,6 +33,11 @@ class Inbox:
         """The messages since the last call."""
         taken, self._messages = self._messages, []
         return taken
+
+    def fault(self) -> str | None:
+        """Why the robot must stop, once."""
+        fault, self._fault = self._fault, None
+        return fault
 
 
 class SensorReader(Inbox, Driver):

@@ -6,10 +6,11 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
-from tfg_drake.hardware.device import BaseState, Message
+from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki.base_state import base_state
+from tfg_drake.hardware.sensor_reader import Inbox
 from tfg_drake.messages import replace
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ _FRAME_RATE = 50.0
 _MAJOR = "1"
 
 
-class Connection:
+class Connection(Inbox):
     """Reads the base's frames from an open port.
 
     core: the newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's.
@@ -35,14 +36,13 @@ class Connection:
 
     def __init__(self, port: serial.Serial, now: float, before: odometry.Reckoning | None) -> None:
         """before: dead reckoning up to the end of the connection before, if there was one."""
+        super().__init__()
         self._port, self._deframer = port, p.Deframer()
         self._opened = self._heard = now
         self._said_anything = False
-        self._messages: list[Message] = []
         self._state: BaseState | None = None
         # Frames so far, and when the first one came, s.
         self._frames, self._begun = 0, now
-        self._fault: str | None = None
         self.core: p.CoreSensors | None = None
         self.reckoning, self.driven = before, False
         self.firmware = self.hardware = self.unique_id = ""
@@ -131,16 +131,6 @@ class Connection:
         if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
             self._messages.append(state)
             self._state = state
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        taken, self._messages = self._messages, []
-        return taken
-
-    def fault(self) -> str | None:
-        """Why the base must stop, once."""
-        fault, self._fault = self._fault, None
-        return fault
 
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""

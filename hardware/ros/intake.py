@@ -141,7 +141,6 @@ class Intake(Inbox):
         self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
         self._eyes: ImageTags | None = None
         self._families: list[str] = []
-        self._fault: str | None = None
         self.arrived: set[str] = set()
 
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
@@ -228,11 +227,6 @@ class Intake(Inbox):
             self.refusals.tell(
                 f"{topic.name} is in the frame {frame[:100]}, the preset has {expected}: set its frames.odom"
             )
-
-    def fault(self) -> str | None:
-        """Why the robot must stop, once."""
-        fault, self._fault = self._fault, None
-        return fault
 
 
 def _kind(error: Exception) -> str:
