@@ -36,11 +36,11 @@ def test_the_likelihood_peaks_at_the_true_pose():
     maps, p_BP = room_map(), end_points(view(TRUE), 0.05)
     field = np.empty((14 * scan_matcher.TILE, 14 * scan_matcher.TILE), dtype=np.float32)
     splat = scan_matcher._splat_table(maps.resolution)
-    corner = scan_matcher._fill(field, maps.index[0], maps.tiles, maps.corner, maps.resolution, splat, TRUE)
+    field = scan_matcher._fill(field, maps, 0, splat, TRUE)
     for axis, step in ((0, 0.02), (1, 0.02), (2, 0.005)):
         poses = np.tile(TRUE, (41, 1))
         poses[:, axis] += step * np.arange(-20, 21)
-        values = np.array([scan_matcher._score(field, *corner, maps.resolution, p_BP, pose) for pose in poses])
+        values = np.array([scan_matcher._score(field, p_BP, pose) for pose in poses])
         assert abs(int(np.argmax(values)) - 20) <= 1
         assert values.max() > values[[0, 40]].max() + 10.0
 

@@ -14,9 +14,8 @@ Cell (i, j) has its centre at ((j + 0.5) r, (i + 0.5) r) in M, r the resolution:
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -44,9 +43,8 @@ SURFACE_GAP = 0.35
 ODDS, ENDS, MEAN_X, MEAN_Y = 0, 1, 2, 3
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class TileMaps:
-    """The grids of n particles; never changed, so a deep copy is itself.
+class TileMaps(NamedTuple):
+    """The grids of n particles; nobody changes them.
 
     resolution: side of a cell, m. corner: (2,) x and y, in tiles from M's origin, of the tile that index[:, 0, 0]
     names. index: (n, h, w) each particle's tiles, rows along y. tiles: (t, TILE, TILE, 4) the pool; tile 0 is the
@@ -58,20 +56,19 @@ class TileMaps:
     index: TileIndex
     tiles: Tiles
 
-    def __post_init__(self) -> None:
-        """Arrays are locked rather than copied as a message's are: the pool is large and nobody else holds it."""
+    def locked(self) -> TileMaps:
+        """Themselves, read-only. They are not copied, as a message's arrays are: the pool is large and nobody else
+        holds it."""
         for array in (self.corner, self.index, self.tiles):
             array.flags.writeable = False
-
-    def __deepcopy__(self, memo: Any) -> TileMaps:
-        """Itself."""
         return self
 
 
 def empty_maps(particles: int, resolution: float) -> TileMaps:
     """Grids that know nothing yet. resolution: side of a cell, m."""
     index = np.zeros((particles, 0, 0), dtype=np.int32)
-    return TileMaps(resolution, np.zeros(2, dtype=np.int64), index, np.zeros((1, TILE, TILE, 4), dtype=np.int8))
+    tiles = np.zeros((1, TILE, TILE, 4), dtype=np.int8)
+    return TileMaps(resolution, np.zeros(2, dtype=np.int64), index, tiles).locked()
 
 
 def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
@@ -89,7 +86,7 @@ def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
     if h * w:
         x, y = maps.corner - first
         wide[:, y : y + h, x : x + w] = maps.index
-    return TileMaps(maps.resolution, first, wide, maps.tiles)
+    return maps._replace(corner=first, index=wide).locked()
 
 
 def reach_of(scan: LaserScan) -> float:
@@ -110,31 +107,9 @@ def insert_scan(maps: TileMaps, parents: IntArray, X_MB: FloatArray, scan: Laser
     X = np.ascontiguousarray(X_MB[alive])
     reach = reach_of(scan)
     wide = grown(maps, X[:, :2].min(axis=0) - reach, X[:, :2].max(axis=0) + reach)
-    index = np.ascontiguousarray(wide.index[alive])
-    window = int(2.0 * reach / (TILE * maps.resolution)) + 2
-    fresh = np.empty((len(alive) * window * window, TILE, TILE, 4), dtype=np.int8)
-    cells = np.zeros((window * TILE, window * TILE), dtype=np.uint8)
-    count = _insert(
-        index,
-        wide.tiles,
-        fresh,
-        cells,
-        wide.corner,
-        X,
-        scan.angles,
-        scan.ranges,
-        scan.range_max,
-        surface_points(scan.angles, scan.ranges, scan.range_max, 0.5 * maps.resolution),
-        reach,
-        maps.resolution,
-    )
-    return _compacted(maps.resolution, wide.corner, index, inverse, wide.tiles, fresh[:count])
-
-
-def _compacted(
-    resolution: float, corner: IntArray, index: TileIndex, inverse: IntArray, tiles: Tiles, fresh: Tiles
-) -> TileMaps:
-    """The grids of index[inverse], the tiles that nobody names any more left out of the pool."""
+    index, tiles = np.ascontiguousarray(wide.index[alive]), wide.tiles
+    fresh = _insert(index, tiles, wide.corner, X, scan.angles, scan.ranges, scan.range_max, reach, maps.resolution)
+    # The tiles that nobody names any more are left out of the pool.
     used = np.zeros(len(tiles) + len(fresh), dtype=np.bool_)
     used[index.ravel()] = True
     used[0] = True
@@ -143,7 +118,7 @@ def _compacted(
     np.take(tiles, kept, axis=0, out=pool[: len(kept)])
     pool[len(kept) :] = fresh
     renamed = np.cumsum(used, dtype=np.int32) - np.int32(1)
-    return TileMaps(resolution, corner, renamed[index][inverse], pool)
+    return TileMaps(maps.resolution, wide.corner, renamed[index][inverse], pool).locked()
 
 
 def log_odds(maps: TileMaps, particle: int) -> tuple[FloatArray, NDArray[np.int8]]:
@@ -234,20 +209,20 @@ def mark_scan(
 def _insert(
     index: TileIndex,
     tiles: Tiles,
-    fresh: Tiles,
-    cells: Marks,
     corner: IntArray,
     X_MB: FloatArray,
     angles: FloatArray,
     ranges: FloatArray,
     range_max: float,
-    p_BP: FloatArray,
     reach: float,
     resolution: float,
-) -> int:
-    """Puts the scan into every particle's grid: new tiles go to `fresh` and into `index`; returns their number."""
+) -> Tiles:
+    """Puts the scan into every particle's grid: into `index` go the numbers of new tiles, which are returned."""
     count, side = 0, TILE * resolution
-    window = len(cells) // TILE
+    p_BP = surface_points(angles, ranges, range_max, 0.5 * resolution)
+    window = int(2.0 * reach / side) + 2
+    fresh = np.empty((len(index) * window * window, TILE, TILE, 4), dtype=np.int8)
+    cells = np.zeros((window * TILE, window * TILE), dtype=np.uint8)
     for p in range(len(index)):
         tile_x, tile_y = math.floor((X_MB[p, 0] - reach) / side), math.floor((X_MB[p, 1] - reach) / side)
         x, y = X_MB[p, 0] - tile_x * side, X_MB[p, 1] - tile_y * side
@@ -293,4 +268,4 @@ def _insert(
                 cell[ENDS] += 1
                 cell[MEAN_X] += round((FINE * (u - j - 0.5) - cell[MEAN_X]) / cell[ENDS])
                 cell[MEAN_Y] += round((FINE * (v - i - 0.5) - cell[MEAN_Y]) / cell[ENDS])
-    return count
+    return fresh[:count]

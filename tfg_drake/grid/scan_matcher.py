@@ -9,12 +9,13 @@ Burgard 2007, section III-B).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tfg_drake.grid.occupancy import FINE, MEAN_X, MEAN_Y, ODDS, TILE, TileIndex, TileMaps, Tiles
+from tfg_drake.grid.occupancy import FINE, MEAN_X, MEAN_Y, ODDS, TILE, TileMaps
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
 from tfg_drake.slam.odometry_model import wrap
 
@@ -34,12 +35,30 @@ MARGIN = 0.5
 STEP_POSITION, STEP_HEADING, HALVINGS = 0.05, 0.02, 5
 # Steps of the differences that tell the mode's curvature, m and rad.
 DIFFERENCE = np.array([0.025, 0.025, 0.008])
-Field = NDArray[np.float32]
 
 # Cells to either side of an occupied one within which it is felt.
 _SPLAT = 3
 # Parts of a cell's side that the field tells apart.
 _PARTS = 10
+
+LogLikelihoods = NDArray[np.float32]
+
+
+class Field(NamedTuple):
+    """Log likelihoods (s, s) of an end point in each cell round a robot, where their corner is in M, and a cell's side,
+    m."""
+
+    value: LogLikelihoods
+    x0: float
+    y0: float
+    resolution: float
+
+
+class Prior(NamedTuple):
+    """A pose by the motion model: (3,), and the information (3, 3) of (x, y) in M and theta."""
+
+    X: FloatArray
+    information: FloatArray
 
 
 def end_points(scan: LaserScan, spacing: float) -> FloatArray:
@@ -63,7 +82,7 @@ def _thinned(p_BP: FloatArray, spacing: float) -> IntArray:
     return kept[:count]
 
 
-def _splat_table(resolution: float) -> Field:
+def _splat_table(resolution: float) -> LogLikelihoods:
     """Log likelihood of an end point: by the part of an occupied cell, rows and columns, that its mean is in, and by
     how many rows and columns the end point's cell is from it."""
     mean = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)[:, None]
@@ -85,59 +104,44 @@ def propose(
     """
     reach = MARGIN + (float(np.hypot(*p_BP.T).max()) if len(p_BP) else 0.0)
     window = int(2.0 * reach / (TILE * maps.resolution)) + 2
-    return _propose(
-        maps.index,
-        maps.tiles,
-        maps.corner,
-        maps.resolution,
-        np.ascontiguousarray(X_MB),
-        np.ascontiguousarray(covariance),
-        np.ascontiguousarray(p_BP),
-        standard_normal,
-        _splat_table(maps.resolution),
-        np.empty((window * TILE, window * TILE), dtype=np.float32),
-    )
+    X_MB, covariance, p_BP = (np.ascontiguousarray(array) for array in (X_MB, covariance, p_BP))
+    return _propose(maps, window, X_MB, covariance, p_BP, standard_normal, _splat_table(maps.resolution))
 
 
 @njit(cache=True)
-def _fill(
-    field: Field,
-    index: TileIndex,
-    tiles: Tiles,
-    corner: IntArray,
-    resolution: float,
-    splat: Field,
-    X_MB: FloatArray,
-) -> tuple[float, float]:
-    """Log likelihoods of an end point in each cell round the robot; returns where the field's corner is in M, m."""
-    window = len(field) // TILE
-    side = TILE * resolution
+def _tile_at(maps: TileMaps, particle: int, x: int, y: int) -> int:
+    """The tile of a particle's grid that lies so many tiles from M's origin; 0, the unknown, where there is none."""
+    row, column = y - maps.corner[1], x - maps.corner[0]
+    known = 0 <= row < maps.index.shape[1] and 0 <= column < maps.index.shape[2]
+    return maps.index[particle, row, column] if known else 0
+
+
+@njit(cache=True)
+def _fill(value: LogLikelihoods, maps: TileMaps, particle: int, splat: LogLikelihoods, X_MB: FloatArray) -> Field:
+    """The field round the robot by a particle's grid, its values put into `value`."""
+    window = len(value) // TILE
+    side = TILE * maps.resolution
     half = 0.5 * (window - 1) * side
     tile_x, tile_y = math.floor((X_MB[0] - half) / side), math.floor((X_MB[1] - half) / side)
     miss, unknown = np.float32(math.log(MISS)), np.float32(math.log(UNKNOWN))
-    rows, columns = index.shape
-    most = len(field) - 1
+    most = len(value) - 1
     for a in range(window):
         for b in range(window):
-            row, column = tile_y + a - corner[1], tile_x + b - corner[0]
-            known = 0 <= row < rows and 0 <= column < columns
-            name = index[row, column] if known else 0
-            part = field[a * TILE : (a + 1) * TILE, b * TILE : (b + 1) * TILE]
+            name = _tile_at(maps, particle, tile_x + b, tile_y + a)
+            part = value[a * TILE : (a + 1) * TILE, b * TILE : (b + 1) * TILE]
             if name == 0:
                 part[:] = unknown
             else:
-                tile = tiles[name]
+                tile = maps.tiles[name]
                 for i in range(TILE):
                     for j in range(TILE):
                         part[i, j] = unknown if tile[i, j, ODDS] == 0 else miss
     for a in range(window):
         for b in range(window):
-            row, column = tile_y + a - corner[1], tile_x + b - corner[0]
-            known = 0 <= row < rows and 0 <= column < columns
-            name = index[row, column] if known else 0
+            name = _tile_at(maps, particle, tile_x + b, tile_y + a)
             if name == 0:
                 continue
-            tile = tiles[name]
+            tile = maps.tiles[name]
             for i in range(TILE):
                 for j in range(TILE):
                     if tile[i, j, ODDS] <= 0:
@@ -148,16 +152,17 @@ def _fill(
                     bump = splat[part_y, part_x]
                     for v in range(max(0, y - _SPLAT), min(most, y + _SPLAT) + 1):
                         for u in range(max(0, x - _SPLAT), min(most, x + _SPLAT) + 1):
-                            field[v, u] = max(field[v, u], bump[v - y + _SPLAT, u - x + _SPLAT])
-    return tile_x * side, tile_y * side
+                            value[v, u] = max(value[v, u], bump[v - y + _SPLAT, u - x + _SPLAT])
+    return Field(value, tile_x * side, tile_y * side, maps.resolution)
 
 
 @njit(cache=True)
-def _score(field: Field, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray) -> float:
+def _score(field: Field, p_BP: FloatArray, X_MB: FloatArray) -> float:
     """Log likelihood of all end points, bilinear between the middles of cells."""
+    value, resolution = field.value, field.resolution
     c, s = math.cos(X_MB[2]) / resolution, math.sin(X_MB[2]) / resolution
-    x, y = (X_MB[0] - x0) / resolution - 0.5, (X_MB[1] - y0) / resolution - 0.5
-    most = len(field) - 1
+    x, y = (X_MB[0] - field.x0) / resolution - 0.5, (X_MB[1] - field.y0) / resolution - 0.5
+    most = len(value) - 1
     total = 0.0
     for k in range(len(p_BP)):
         u = x + c * p_BP[k, 0] - s * p_BP[k, 1]
@@ -168,88 +173,69 @@ def _score(field: Field, x0: float, y0: float, resolution: float, p_BP: FloatArr
             continue
         j, i = int(u), int(v)
         u, v = u - j, v - i
-        lower = field[i, j] + u * (field[i, j + 1] - field[i, j])
-        upper = field[i + 1, j] + u * (field[i + 1, j + 1] - field[i + 1, j])
+        lower = value[i, j] + u * (value[i, j + 1] - value[i, j])
+        upper = value[i + 1, j] + u * (value[i + 1, j + 1] - value[i + 1, j])
         total += lower + v * (upper - lower)
     return total
 
 
 @njit(cache=True)
-def _share_matched(field: Field, x0: float, y0: float, resolution: float, p_BP: FloatArray, X_MB: FloatArray) -> float:
+def _share_matched(field: Field, p_BP: FloatArray, X_MB: FloatArray) -> float:
     """Share of the end points within a standard deviation and a half of an occupied cell."""
     least = math.log(MISS + (1.0 - MISS) * math.exp(-0.5 * 1.5**2))
     count = 0
     for k in range(len(p_BP)):
-        count += _score(field, x0, y0, resolution, p_BP[k : k + 1], X_MB) > least
+        count += _score(field, p_BP[k : k + 1], X_MB) > least
     return count / len(p_BP)
 
 
 @njit(cache=True)
-def _log_posterior(
-    field: Field,
-    x0: float,
-    y0: float,
-    resolution: float,
-    p_BP: FloatArray,
-    X: FloatArray,
-    X_prior: FloatArray,
-    information: FloatArray,
-) -> float:
+def _log_posterior(field: Field, p_BP: FloatArray, prior: Prior, X: FloatArray) -> float:
     """Log of likelihood times motion model, without the latter's norm."""
-    d = X - X_prior
+    d = X - prior.X
     d[2] = wrap(d[2])
-    return INDEPENDENCE * _score(field, x0, y0, resolution, p_BP, X) - 0.5 * float(d @ information @ d)
+    return INDEPENDENCE * _score(field, p_BP, X) - 0.5 * float(d @ prior.information @ d)
 
 
 @njit(cache=True)
 def _propose(
-    index: TileIndex,
-    tiles: Tiles,
-    corner: IntArray,
-    resolution: float,
+    maps: TileMaps,
+    window: int,
     X_MB: FloatArray,
     covariance: FloatArray,
     p_BP: FloatArray,
     standard_normal: FloatArray,
-    splat: Field,
-    field: Field,
+    splat: LogLikelihoods,
 ) -> tuple[FloatArray, FloatArray]:
+    """See `propose`. window: side of the field, tiles."""
     n = len(X_MB)
     drawn, log_weight = np.empty((n, 3)), np.empty(n)
+    value = np.empty((window * TILE, window * TILE), dtype=np.float32)
     for p in range(n):
-        X_prior = X_MB[p]
-        information = np.linalg.inv(covariance[p])
-        x0, y0 = _fill(field, index[p], tiles, corner, resolution, splat, X_prior)
-        mode = X_prior.copy()
+        prior = Prior(X_MB[p], np.linalg.inv(covariance[p]))
+        field = _fill(value, maps, p, splat, prior.X)
+        mode = prior.X.copy()
         matched = len(p_BP) >= LEAST_POINTS
         if matched:
-            mode = _climb(field, x0, y0, resolution, p_BP, X_prior, information)
-            matched = _share_matched(field, x0, y0, resolution, p_BP, mode) >= LEAST_SHARE
+            mode = _climb(field, p_BP, prior)
+            matched = _share_matched(field, p_BP, mode) >= LEAST_SHARE
         if matched:
-            mean, root, log_norm = _gaussian(field, x0, y0, resolution, p_BP, mode, X_prior, information)
+            mean, root, log_norm = _gaussian(field, p_BP, prior, mode)
             drawn[p] = mean + root @ standard_normal[p]
-            log_weight[p] = log_norm + 0.5 * math.log(np.linalg.det(information))
+            log_weight[p] = log_norm + 0.5 * math.log(np.linalg.det(prior.information))
         else:
-            drawn[p] = X_prior + np.linalg.cholesky(covariance[p]) @ standard_normal[p]
-            log_weight[p] = INDEPENDENCE * _score(field, x0, y0, resolution, p_BP, drawn[p])
+            drawn[p] = prior.X + np.linalg.cholesky(covariance[p]) @ standard_normal[p]
+            log_weight[p] = INDEPENDENCE * _score(field, p_BP, drawn[p])
         drawn[p, 2] = wrap(drawn[p, 2])
     return drawn, log_weight
 
 
 @njit(cache=True)
-def _climb(
-    field: Field,
-    x0: float,
-    y0: float,
-    resolution: float,
-    p_BP: FloatArray,
-    X_prior: FloatArray,
-    information: FloatArray,
-) -> FloatArray:
+def _climb(field: Field, p_BP: FloatArray, prior: Prior) -> FloatArray:
     """The mode (3,) of likelihood times motion model, by hill climbing from the prior."""
-    best = X_prior.copy()
-    value = _log_posterior(field, x0, y0, resolution, p_BP, best, X_prior, information)
-    c, s = math.cos(X_prior[2]), math.sin(X_prior[2])
+    best = prior.X.copy()
+    value = _log_posterior(field, p_BP, prior, best)
+    c, s = math.cos(prior.X[2]), math.sin(prior.X[2])
     position, heading, halvings = STEP_POSITION, STEP_HEADING, 0
     while halvings < HALVINGS:
         found, found_value = best, value
@@ -265,10 +251,10 @@ def _climb(
                 X[1] += sign * position * c
             else:
                 X[2] += sign * heading
-            trial = _log_posterior(field, x0, y0, resolution, p_BP, X, X_prior, information)
+            trial = _log_posterior(field, p_BP, prior, X)
             if trial > found_value:
                 found, found_value = X, trial
-        near = math.hypot(found[0] - X_prior[0], found[1] - X_prior[1]) < MARGIN
+        near = math.hypot(found[0] - prior.X[0], found[1] - prior.X[1]) < MARGIN
         if found_value > value and near:
             best, value = found, found_value
         else:
@@ -277,30 +263,21 @@ def _climb(
 
 
 @njit(cache=True)
-def _gaussian(
-    field: Field,
-    x0: float,
-    y0: float,
-    resolution: float,
-    p_BP: FloatArray,
-    mode: FloatArray,
-    X_prior: FloatArray,
-    information: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:
+def _gaussian(field: Field, p_BP: FloatArray, prior: Prior, mode: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Mean (3,), root of the covariance (3, 3) and log integral of likelihood times motion model round its mode.
 
     The K = 27 poses are those of Gauss-Hermite's product rule of three points, spread as the curvature says: exact for
     a Gaussian, and not drawn, so that particles that agree get equal weights. The integral lacks the motion model's
     norm but for its determinant, and (2 pi)^1.5 cancels against it.
     """
-    center = INDEPENDENCE * _score(field, x0, y0, resolution, p_BP, mode)
+    center = INDEPENDENCE * _score(field, p_BP, mode)
     curvature = np.zeros((3, 3))
     sides = np.empty((3, 2))
     for i in range(3):
         for k in range(2):
             X = mode.copy()
             X[i] += DIFFERENCE[i] * (1 - 2 * k)
-            sides[i, k] = INDEPENDENCE * _score(field, x0, y0, resolution, p_BP, X)
+            sides[i, k] = INDEPENDENCE * _score(field, p_BP, X)
         curvature[i, i] = max(0.0, (2.0 * center - sides[i, 0] - sides[i, 1]) / DIFFERENCE[i] ** 2)
     for i in range(3):
         for j in range(i):
@@ -309,18 +286,18 @@ def _gaussian(
                 X = mode.copy()
                 X[i] += DIFFERENCE[i] * (1 - 2 * k)
                 X[j] += DIFFERENCE[j] * (1 - 2 * k)
-                both += INDEPENDENCE * _score(field, x0, y0, resolution, p_BP, X)
+                both += INDEPENDENCE * _score(field, p_BP, X)
             cross = both + 2.0 * center - sides[i, 0] - sides[i, 1] - sides[j, 0] - sides[j, 1]
             cross *= -0.5 / (DIFFERENCE[i] * DIFFERENCE[j])
             # No more than a correlation of 0.9: differences of a field with kinks need not be definite.
             most = 0.9 * math.sqrt(curvature[i, i] * curvature[j, j])
             curvature[i, j] = curvature[j, i] = min(max(cross, -most), most)
-    total = curvature + information
-    if np.linalg.eigvalsh(total)[0] < 0.1 * np.linalg.eigvalsh(information)[0]:
-        total = np.diag(np.diag(curvature)) + information
+    total = curvature + prior.information
+    if np.linalg.eigvalsh(total)[0] < 0.1 * np.linalg.eigvalsh(prior.information)[0]:
+        total = np.diag(np.diag(curvature)) + prior.information
     spread = np.linalg.cholesky(np.linalg.inv(total))
 
-    value = _log_posterior(field, x0, y0, resolution, p_BP, mode, X_prior, information)
+    value = _log_posterior(field, p_BP, prior, mode)
     weight, offset = np.empty(27), np.empty((27, 3))
     u = np.empty(3)
     for k in range(27):
@@ -330,7 +307,7 @@ def _gaussian(
             u[i] = (node - 1.0) * math.sqrt(3.0)
             share *= 2.0 / 3.0 if node == 1 else 1.0 / 6.0
         offset[k] = spread @ u
-        log_ratio = _log_posterior(field, x0, y0, resolution, p_BP, mode + offset[k], X_prior, information) - value
+        log_ratio = _log_posterior(field, p_BP, prior, mode + offset[k]) - value
         weight[k] = share * math.exp(min(log_ratio + 0.5 * float(u @ u), 20.0))
     norm = weight.sum()
     weight /= norm
