@@ -158,7 +158,7 @@ def run(floor: Floor, start: int, method: str, out: Path) -> dict[str, Any]:
     elif method == "tour":
         scenario = PrepareScenario("paper", list(SENSOR), 0, str(floor.map), np.inf)
         scenario.world.start = [*p.tolist(), 0.0]
-        found = {"way": kept_tour(scenario, out.with_suffix("") / "tours", lambda line: None).tour.X_WB[:, :2]}
+        found = {"way": kept_tour(scenario, out.with_suffix("") / "tours", lambda line: None).X_WB[:, :2]}
     else:
         found = mission(floor, p, EXACT if method == "exact" else (), folder, 1000.0 if method == "exact" else 6000.0)
     way = found.pop("way")

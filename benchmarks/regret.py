@@ -24,10 +24,11 @@ import numpy as np
 import offices
 import results
 from time_spent import time_spent
+from tour_bound import tour_bound
 
-from tfg_drake.diagrams.missions.best_tours import kept_tour
-from tfg_drake.diagrams.missions.errors import path_length
-from tfg_drake.diagrams.scenario import LoadScenario
+from tfg_drake.diagrams.missions.best_tours import kept_tour, to_see_in
+from tfg_drake.diagrams.missions.errors import KnownWorld, path_length
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.storage.trajectory import read_tum
 
 # Arguments, in which {seed} stands for the seed, and the seeds.
@@ -64,20 +65,22 @@ def figures(folder: Path, tours: Path) -> dict[str, float] | None:
     """The times and lengths of a mission beside those of the best tour; None if it never explored all."""
     summary = json.loads((folder / "summary.json").read_text())
     scenario = LoadScenario(folder / "scenario.yaml")
-    kept = kept_tour(scenario, tours, lambda line: print(f"  tour, {folder.parent.name}: {line}", flush=True))
-    if summary["explored_s"] is None or not kept.tour.is_enough:
-        print(f"{folder}: {summary['outcome']}, {summary['reason']}; tour enough: {kept.tour.is_enough}", flush=True)
+    tour = kept_tour(scenario, tours, lambda line: print(f"  tour, {folder.parent.name}: {line}", flush=True))
+    if summary["explored_s"] is None or not tour.is_enough:
+        print(f"{folder}: {summary['outcome']}, {summary['reason']}; tour enough: {tour.is_enough}", flush=True)
         return None
     stamps, X_WB = read_tum(folder / "truth.tum")
     until = stamps <= summary["explored_s"]
-    tour, speed = kept.tour, scenario.robot.max_speed
+    world, speed = MakeWorld(scenario.world), scenario.robot.max_speed
+    see = to_see_in(KnownWorld(world, scenario), world, scenario)
+    bound_s, bound_m = tour_bound(world.walls, world.start[:2], see, scenario.robot)
     mine, best = time_spent(stamps[until], X_WB[until], speed), time_spent(tour.stamps, tour.X_WB, speed)
     length, seen = path_length(X_WB[until]), summary["area_seen_s"]
     return {
         "tour_s": tour.time,
         "tour_m": tour.distance,
-        "bound_s": kept.bound_time,
-        "bound_m": kept.bound_length,
+        "bound_s": bound_s,
+        "bound_m": bound_m,
         "explored_s": summary["explored_s"],
         "explored_m": length,
         "time_over": summary["explored_s"] / tour.time,

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.tour_bound import shortest_chain, tour_bound
 from tests.comparison.two_rooms import ROBOT, cells_and_see, world
 from tfg_drake.comparison.best_tour import ToSee, best_tour
-from tfg_drake.comparison.tour_bound import shortest_chain, tour_bound
 from tfg_drake.config import ScanConfig, TagSensorConfig
 from tfg_drake.messages import replace
 
