@@ -95,19 +95,25 @@ def _push_out(walls: FloatArray, pose: FloatArray, previous: FloatArray, radius:
 
 
 @njit(cache=True)
+def _bit_at(bearing: float) -> int:
+    """The bumper's bit (1 right, 2 centre, 4 left) pressed at a bearing, rad; 0 behind."""
+    if abs(bearing) <= _CENTRE_HALF_WIDTH:
+        return 2
+    if abs(bearing) <= _BUMPER_HALF_WIDTH:
+        return 4 if bearing > 0.0 else 1
+    return 0
+
+
+@njit(cache=True)
 def _bumper_bits(walls: FloatArray, pose: FloatArray, reach: float) -> int:
-    """Bumper bits (1 right, 2 centre, 4 left) pressed by walls within reach (m) of the centre."""
+    """The bumper's bits pressed by walls within reach (m) of the centre."""
     bits = 0
     for i in range(walls.shape[0]):
         if _near(walls, i, pose[0], pose[1], reach):
             qx, qy = nearest_on_segment(pose[0], pose[1], walls[i, 0], walls[i, 1], walls[i, 2], walls[i, 3])
             if math.hypot(qx - pose[0], qy - pose[1]) <= reach:
                 bearing = math.atan2(qy - pose[1], qx - pose[0]) - pose[2]
-                bearing = math.pi - (math.pi - bearing) % (2.0 * math.pi)
-                if abs(bearing) <= _CENTRE_HALF_WIDTH:
-                    bits |= 2
-                elif abs(bearing) <= _BUMPER_HALF_WIDTH:
-                    bits |= 4 if bearing > 0.0 else 1
+                bits |= _bit_at(math.pi - (math.pi - bearing) % (2.0 * math.pi))
     return bits
 
 
@@ -225,10 +231,7 @@ def among(before: FloatArray, after: FloatArray, discs: FloatArray, robot: Robot
     if result[TOUCHES]:
         bits = int(result[BUMPER])
         for bearing in wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - result[THETA])[gap <= _RELEASE].tolist():
-            if abs(bearing) <= _CENTRE_HALF_WIDTH:
-                bits |= 2
-            elif abs(bearing) <= _BUMPER_HALF_WIDTH:
-                bits |= 4 if bearing > 0.0 else 1
+            bits |= _bit_at(bearing)
         result[BUMPER] = float(bits)
     return result
 

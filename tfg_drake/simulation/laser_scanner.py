@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry.se2 import compose
@@ -18,8 +17,6 @@ EDGE, ABRUPT = 0.1, 2.0
 
 # Rays of a sweep that are cast from one place: meanwhile the robot moves on by millimetres.
 BLOCK = 16
-
-_NOTHING = np.zeros(0)
 
 
 def ray_angles(config: ScanConfig) -> FloatArray:
@@ -44,8 +41,13 @@ def scan(
     data sheet, config where there is none. discs: (d, 3) what else there is, centre and radius in m. A return that
     noise carries beyond the range is inf, one nearer than the least range nan.
     """
-    nearest = disc_distances(discs, X_WS[:2], angles + X_WS[2]) if discs is not None else _NOTHING
-    ranges = _measured(walls, X_WS, angles, standard_normal, nearest, config.range, config.noise, config.least_range)
+    headings = angles + X_WS[2]
+    ranges = cast_rays(walls, X_WS[:2], headings, config.range)
+    if discs is not None:
+        ranges = np.minimum(ranges, disc_distances(discs, X_WS[:2], headings))
+    ranges = np.maximum(0.0, ranges + config.noise * standard_normal)
+    ranges[ranges < config.least_range] = np.nan
+    ranges[ranges > config.range] = np.inf
     return LaserScan(stamp, angles, ranges, config.range, (stated or config).noise)
 
 
@@ -76,8 +78,6 @@ def swept(
         chord = robot[3] * since * np.sinc(half / math.pi)
         X_WS = compose(compose(robot[:3], np.array([chord * math.cos(half), chord * math.sin(half), 2.0 * half])), X_BS)
         towards = angles[block] + robot[4] * (at[block] - since)
-        # As those of a whole scan are.
-        towards.setflags(write=False)
         ranges[block] = scan(walls, X_WS, stamp, towards, standard_normal[block], config, stated, discs).ranges
     return LaserScan(stamp - sweep_time, angles, ranges, config.range, (stated or config).noise)
 
@@ -106,30 +106,6 @@ def spoilt(scan: LaserScan, uniform: FloatArray, reality: ScanRealityConfig) -> 
     ranges[between] += share[between] * (scan.ranges[between + 1] - scan.ranges[between])
     ranges[uniform < dropout] = np.inf
     return replace(scan, ranges=ranges)
-
-
-@njit(cache=True)
-def _measured(
-    walls: FloatArray,
-    X_WB: FloatArray,
-    angles: FloatArray,
-    normal: FloatArray,
-    nearest: FloatArray,
-    range_max: float,
-    noise: float,
-    least_range: float,
-) -> FloatArray:
-    """nearest: (m,) m, what else each ray meets; empty if there is nothing else."""
-    ranges = cast_rays(walls, X_WB[:2], angles + X_WB[2], range_max)
-    for k in range(len(nearest)):
-        ranges[k] = min(ranges[k], nearest[k])
-    for k in range(len(ranges)):
-        ranges[k] = max(0.0, ranges[k] + noise * normal[k])
-        if ranges[k] > range_max:
-            ranges[k] = np.inf
-        elif ranges[k] < least_range:
-            ranges[k] = np.nan
-    return ranges
 
 
 def no_scan(config: ScanConfig) -> LaserScan:

@@ -23,15 +23,20 @@ OUTLIER_BEARING = 0.3
 
 
 @njit(cache=True)
-def _in_view(
+def visible_tags(
     p_WT: FloatArray,
     facing: FloatArray,
+    walls: FloatArray,
     X_WB: FloatArray,
     range_max: float,
     field_of_view: float,
     max_incidence: float,
 ) -> IntArray:
-    """Rows of the tags within range, field of view and incidence, walls ignored."""
+    """Rows (k,) of the tags that the sensor at X_WB (3,) has in view.
+
+    In view means within range (m) and field of view (rad), seen at no more than max_incidence (rad) from the tag's
+    normal, and with no wall in between. p_WT: (n, 2) m, facing: (n,) rad, of all tags. walls: (w, 4) m.
+    """
     rows = np.empty(p_WT.shape[0], dtype=np.int64)
     count = 0
     ahead_x, ahead_y = math.cos(X_WB[2]), math.sin(X_WB[2])
@@ -47,25 +52,7 @@ def _in_view(
             continue
         rows[count] = i
         count += 1
-    return rows[:count]
-
-
-@njit(cache=True)
-def visible_tags(
-    p_WT: FloatArray,
-    facing: FloatArray,
-    walls: FloatArray,
-    X_WB: FloatArray,
-    range_max: float,
-    field_of_view: float,
-    max_incidence: float,
-) -> IntArray:
-    """Rows (k,) of the tags that the sensor at X_WB (3,) has in view.
-
-    In view means within range (m) and field of view (rad), seen at no more than max_incidence (rad) from the tag's
-    normal, and with no wall in between. p_WT: (n, 2) m, facing: (n,) rad, of all tags. walls: (w, 4) m.
-    """
-    rows = _in_view(p_WT, facing, X_WB, range_max, field_of_view, max_incidence)
+    rows = rows[:count]
     return rows[in_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
 
 
