@@ -38,7 +38,7 @@ from tfg_drake.datasets.evaluation import landmark_error, robot_error
 from tfg_drake.datasets.mrclam import load_mrclam
 from tfg_drake.datasets.online import OnlineRun, run_online
 from tfg_drake.datasets.recording import GroundTruth, Recording
-from tfg_drake.datasets.text import find_file, read_text
+from tfg_drake.datasets.rows import find_file, read_text
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray
 

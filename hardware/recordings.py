@@ -14,8 +14,8 @@ from tfg_drake.datasets.laser_log import load_breezyslam, load_carmen
 from tfg_drake.datasets.mrclam import load_mrclam
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.datasets.rows import found_file
 from tfg_drake.datasets.tagslam import load_tagslam
-from tfg_drake.datasets.text import found_file
 from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.hardware.ros.bag_files import is_bag
 

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.rows import Rows, ShortRowError
-from tfg_drake.datasets.text import parse_numbers
+from tfg_drake.datasets.rows import Rows, ShortRowError, parse_numbers
 from tfg_drake.messages import FloatArray
 
 # By the kind of a line that tells of a scan: words before the number of rays, and words after ranges and remissions.

@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.rows import Rows, ShortRowError
-from tfg_drake.datasets.text import parse_numbers
+from tfg_drake.datasets.rows import Rows, ShortRowError, parse_numbers
 from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray
 

@@ -23,8 +23,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
-from tfg_drake.datasets.rows import Rows
-from tfg_drake.datasets.text import parse_numbers
+from tfg_drake.datasets.rows import Rows, parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import from_place, in_order
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, replace

@@ -13,8 +13,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
-from tfg_drake.datasets.rows import read_table
-from tfg_drake.datasets.text import find_file, found_file
+from tfg_drake.datasets.rows import find_file, found_file, read_table
 from tfg_drake.io.clock_unit import UNITS, clock_unit
 from tfg_drake.messages import FloatArray, Odometry
 from tfg_drake.notes import Note

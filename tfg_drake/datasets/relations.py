@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.rows import Rows
-from tfg_drake.datasets.text import parse_numbers
+from tfg_drake.datasets.rows import Rows, parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, message
 from tfg_drake.storage.trajectory import poses_at

@@ -1,4 +1,5 @@
-"""The rows of a text file as they come, mended where what is meant is plain; what was mended is counted and told.
+"""Text files, plain or packed, and their rows as they come, mended where what is meant is plain; what was mended is
+counted and told. Complaints name file and line.
 
 Read as they are: other line ends, blank lines, a heading with or without '#', columns in the order that it names, words
 parted by white space, commas or semicolons, rows out of order, rows that are there twice, and a last row that was cut
@@ -17,10 +18,18 @@ from typing import TypeVar
 import numpy as np
 
 from tfg_drake.datasets.recording import DatasetError
-from tfg_drake.datasets.text import parse_numbers, read_text
+from tfg_drake.io.files import read_bytes
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.notes import Note
 
+# The longest text that is read, bytes; a log of 300 000 scans of 180 rays has 300 MB.
+_LONGEST = 512 * 2**20
+# gzip makes tables of numbers some ten times shorter; what it made a hundred times shorter is none. Below a MB it
+# does not matter.
+_ZIPPED = 100
+_ANY = 2**20
+# No number that was measured is greater, nor the ns since 1970; what is computed from it stays finite.
+GREATEST = 1e19
 # A heading without '#' has at most so many lines.
 HEADING = 4
 # The last rows that show how many decimals a file writes.
@@ -39,6 +48,58 @@ _UNIT = re.compile(r"[\[(](s|sec|ms|us|ns|m|rad|-|)[\])]")
 _CUT_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d*)?([eE][+-]?)?")
 
 Row = TypeVar("Row")
+
+
+def found_file(folder: Path, name: str) -> Path | None:
+    """The file of this name in a folder, or its gzipped version; None where there is neither."""
+    return next((path for path in (folder / name, folder / f"{name}.gz") if path.is_file()), None)
+
+
+def find_file(folder: Path, name: str) -> Path:
+    """The same where it must be there.
+
+    Raises:
+        DatasetError: there is neither.
+    """
+    if (path := found_file(folder, name)) is None:
+        raise DatasetError(f"{folder / name}: no such file, nor with .gz; put it there")
+    return path
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, unpacked where its name ends in .gz or .bz2.
+
+    Raises:
+        DatasetError: the file cannot be read, or is too long.
+    """
+    try:
+        most = min(_LONGEST, max(_ANY, _ZIPPED * path.stat().st_size))
+        data = read_bytes(path, most + 1)
+        if len(data) > most:
+            raise DatasetError(f"{path}: more than {most / 2**20:.0f} MiB of text; is it what its name says?")
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: not a text file; is it what its name says?") from error
+    except OSError as error:
+        packed = "bzip2" if path.suffix == ".bz2" else "gzip"  # says no number of an error
+        told = f"not a whole {packed} file; copy it again" if error.errno is None else str(error.strerror).lower()
+        raise DatasetError(f"{path}: {told}") from error
+
+
+def parse_numbers(path: Path, line: int, words: list[str]) -> list[float]:
+    """The words of a line of a file as numbers.
+
+    Raises:
+        DatasetError: one of them is not a finite number below GREATEST.
+    """
+    try:
+        numbers = [float(word) for word in words]
+        if all(-GREATEST < number < GREATEST for number in numbers):
+            return numbers
+    except ValueError:
+        pass  # which it is, is found below
+    wrong = next(word for word in words if not (_is_number(word) and abs(float(word)) < GREATEST))
+    raise DatasetError(f"{path}, line {line}: {wrong[:40]!r} is not a finite number below {GREATEST:g}; mend the line")
 
 
 class ShortRowError(DatasetError):

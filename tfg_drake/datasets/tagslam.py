@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
-from tfg_drake.datasets.rows import read_table
-from tfg_drake.datasets.text import GREATEST, find_file, found_file, read_text
+from tfg_drake.datasets.rows import GREATEST, find_file, found_file, read_table, read_text
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry
 from tfg_drake.notes import Note

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import gzip
 import json
@@ -22,6 +23,8 @@ _LARGEST_ARRAYS = 64 * 2**20
 # What is packed stands for so many bytes at most, or for so many times its own: what a run packs shrinks to a tenth at
 # best, zeros to a thousandth.
 _LEAST_UNPACKED, _MOST_SHRUNK = 64 * 2**20, 32
+# By a file's suffix, what unpacks it.
+_UNPACKED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open}
 
 
 class FileError(BadInput, ValueError):
@@ -81,16 +84,17 @@ def most_unpacked(path: Path) -> int:
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The first `most` bytes of a file, all where it has fewer, unzipped where its name ends in .gz.
+    """The first `most` bytes of a file, all where it has fewer, unpacked where its name ends in .gz or .bz2.
 
-    No more than these are unzipped: a file of zeros shrinks to a thousandth.
+    No more than these are unpacked: a file of zeros shrinks to a thousandth.
 
     Raises:
-        OSError: the file cannot be read; gzip.BadGzipFile, which is one, where it is no gzip file or not a whole one.
+        OSError: the file cannot be read; one without errno, such as gzip.BadGzipFile, where it is no packed file or not
+            a whole one.
     """
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            return file.read(most)
+        with path.open("rb") as plain, _UNPACKED.get(path.suffix, contextlib.nullcontext)(plain) as file:
+            return bytes(file.read(most))
     except (EOFError, zlib.error) as error:
         raise gzip.BadGzipFile(str(error)) from None
 
