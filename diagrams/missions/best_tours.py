@@ -20,7 +20,7 @@ from tfg_drake.storage.trajectory import read_tum
 from tfg_drake.world.world import World
 
 # Changes when the search does: what another one found is not taken for its own.
-SEARCH = 1
+SEARCH = 2
 
 
 def to_see_in(known: KnownWorld, world: World, scenario: Scenario) -> ToSee:
