@@ -56,47 +56,6 @@ def visible_tags(
     return rows[in_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
 
 
-@njit(cache=True)
-def _sighted(
-    p_WT: FloatArray,
-    facing: FloatArray,
-    ids: IntArray,
-    walls: FloatArray,
-    X_WB: FloatArray,
-    range_max: float,
-    field_of_view: float,
-    max_incidence: float,
-    normal: FloatArray,
-    threshold: float,
-    range_scale: float,
-    range_noise: float,
-    noise_per_metre: float,
-) -> tuple[IntArray, FloatArray]:
-    """Rows (k,) of the tags that a frame shows, their ids ascending; column for column (3, k) where they are from the
-    sensor, m along W's axes, and the measured range, m, which may be negative.
-
-    threshold: a tag is shown where its third number of normal (n, NOISE_PER_TAG) is less than this.
-    """
-    rows = visible_tags(p_WT, facing, walls, X_WB, range_max, field_of_view, max_incidence)
-    shown = 0
-    for row in rows:
-        if normal[row, 2] < threshold:
-            # Sorted by insertion: they are few.
-            k = shown
-            while k > 0 and ids[rows[k - 1]] > ids[row]:
-                rows[k] = rows[k - 1]
-                k -= 1
-            rows[k] = row
-            shown += 1
-    rows = rows[:shown]
-    told = np.empty((3, shown))
-    for k in range(shown):
-        told[0, k], told[1, k] = p_WT[rows[k], 0] - X_WB[0], p_WT[rows[k], 1] - X_WB[1]
-        distance = math.hypot(told[0, k], told[1, k])
-        told[2, k] = range_scale * distance + (range_noise + noise_per_metre * distance) * normal[rows[k], 0]
-    return rows, told
-
-
 def detect(
     world: World,
     X_WS: FloatArray,
@@ -116,32 +75,24 @@ def detect(
     tag_errors: (n, 2) constant errors of each tag's range, m, and bearing, rad. discs: (d, 3) what else hides tags,
     centre and radius in m. detection_range: m, see `detected_share`; 0: detection does not fall with range.
     """
-    rows, told = _sighted(
-        world.p_WT,
-        world.tag_facing,
-        world.tag_ids,
-        world.walls,
-        X_WS,
-        config.range,
-        config.field_of_view,
-        config.max_incidence,
-        standard_normal,
-        ndtri(config.detection_probability),
-        config.range_scale,
-        config.range_noise,
-        config.range_noise_per_metre,
-    )
+    limits = config.range, config.field_of_view, config.max_incidence
+    rows = visible_tags(world.p_WT, world.tag_facing, world.walls, X_WS, *limits)
+    rows = rows[standard_normal[rows, 2] < ndtri(config.detection_probability)]
+    rows = rows[np.argsort(world.tag_ids[rows], kind="stable")]
     if discs is not None:
-        clear = disc_distances(discs, X_WS[:2], np.arctan2(told[1], told[0])) > np.hypot(told[0], told[1])
-        rows, told = rows[clear], told[:, clear]
-    east, north, measured = told
+        east, north = (world.p_WT[rows] - X_WS[:2]).T
+        rows = rows[disc_distances(discs, X_WS[:2], np.arctan2(north, east)) > np.hypot(east, north)]
     probability: float | FloatArray = config.detection_probability
     if detection_range > 0.0:
+        east, north = (world.p_WT[rows] - X_WS[:2]).T
         aslant = -(np.cos(world.tag_facing[rows]) * east + np.sin(world.tag_facing[rows]) * north)
         probability = probability * detected_share(np.hypot(east, north), aslant, detection_range)
         shown = ndtr(standard_normal[rows, 2]) < probability
         rows, probability = rows[shown], probability[shown]
-        east, north, measured = told[:, shown]
+    east, north = (world.p_WT[rows] - X_WS[:2]).T
+    distance = np.hypot(east, north)
+    noise = (config.range_noise + config.range_noise_per_metre * distance) * standard_normal[rows, 0]
+    measured = config.range_scale * distance + noise
     bearing = np.arctan2(north, east) - X_WS[2] + config.bearing_noise * standard_normal[rows, 1]
     if tag_errors is not None:
         measured += tag_errors[rows, 0]
