@@ -207,7 +207,7 @@ def _run_recording(recording: Recording, folder: Path, say: Callable[[str], obje
     middle = time.process_time()
     smoothed = smooth(recording.odometry, recording.detections, recording.model, _shares(say, "batch"))
     end = time.process_time()
-    truth = recording.truth or _no_truth()
+    truth = recording.truth or empty(GroundTruth)
     robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)
     online_robot = robot_error(truth, online.stamps[online.seen], online.X_MB[online.seen])
     blind_too = robot_error(truth, online.stamps, online.X_MB)
@@ -277,7 +277,7 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
     except ValueError as error:
         raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
     write_g2o(folder / "solved.g2o", solved)
-    truth, way = _no_truth(), {"smoothed": solved.X_MB[:, :2]}
+    truth, way = empty(GroundTruth), {"smoothed": solved.X_MB[:, :2]}
     draw_slam(folder / "figure.png", name, way, solved.landmark_ids, solved.p_ML, truth, truth.ids)
     return {
         "method": GRAPH_METHOD,
@@ -298,10 +298,6 @@ def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, repor
         "batch_cpu_s": time.process_time() - start,
         "notes": _told(graph.notes),
     }
-
-
-def _no_truth() -> GroundTruth:
-    return GroundTruth(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
 def _shares(say: Callable[[str], object], part: str) -> OnProgress:

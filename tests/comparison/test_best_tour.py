@@ -9,8 +9,7 @@ import pytest
 
 from tests.comparison.two_rooms import ROBOT, START, WALLS, cells_and_see, world
 from tfg_drake.comparison.best_tour import Search, ToSee, best_tour, driven, turn_time
-from tfg_drake.comparison.curves import scan_coverage
-from tfg_drake.comparison.sight import seen_from
+from tfg_drake.comparison.curves import scan_coverage, seen_from
 from tfg_drake.config import ScanConfig, TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import wrap_angle

@@ -16,9 +16,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.comparison.curves import STEP, TURN, view_rows
+from tfg_drake.comparison.curves import STEP, TURN, seen_from, view_rows
 from tfg_drake.comparison.known_ways import known_ways
-from tfg_drake.comparison.sight import seen_from
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, message

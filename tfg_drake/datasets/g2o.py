@@ -17,6 +17,7 @@ from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.datasets.rows import Rows, ShortRowError, parse_numbers
 from tfg_drake.io.files import write_atomic
+from tfg_drake.mapfile.g2o import g2o_line
 from tfg_drake.messages import FloatArray
 
 # Ids and numbers after each tag.
@@ -99,25 +100,16 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    lines = []
-
-    def add(tag: str, ids: list[int], *numbers: FloatArray) -> None:
-        values = np.concatenate([np.empty(0), *numbers])
-        if np.isfinite(values).all():
-            lines.append(" ".join([tag, *map(str, ids), *(repr(float(value)) for value in values)]))
-
-    for i, X_MB in zip(graph.pose_ids.tolist(), graph.X_MB, strict=True):
-        add("VERTEX_SE2", [i], X_MB)
-    for i, p_ML in zip(graph.landmark_ids.tolist(), graph.p_ML, strict=True):
-        add("VERTEX_XY", [i], p_ML)
-    for i in graph.fixed.tolist():
-        add("FIX", [i])
-    upper = np.triu_indices(3)
-    for ids, X_ij, information in zip(graph.edges.tolist(), graph.X_ij, graph.edge_information, strict=True):
-        add("EDGE_SE2", ids, X_ij, information[upper])
-    upper = np.triu_indices(2)
-    for ids, p_BL, information in zip(graph.sightings.tolist(), graph.p_BL, graph.sighting_information, strict=True):
-        add("EDGE_SE2_XY", ids, p_BL, information[upper])
+    poses, landmarks = zip(graph.pose_ids, graph.X_MB, strict=True), zip(graph.landmark_ids, graph.p_ML, strict=True)
+    lines = [g2o_line("VERTEX_SE2", [i], X_MB) for i, X_MB in poses if np.isfinite(X_MB).all()]
+    lines += [g2o_line("VERTEX_XY", [i], p_ML) for i, p_ML in landmarks if np.isfinite(p_ML).all()]
+    lines += [g2o_line("FIX", [i]) for i in graph.fixed]
+    for tag, ids, measured, information in (
+        ("EDGE_SE2", graph.edges, graph.X_ij, graph.edge_information),
+        ("EDGE_SE2_XY", graph.sightings, graph.p_BL, graph.sighting_information),
+    ):
+        upper = np.triu_indices(information.shape[-1])
+        lines += [g2o_line(tag, *row) for row in zip(ids, measured, information[:, *upper], strict=True)]
     write_atomic(path, "\n".join(lines) + "\n")
 
 

@@ -30,6 +30,7 @@ from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, replac
 from tfg_drake.notes import Note
 from tfg_drake.simulation import odometry
 from tfg_drake.storage.trajectory import poses_at
+from tfg_drake.table import empty
 
 # A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
 NO_RETURN = 49.9
@@ -115,7 +116,7 @@ def load_carmen(path: Path, model: OdometryConfig, seed: int, scanner: Mapping[s
         odometry=odometry_along(stamps, poses, tells_rest=True) if raw else _noisy_odometry(stamps, poses, model, seed),
         scans=tuple(from_place(one, place) for one in scans),
         model=model,
-        truth=None if raw else GroundTruth(stamps, poses, np.empty(0, dtype=np.int64), np.empty((0, 2))),
+        truth=None if raw else empty(GroundTruth, stamps=stamps, X_WB=poses),
         notes=rows.notes + untrue,
         detections=(),
         scanner=believed,

@@ -15,8 +15,9 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import find_file, found_file, read_table
 from tfg_drake.io.clock_unit import UNITS, clock_unit
-from tfg_drake.messages import FloatArray, Odometry
+from tfg_drake.messages import FloatArray, Odometry, replace
 from tfg_drake.notes import Note
+from tfg_drake.table import empty
 
 # Subjects 1 to 5 are robots, 6 to 20 landmarks.
 ROBOTS = range(1, 6)
@@ -138,17 +139,14 @@ def _without_long_turns(rows: FloatArray) -> tuple[FloatArray, str]:
 def _truth(folder: Path, robot: int, unit: float) -> tuple[GroundTruth | None, list[Note]]:
     """Ground truth, if any, and notes on mended lines. unit: of its stamps, s."""
     notes: list[Note] = []
-    stamps, X_WB = np.empty(0), np.empty((0, 3))
-    ids, p_WL = np.empty(0, dtype=np.int64), np.empty((0, 2))
+    truth = empty(GroundTruth)
     if file := found_file(folder, f"Robot{robot}_Groundtruth.dat"):
         poses, mended = read_table(file, ("time", "x", "y", "heading"))
         notes += mended
-        stamps, X_WB = unit * poses[:, 0], poses[:, 1:]
+        truth = replace(truth, stamps=unit * poses[:, 0], X_WB=poses[:, 1:])
     if file := found_file(folder, "Landmark_Groundtruth.dat"):
         landmarks, mended = read_table(file, ("subject", "x", "y", "sigma x", "sigma y"), timed=False)
         notes += mended
         landmarks = landmarks[np.argsort(landmarks[:, 0])]
-        ids, p_WL = landmarks[:, 0].astype(np.int64), landmarks[:, 1:3]
-    if not len(stamps) and not len(ids):
-        return None, notes
-    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=ids, p_WL=p_WL), notes
+        truth = replace(truth, ids=landmarks[:, 0].astype(np.int64), p_WL=landmarks[:, 1:3])
+    return (truth if len(truth.stamps) or len(truth.ids) else None), notes

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -33,10 +33,10 @@ class GroundTruth:
     stamps: (n,) s, X_WB: (n, 3) the body's poses. ids: (m,) ascending, p_WL: (m, 2) landmarks, m.
     """
 
-    stamps: FloatArray
-    X_WB: FloatArray
-    ids: IntArray
-    p_WL: FloatArray
+    stamps: Annotated[FloatArray, "n"]
+    X_WB: Annotated[FloatArray, "n", 3]
+    ids: Annotated[IntArray, "m"]
+    p_WL: Annotated[FloatArray, "m", 2]
 
 
 @message

@@ -22,10 +22,11 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import GREATEST, find_file, found_file, read_table, read_text
 from tfg_drake.io.yaml_text import parse_yaml
-from tfg_drake.messages import FloatArray, IntArray, Odometry
+from tfg_drake.messages import FloatArray, IntArray, Odometry, replace
 from tfg_drake.notes import Note
+from tfg_drake.table import empty
 from tfg_drake.vision.calibration import calibration_of
-from tfg_drake.vision.tag_position import tag_positions
+from tfg_drake.vision.tag_position import polar, tag_positions
 
 # Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
 CORNER_NOISE = 0.5
@@ -163,27 +164,23 @@ def _detections(
     R_BR = R_BV @ R
     p = (R_BR @ p_RT[kept, :, None])[:, :2, 0]
     P = (R_BR @ covariance[kept] @ np.swapaxes(R_BR, 1, 2))[:, :2, :2]
-    distance = np.hypot(p[:, 0], p[:, 1])
+    distance, bearing, along, across = polar(p, P)
     if lost := int(np.count_nonzero(np.isnan(distance))):
         notes.append(Note("messages", None, f"{lost} detections whose corners are no square's were left out"))
     far = distance > LEAST_RANGE
-    p, P, distance, kept = p[far], P[far], distance[far], kept[far]
-    radial = p / distance[:, None]
-    across = np.column_stack([-radial[:, 1], radial[:, 0]])
-    sigma_range = np.sqrt(np.einsum("ni,nij,nj->n", radial, P, radial) + RANGE_FLOOR**2)
-    sigma_bearing = np.sqrt(np.einsum("ni,nij,nj->n", across, P, across) / distance**2 + BEARING_FLOOR**2)
-    return table[kept, 0], ids[kept], distance, np.arctan2(p[:, 1], p[:, 0]), sigma_range, sigma_bearing
+    distance, bearing, kept = distance[far], bearing[far], kept[far]
+    sigma_range = np.sqrt(along[far] + RANGE_FLOOR**2)
+    sigma_bearing = np.sqrt(across[far] / distance**2 + BEARING_FLOOR**2)
+    return table[kept, 0], ids[kept], distance, bearing, sigma_range, sigma_bearing
 
 
 def _truth(folder: Path, setup: _Setup, notes: list[Note]) -> GroundTruth | None:
     """The survey and the reference trajectory; not independent of the detections, but all there is."""
-    stamps, X_WB = np.empty(0), np.empty((0, 3))
+    truth = empty(GroundTruth, ids=setup.surveyed_ids, p_WL=setup.p_WT[:, :2])
     if found_file(folder, "tagslam_reference.csv"):
         stamps, R_WR, p_WR = _rig_poses(folder, "tagslam_reference.csv", np.eye(3), np.zeros(3), notes)
-        X_WB = np.column_stack([p_WR[:, :2], _heading(R_WR)])
-    if not len(stamps) and not len(setup.surveyed_ids):
-        return None
-    return GroundTruth(stamps=stamps, X_WB=X_WB, ids=setup.surveyed_ids, p_WL=setup.p_WT[:, :2])
+        truth = replace(truth, stamps=stamps, X_WB=np.column_stack([p_WR[:, :2], _heading(R_WR)]))
+    return truth if len(truth.stamps) or len(truth.ids) else None
 
 
 def _rig_poses(

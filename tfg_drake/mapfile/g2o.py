@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -33,9 +33,9 @@ def landmark_base(saved: SavedMap) -> int:
 def _lines(saved: SavedMap) -> Iterator[str]:
     graph, base, tags, poses = saved.graph, landmark_base(saved), saved.is_tag, len(saved.graph.X_MN)
     for j, X_WN in enumerate(compose(saved.X_WM, graph.X_MN)):
-        yield f"VERTEX_SE2 {j} {_numbers(X_WN)}"
+        yield g2o_line("VERTEX_SE2", [j], X_WN)
     for tag, p_WL in zip(saved.ids.tolist(), transform(saved.X_WM, saved.p_ML), strict=True):
-        yield f"VERTEX_XY {base + tag} {_numbers(p_WL)}"
+        yield g2o_line("VERTEX_XY", [base + tag], p_WL)
     of_walls = []
     for j, one in enumerate(graph.keyframes):
         y_AL, X_AD, covariance = one.given(graph.shared.mean)
@@ -45,14 +45,14 @@ def _lines(saved: SavedMap) -> Iterator[str]:
             block = covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             if i < one.walls:
                 block, wall = by_wall[i] @ block @ by_wall[i].T, _wall(number, poses)
-                of_walls.append(f"EDGE_SE2_LINE2D {j} {wall} {_numbers(lines[i])} {_information(block)}")
+                of_walls.append(g2o_line("EDGE_SE2_LINE2D", [j, wall], lines[i], _information(block)))
                 continue
-            yield f"EDGE_SE2_XY {j} {base + number} {_numbers(y_AL[i])} {_information(block)}"
+            yield g2o_line("EDGE_SE2_XY", [j, base + number], y_AL[i], _information(block))
     # At the end: GTSAM's readG2o finds no edge after a line that it does not know.
     yield "FIX 0"
     walls, anchor = placed(saved.X_WM, graph.ids[~tags], graph.p_ML[~tags], graph.anchor[~tags])
     for number, line in zip(graph.ids[~tags].tolist(), _from_origin(walls, anchor)[0], strict=True):
-        yield f"VERTEX_LINE2D {_wall(number, poses)} {_numbers(line)} -1 -1"
+        yield g2o_line("VERTEX_LINE2D", [_wall(number, poses)], line) + " -1 -1"
     yield from of_walls
     yield f"# keyframe j leads from vertex j to vertex j + 1; tag i is vertex {base} + i"
     if of_walls:
@@ -78,15 +78,16 @@ def _motion(start: int, end: int, X: FloatArray, covariance: FloatArray) -> str:
     """X (3,) between two poses, its covariance (3, 3) in the axes of the first; g2o takes it in those of the second."""
     turn = np.eye(3)
     turn[:2, :2] = rotation(float(X[2])).T
-    return f"EDGE_SE2 {start} {end} {_numbers(X)} {_information(turn @ covariance @ turn.T)}"
+    return g2o_line("EDGE_SE2", [start, end], X, _information(turn @ covariance @ turn.T))
 
 
-def _information(covariance: FloatArray) -> str:
+def _information(covariance: FloatArray) -> FloatArray:
     """The upper triangle of the inverse, row by row."""
     information = np.linalg.inv(covariance)
     information = 0.5 * (information + information.T)
-    return _numbers(information[np.triu_indices(len(covariance))])
+    return np.asarray(information[np.triu_indices(len(covariance))])
 
 
-def _numbers(values: FloatArray) -> str:
-    return " ".join(repr(value) for value in values.tolist())
+def g2o_line(tag: str, ids: Iterable[int], *numbers: FloatArray) -> str:
+    """A line of such a file: its numbers are read again to the bit."""
+    return " ".join([tag, *map(str, ids), *(repr(value) for some in numbers for value in some.tolist())])

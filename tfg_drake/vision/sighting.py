@@ -12,7 +12,7 @@ from tfg_drake.messages import FloatArray, TagDetections, message
 from tfg_drake.table import empty
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.vision.tag_position import tag_positions
+from tfg_drake.vision.tag_position import LEAST_RANGE, polar, tag_positions
 
 if TYPE_CHECKING:
     # Only who detects tags needs the detector's package.
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 EDGE = 1.0
 # What an image has less in common with a tag's cells is no tag that can be seen as a whole. Real ones have 0.91 to 1.
 LEAST_LIKENESS = 0.9
-# Nearer than that a bearing means nothing, m.
-LEAST_RANGE = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,12 +131,5 @@ def in_plane(
     R_BC = mount.R_BC[:2]
     p_BT = p_CT @ R_BC.T + mount.p_BC[:2]
     covariance = noise.pixels**2 * (R_BC @ unit @ R_BC.T) + noise.place**2 * np.eye(2)
-    distance = np.hypot(p_BT[:, 0], p_BT[:, 1])
-    along = p_BT / np.maximum(distance, LEAST_RANGE)[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    return (
-        distance,
-        np.arctan2(p_BT[:, 1], p_BT[:, 0]),
-        np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along)),
-        np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across)) / np.maximum(distance, LEAST_RANGE),
-    )
+    distance, bearing, along, across = polar(p_BT, covariance)
+    return distance, bearing, np.sqrt(along), np.sqrt(across) / np.maximum(distance, LEAST_RANGE)

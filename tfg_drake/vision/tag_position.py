@@ -13,6 +13,8 @@ from tfg_drake.vision.calibration import CameraCalibration
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 # The sides of a tag, at a corner, span more than that, square pixels: its cells are pixels at the least.
 LEAST_TURN = 9.0
+# Nearer than that a bearing means nothing, m.
+LEAST_RANGE = 0.01
 # No lens sees a corner farther out on the plane z = 1 (89.4 degrees).
 WIDEST = 100.0
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
@@ -42,6 +44,16 @@ def tag_positions(
             root = np.hstack([on_points[:, 2 * k : 2 * k + 2] @ on_pixels[i][order][k] for k in range(4)])
             covariance[i] = root @ root.T
     return centres, covariance
+
+
+def polar(p: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Range (n,), m, and bearing (n,), rad, of points (n, 2), m, and the variances (n,), m^2, along the line of sight
+    and across it, by their covariance (n, 2, 2). What is nearer than LEAST_RANGE has no direction."""
+    distance = np.hypot(p[:, 0], p[:, 1])
+    along = p / np.maximum(distance, LEAST_RANGE)[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    variances = (np.einsum("ni,nij,nj->n", one, covariance, one) for one in (along, across))
+    return distance, np.arctan2(p[:, 1], p[:, 0]), *variances
 
 
 def _turns(polygon: FloatArray) -> FloatArray:
