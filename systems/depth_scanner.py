@@ -14,8 +14,7 @@ from tfg_drake.messages import LaserScan
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import MessageState
 from tfg_drake.vision.calibration import CameraCalibration
-from tfg_drake.vision.depth_noise import with_noise
-from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
+from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan, with_noise
 from tfg_drake.vision.mount import CameraMount
 
 # A number between 0 and 1 is so many seeds; another than that of a grey image of the same instant.

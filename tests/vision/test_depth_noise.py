@@ -7,7 +7,7 @@ import pytest
 
 from tests.cameras import pinhole
 from tests.vision.test_depth_scan import CONFIG, LEVEL, room, scanned
-from tfg_drake.vision.depth_noise import with_noise
+from tfg_drake.vision.depth_scan import with_noise
 
 CAMERA = pinhole(320, 240, 250.0)
 

@@ -46,8 +46,8 @@ class Access:
 
     p_MF: (f, 2) centres of the frontiers' cells, m in M. frontier: (f,) to which frontier each belongs. live: (f,) not
     tried as often as allowed yet. open: (f,) the robot would fit there and, were it willing to pass so near to
-    obstacles that it all but touches them, could get there. stand: (f, 2) cells to look from. at_hand: (f,) there is
-    such a cell. cost: (f,) m to the frontier's cell by way of it, weighted by clearance, inf where there is none.
+    obstacles that it all but touches them, could get there. stand: (f, 2) cells to look from. cost: (f,) m to the
+    frontier's cell by way of it, weighted by clearance, inf where there is no such cell.
     """
 
     p_MF: FloatArray
@@ -55,13 +55,12 @@ class Access:
     live: BoolArray
     open: BoolArray
     stand: IntArray
-    at_hand: BoolArray
     cost: FloatArray
 
     @property
     def worth(self) -> BoolArray:
         """The cells (f,) to set out for."""
-        return self.live & self.at_hand
+        return np.asarray(self.live & np.isfinite(self.cost))
 
 
 def find_access(
@@ -73,7 +72,7 @@ def find_access(
     live = np.ones(len(cells), dtype=np.bool_)
     if len(tried.p_MF):
         live = cKDTree(tried.p_MF).query_ball_point(p_MF, SAME_PLACE, return_length=True) < attempts
-    at_hand, stand, cost = np.zeros(len(cells), dtype=np.bool_), cells.copy(), np.full(len(cells), np.inf)
+    stand, cost = cells.copy(), np.full(len(cells), np.inf)
     standing = ways.reachable & ~_disc(grid, p_MB, APART)
     if standing.any():
         _, nearest = ndimage.distance_transform_edt(~standing, return_indices=True)
@@ -83,7 +82,7 @@ def find_access(
             ways.cells == OCCUPIED, in_cells(grid, center_of(grid, stand)), in_cells(grid, p_MF)
         )
         cost = np.where(at_hand, ways.cost[tuple(stand.T)] + away, np.inf)
-    return Access(p_MF, of, live, _enterable(ways, robot.radius)[tuple(cells.T)], stand, at_hand, cost)
+    return Access(p_MF, of, live, _enterable(ways, robot.radius)[tuple(cells.T)], stand, cost)
 
 
 def _disc(grid: GridMap, center: FloatArray, radius: float) -> BoolArray:

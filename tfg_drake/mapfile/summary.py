@@ -21,10 +21,12 @@ def map_rows(saved: SavedMap, size: int) -> list[tuple[str, str]]:
     length = np.hypot(*(tfg.segments[:, 2:] - tfg.segments[:, :2]).T)
     area = covered_area(tfg.star_offsets, tfg.star_vertices)
     across = known_walls(saved.graph)[2]
+    names = ", ".join(map(str, saved.doubtful.tolist()))
+    doubtful = f"; doubtful: tags {names}" if names else ""
     rows = [
         ("world frame", f"origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad"),
         ("views", f"{saved.stage} turns and glances, the last at {saved.stamp:.1f} s"),
-        ("landmarks", landmark_counts(len(saved.ids), len(across)) + _named_doubtful(saved)),
+        ("landmarks", landmark_counts(len(saved.ids), len(across)) + doubtful),
         *([("tags", _deviation(saved))] if len(saved.ids) else []),
         *([("walls", _walls(across))] if len(across) else []),
         ("entropy", f"{saved.entropy:.1f} nats"),
@@ -46,10 +48,6 @@ def landmark_counts(tags: int, walls: int) -> str:
     """How many landmarks there are of each kind that there is: "4 tags, 1 wall"."""
     counts = [f"{n} {kind}{'s' if n != 1 else ''}" for kind, n in (("tag", tags), ("wall", walls)) if n]
     return ", ".join(counts) or "no landmarks"
-
-
-def _named_doubtful(saved: SavedMap) -> str:
-    return f"; doubtful: tags {', '.join(map(str, saved.doubtful.tolist()))}" if len(saved.doubtful) else ""
 
 
 def _deviation(saved: SavedMap) -> str:

@@ -1,4 +1,5 @@
-"""A depth image as a planar scan: the nearest thing in each direction within a band of heights."""
+"""A depth image as a planar scan, the nearest thing in each direction within a band of heights; and what a depth camera
+makes of perfect depth: noise that grows with the square of it, alike in neighbouring pixels."""
 
 from __future__ import annotations
 
@@ -16,6 +17,8 @@ from tfg_drake.vision.mount import CameraMount
 
 # Pixels of one thing differ by no more than so many standard deviations: of many the nearest is half as many too near.
 SAME_THING = 5.0
+# Stereo compares windows: pixels of a square this wide have one error.
+_WINDOW = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,3 +156,14 @@ def _mean_of_nearest(nearest: FloatArray, ranges: FloatArray, begins: IntArray, 
 
 def _in_band(height: FloatArray, config: DepthScanConfig) -> BoolArray:
     return np.asarray((height >= config.low) & (height <= config.high))
+
+
+def with_noise(depth: NDArray[np.float32], noise: float, seed: int) -> NDArray[np.float32]:
+    """A depth image (h, w), m, 0 and inf as they are. noise: standard deviation at 1 m, m. seed: of the noise."""
+    if noise == 0.0:
+        return depth
+    h, w = depth.shape
+    drawn = np.random.default_rng(seed).standard_normal((-(-h // _WINDOW), -(-w // _WINDOW)), dtype=np.float32)
+    error = np.repeat(np.repeat(np.float32(noise) * drawn, _WINDOW, axis=0), _WINDOW, axis=1)[:h, :w]
+    measured = np.where(np.isfinite(depth), depth, np.float32(0.0))
+    return np.where(measured > 0.0, np.maximum(measured + error * measured**2, np.float32(1e-3)), depth)
