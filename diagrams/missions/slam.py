@@ -18,14 +18,21 @@ from threadpoolctl import threadpool_limits
 from tfg_drake import __version__
 from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.batch_smoother import smooth
-from tfg_drake.datasets.evaluation import hits, landmark_error, relative_error, robot_error, truth_at, wall_thickness
+from tfg_drake.datasets.evaluation import (
+    hits,
+    landmark_error,
+    poses_between,
+    relative_error,
+    robot_error,
+    truth_at,
+    wall_thickness,
+)
 from tfg_drake.datasets.figure import draw_laser_map, draw_slam
 from tfg_drake.datasets.g2o import write_g2o
 from tfg_drake.datasets.online import run_online
 from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, OnProgress, Recording
 from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
-from tfg_drake.datasets.way import poses_between
 from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.mission_runner import Progress

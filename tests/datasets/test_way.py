@@ -3,8 +3,8 @@
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.evaluation import poses_between
 from tfg_drake.datasets.recording import Recording
-from tfg_drake.datasets.way import poses_between
 from tfg_drake.messages import LaserScan, Odometry
 
 NONE = np.zeros(0)

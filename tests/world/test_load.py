@@ -10,9 +10,8 @@ from PIL import Image
 from shapely.geometry import LineString, box
 from shapely.ops import polygonize, unary_union
 
-from tfg_drake.world.load import furnish, load_map
+from tfg_drake.world.load import draw_start, furnish, load_map
 from tfg_drake.world.map_server import borders, load_map_server
-from tfg_drake.world.start import draw_start
 from tfg_drake.world.vectormap import load_vectormap
 from tfg_drake.world.world import WorldError, check_world
 
