@@ -26,8 +26,8 @@ from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPos
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.vision.sighting import LEAST_RANGE, TagNoise, in_plane
-from tfg_drake.vision.tag_position import tag_positions
+from tfg_drake.vision.sighting import TagNoise, in_plane
+from tfg_drake.vision.tag_position import LEAST_RANGE, tag_positions
 
 # A robot whose odometry tells no more motion than this has not turned a wheel: m or m/s, and rad/s.
 REST, REST_TURN_RATE = 1e-5, 1e-3

@@ -96,12 +96,12 @@ def test_children_of_one_parent_share_its_tiles_and_old_maps_stay():
     first = insert_scan(empty_maps(4, 0.05), np.arange(4), poses, one)
     before = [log_odds(first, p)[1].copy() for p in range(4)]
     second = insert_scan(first, np.array([1, 1, 1, 3]), poses + 0.1, one)
-    np.testing.assert_array_equal(second.index[0], second.index[2])
-    assert not np.array_equal(second.index[0], second.index[3])
+    np.testing.assert_array_equal(second.table[0], second.table[2])
+    assert not np.array_equal(second.table[0], second.table[3])
     for p in range(4):
         np.testing.assert_array_equal(log_odds(first, p)[1], before[p])
     # Every tile of the pool is somebody's.
-    assert set(np.unique(second.index)) | {0} == set(range(len(second.tiles)))
+    assert set(np.unique(second.table)) | {0} == set(range(len(second.tiles)))
     with pytest.raises(ValueError, match="read-only"):
         second.tiles[0, 0, 0, 0] = 1
 
@@ -134,7 +134,7 @@ def test_tiles_shared_or_not_the_map_is_that_of_one_particle_alone():
 def test_growing_keeps_what_is_known():
     maps = insert_scan(empty_maps(1, 0.1), np.zeros(1, dtype=int), np.zeros((1, 3)), scan([0.3], [1.0]))
     wide = grown(maps, np.array([-20.0, -3.0]), np.array([5.0, 30.0]))
-    assert wide.index.shape[1] * 3.2 > 33.0
+    assert wide.table.shape[1] * 3.2 > 33.0
     for x, y in ((0.05, 0.05), (math.cos(0.3), math.sin(0.3)), (0.5, 0.9)):
         assert value(wide, 0, x, y) == value(maps, 0, x, y)
     assert grown(wide, np.zeros(2), np.ones(2)) is wide

@@ -46,29 +46,29 @@ ODDS, ENDS, MEAN_X, MEAN_Y = 0, 1, 2, 3
 class TileMaps(NamedTuple):
     """The grids of n particles; nobody changes them.
 
-    resolution: side of a cell, m. corner: (2,) x and y, in tiles from M's origin, of the tile that index[:, 0, 0]
-    names. index: (n, h, w) each particle's tiles, rows along y. tiles: (t, TILE, TILE, 4) the pool; tile 0 is the
+    resolution: side of a cell, m. corner: (2,) x and y, in tiles from M's origin, of the tile that table[:, 0, 0]
+    names. table: (n, h, w) each particle's tiles, rows along y. tiles: (t, TILE, TILE, 4) the pool; tile 0 is the
     unknown.
     """
 
     resolution: float
     corner: IntArray
-    index: TileIndex
+    table: TileIndex
     tiles: Tiles
 
     def locked(self) -> TileMaps:
         """Themselves, read-only. They are not copied, as a message's arrays are: the pool is large and nobody else
         holds it."""
-        for array in (self.corner, self.index, self.tiles):
+        for array in (self.corner, self.table, self.tiles):
             array.flags.writeable = False
         return self
 
 
 def empty_maps(particles: int, resolution: float) -> TileMaps:
     """Grids that know nothing yet. resolution: side of a cell, m."""
-    index = np.zeros((particles, 0, 0), dtype=np.int32)
+    table = np.zeros((particles, 0, 0), dtype=np.int32)
     tiles = np.zeros((1, TILE, TILE, 4), dtype=np.int8)
-    return TileMaps(resolution, np.zeros(2, dtype=np.int64), index, tiles).locked()
+    return TileMaps(resolution, np.zeros(2, dtype=np.int64), table, tiles).locked()
 
 
 def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
@@ -76,7 +76,7 @@ def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
     side = TILE * maps.resolution
     first = np.floor(np.asarray(lower) / side).astype(np.int64)
     last = np.floor(np.asarray(upper) / side).astype(np.int64)
-    n, h, w = maps.index.shape
+    n, h, w = maps.table.shape
     if h * w:
         first = np.minimum(first, maps.corner)
         last = np.maximum(last, maps.corner + np.array([w - 1, h - 1]))
@@ -85,8 +85,8 @@ def grown(maps: TileMaps, lower: FloatArray, upper: FloatArray) -> TileMaps:
     wide = np.zeros((n, int(last[1] - first[1]) + 1, int(last[0] - first[0]) + 1), dtype=np.int32)
     if h * w:
         x, y = maps.corner - first
-        wide[:, y : y + h, x : x + w] = maps.index
-    return maps._replace(corner=first, index=wide).locked()
+        wide[:, y : y + h, x : x + w] = maps.table
+    return maps._replace(corner=first, table=wide).locked()
 
 
 def reach_of(scan: LaserScan) -> float:
@@ -107,25 +107,25 @@ def insert_scan(maps: TileMaps, parents: IntArray, X_MB: FloatArray, scan: Laser
     X = np.ascontiguousarray(X_MB[alive])
     reach = reach_of(scan)
     wide = grown(maps, X[:, :2].min(axis=0) - reach, X[:, :2].max(axis=0) + reach)
-    index, tiles = np.ascontiguousarray(wide.index[alive]), wide.tiles
-    fresh = _insert(index, tiles, wide.corner, X, scan.angles, scan.ranges, scan.range_max, reach, maps.resolution)
+    table, tiles = np.ascontiguousarray(wide.table[alive]), wide.tiles
+    fresh = _insert(table, tiles, wide.corner, X, scan.angles, scan.ranges, scan.range_max, reach, maps.resolution)
     # The tiles that nobody names any more are left out of the pool.
     used = np.zeros(len(tiles) + len(fresh), dtype=np.bool_)
-    used[index.ravel()] = True
+    used[table.ravel()] = True
     used[0] = True
     kept = np.flatnonzero(used[: len(tiles)])
     pool = np.empty((len(kept) + len(fresh), TILE, TILE, 4), dtype=np.int8)
     np.take(tiles, kept, axis=0, out=pool[: len(kept)])
     pool[len(kept) :] = fresh
     renamed = np.cumsum(used, dtype=np.int32) - np.int32(1)
-    return TileMaps(maps.resolution, wide.corner, renamed[index][inverse], pool).locked()
+    return TileMaps(maps.resolution, wide.corner, renamed[table][inverse], pool).locked()
 
 
 def log_odds(maps: TileMaps, particle: int) -> tuple[FloatArray, NDArray[np.int8]]:
     """One particle's grid: origin (2,), the corner of cell [0, 0] in M, m, and (h, w) log odds in steps."""
     origin = np.asarray(maps.corner * (TILE * maps.resolution), dtype=np.float64)
-    h, w = maps.index.shape[1:]
-    grid = maps.tiles[maps.index[particle], :, :, ODDS].swapaxes(1, 2).reshape(h * TILE, w * TILE)
+    h, w = maps.table.shape[1:]
+    grid = maps.tiles[maps.table[particle], :, :, ODDS].swapaxes(1, 2).reshape(h * TILE, w * TILE)
     return origin, grid
 
 
@@ -207,7 +207,7 @@ def mark_scan(
 
 @njit(cache=True)
 def _insert(
-    index: TileIndex,
+    table: TileIndex,
     tiles: Tiles,
     corner: IntArray,
     X_MB: FloatArray,
@@ -217,13 +217,13 @@ def _insert(
     reach: float,
     resolution: float,
 ) -> Tiles:
-    """Puts the scan into every particle's grid: into `index` go the numbers of new tiles, which are returned."""
+    """Puts the scan into every particle's grid: into `table` go the numbers of new tiles, which are returned."""
     count, side = 0, TILE * resolution
     p_BP = surface_points(angles, ranges, range_max, 0.5 * resolution)
     window = int(2.0 * reach / side) + 2
-    fresh = np.empty((len(index) * window * window, TILE, TILE, 4), dtype=np.int8)
+    fresh = np.empty((len(table) * window * window, TILE, TILE, 4), dtype=np.int8)
     cells = np.zeros((window * TILE, window * TILE), dtype=np.uint8)
-    for p in range(len(index)):
+    for p in range(len(table)):
         tile_x, tile_y = math.floor((X_MB[p, 0] - reach) / side), math.floor((X_MB[p, 1] - reach) / side)
         x, y = X_MB[p, 0] - tile_x * side, X_MB[p, 1] - tile_y * side
         mark_scan(cells, x, y, X_MB[p, 2], angles, ranges, range_max, resolution)
@@ -243,7 +243,7 @@ def _insert(
                     continue
                 row, column = tile_y + a - corner[1], tile_x + b - corner[0]
                 new = fresh[count]
-                new[:] = tiles[index[p, row, column]]
+                new[:] = tiles[table[p, row, column]]
                 for i in range(TILE):
                     for j in range(TILE):
                         value = int(new[i, j, ODDS])
@@ -256,13 +256,13 @@ def _insert(
                             value = -1 if value == 0 else value
                         new[i, j, ODDS] = value
                         marks[i, j] = 0
-                index[p, row, column] = len(tiles) + count
+                table[p, row, column] = len(tiles) + count
                 count += 1
         for k in range(len(p_BP)):
             u = x / resolution + c * p_BP[k, 0] - s * p_BP[k, 1]
             v = y / resolution + s * p_BP[k, 0] + c * p_BP[k, 1]
             j, i = math.floor(u), math.floor(v)
-            name = index[p, tile_y + i // TILE - corner[1], tile_x + j // TILE - corner[0]]
+            name = table[p, tile_y + i // TILE - corner[1], tile_x + j // TILE - corner[0]]
             cell = fresh[name - len(tiles), i % TILE, j % TILE]
             if cell[ENDS] < MOST_ENDS:
                 cell[ENDS] += 1

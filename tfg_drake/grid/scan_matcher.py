@@ -112,8 +112,8 @@ def propose(
 def _tile_at(maps: TileMaps, particle: int, x: int, y: int) -> int:
     """The tile of a particle's grid that lies so many tiles from M's origin; 0, the unknown, where there is none."""
     row, column = y - maps.corner[1], x - maps.corner[0]
-    known = 0 <= row < maps.index.shape[1] and 0 <= column < maps.index.shape[2]
-    return maps.index[particle, row, column] if known else 0
+    known = 0 <= row < maps.table.shape[1] and 0 <= column < maps.table.shape[2]
+    return maps.table[particle, row, column] if known else 0
 
 
 @njit(cache=True)
