@@ -21,6 +21,7 @@ from tfg_drake.comparison.known_ways import known_ways
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, message
+from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.table import take
 from tfg_drake.world.reachability import MARGIN
 from tfg_drake.world.world import World
@@ -235,7 +236,7 @@ class Search:
         if (i, j) not in self._legs:
             d = np.diff(self._ways.way(i, j), axis=0)
             along = np.arctan2(d[:, 1], d[:, 0])
-            bends = sum(self._bend(_size(angle)) for angle in np.diff(along).tolist())
+            bends = sum(self._bend(abs(wrap(angle))) for angle in np.diff(along).tolist())
             time = float(self._ways.length[i, j]) / self._robot.max_speed + bends
             self._legs[i, j] = time, float(along[0]), float(along[-1])
         return self._legs[i, j]
@@ -266,13 +267,13 @@ class Search:
         for place, look in stops:
             if place != here:
                 leg, first, last = self._leg(here, place)
-                angle = _size(first - heading)
+                angle = abs(wrap(first - heading))
                 time += turn_time(angle, robot) if stands else self._bend(angle)
                 time += leg
                 here, heading, stands = place, last, False
             if look >= 0:
                 to = 2.0 * math.pi / HEADINGS * look
-                time += turn_time(_size(to - heading), robot)
+                time += turn_time(abs(wrap(to - heading)), robot)
                 time += 0.0 if stands else robot.max_speed / robot.max_acceleration
                 heading, stands = to, True
         return time
@@ -391,11 +392,6 @@ def _thin(X_WB: FloatArray) -> FloatArray:
     d = np.diff(X_WB, axis=0)
     gone = np.cumsum(np.hypot(d[:, 0], d[:, 1]) / STEP + np.abs(wrap_angle(d[:, 2])) / TURN).astype(np.int64)
     return X_WB[np.flatnonzero(np.append(True, np.diff(gone, prepend=0) > 0) | (np.arange(len(X_WB)) == len(d)))]
-
-
-def _size(angle: float) -> float:
-    """Of an angle (rad) that may be more than a turn, the size within half a turn."""
-    return abs(angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5))
 
 
 def _goes(stops: Sequence[Stop]) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import find_file, found_file, read_table
+from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.io.clock_unit import UNITS, clock_unit
 from tfg_drake.messages import FloatArray, Odometry, replace
 from tfg_drake.notes import Note
@@ -108,7 +109,7 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
     chord = v * dt * np.sinc(0.5 * w * dt / np.pi)
     x = np.append(0.0, np.cumsum(chord * np.cos(middle)))
     y = np.append(0.0, np.cumsum(chord * np.sin(middle)))
-    X_OB = np.column_stack([x, y, np.pi - np.mod(np.pi - heading, 2.0 * np.pi)])
+    X_OB = np.column_stack([x, y, wrap_angle(heading)])
     repeats = np.append(False, np.all(rows[1:, 1:] == rows[:-1, 1:], axis=1)).tolist()
     stamps = rows[:, 0].tolist()
     messages = [Odometry(stamp=stamps[0], X_OB=X_OB[0], V_B=rows[0, 1:])]

@@ -120,9 +120,8 @@ class Rows:
         self._ended = text.endswith(("\n", "\r"))
         self._lines = text.splitlines()
         self._mended: list[str] = []
-        kinds = {"CRLF": text.count("\r\n"), "CR": text.count("\r"), "LF": text.count("\n")}
-        kinds["CR"] -= kinds["CRLF"]
-        kinds["LF"] -= kinds["CRLF"]
+        both = text.count("\r\n")
+        kinds = {"CRLF": both, "CR": text.count("\r") - both, "LF": text.count("\n") - both}
         found = [kind for kind, count in kinds.items() if count]
         if found and found != ["LF"]:
             self._mended.append(f"line ends {' and '.join(found)}, read as such")

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from tfg_drake.config import OdometryConfig
 from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import GREATEST, find_file, found_file, read_table, read_text
+from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry, replace
 from tfg_drake.notes import Note
@@ -115,7 +116,7 @@ def _planar_odometry(
     dt = np.diff(stamps)
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
     d = np.diff(p_VR, axis=0)
-    turn = np.pi - np.mod(np.pi - np.diff(heading), 2.0 * np.pi)
+    turn = wrap_angle(np.diff(heading))
     steps = np.column_stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], turn]) / dt[:, None]
     padded = np.pad(steps, ((2, 2), (0, 0)), mode="edge")
     off = np.abs(steps - np.median(np.stack([padded[i : i + len(steps)] for i in range(5)]), axis=0))
@@ -126,7 +127,7 @@ def _planar_odometry(
     c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
     x = np.append(0.0, np.cumsum((c * steps[:, 0] - s * steps[:, 1]) * dt))
     y = np.append(0.0, np.cumsum((s * steps[:, 0] + c * steps[:, 1]) * dt))
-    X_OB = np.column_stack([x, y, np.pi - np.mod(np.pi - theta, 2.0 * np.pi)])
+    X_OB = np.column_stack([x, y, wrap_angle(theta)])
     V_B = np.vstack([np.zeros((1, 3)), steps])[:, [0, 2]]
     messages = tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
     return messages, stamps[1:][jumped].tolist()

@@ -12,6 +12,7 @@ from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import disc_distances, in_sight
 from tfg_drake.messages import FloatArray, IntArray, TagDetections
+from tfg_drake.table import empty
 from tfg_drake.world.world import World
 
 # A tag lies on its wall, or this far off it; either way the wall must not hide it, m.
@@ -142,5 +143,4 @@ def correlated(before: FloatArray, fresh: FloatArray, interval: float, correlati
 
 def no_detections() -> TagDetections:
     """The sensor's output before its first frame: nothing, stamped -inf."""
-    none = np.zeros(0)
-    return TagDetections(-math.inf, np.zeros(0, dtype=np.int64), none, none, none, none)
+    return empty(TagDetections, stamp=-math.inf)

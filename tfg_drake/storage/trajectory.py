@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.io.files import FileError, read_text, reading, write_atomic
 from tfg_drake.messages import FloatArray
 
@@ -39,8 +40,7 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
         table = np.array([[float(word) for word in line.split()] for line in lines]).reshape(len(lines), 8)
     except ValueError:
         raise FileError(f"{path}: every line of a TUM trajectory has eight numbers") from None
-    heading = 2.0 * np.arctan2(table[:, 6], table[:, 7])
-    heading = np.pi - np.mod(np.pi - heading, 2.0 * np.pi)
+    heading = wrap_angle(2.0 * np.arctan2(table[:, 6], table[:, 7]))
     return table[:, 0], np.column_stack([table[:, 1:3], heading])
 
 
