@@ -296,15 +296,18 @@ class MapEstimate:
 
     def of_landmarks(self, keep: BoolArray) -> MapEstimate:
         """The map with some of its landmarks (n,) only, and with all its views."""
-        from tfg_drake.table import take  # which has messages itself
-
         joint = keep[self.local]
         rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
         with_parameters = np.append(rows, np.ones(len(self.shared), dtype=np.bool_))
         return replace(
-            take(self, n=keep),
+            self,
+            ids=self.ids[keep],
+            p_ML=self.p_ML[keep],
+            anchor=self.anchor[keep],
+            reach=self.reach[keep],
             local=(np.cumsum(keep) - 1)[self.local[joint]],
             covariance=self.covariance if joint.all() else self.covariance[np.ix_(rows, rows)],
+            landmark_covariance=self.landmark_covariance[keep],
             with_shared=self.with_shared[with_parameters] if len(self.shared) else self.with_shared,
         )
 
