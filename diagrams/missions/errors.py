@@ -12,8 +12,7 @@ from tfg_drake.comparison.curves import scan_coverage
 from tfg_drake.diagrams.missions.mission import Departure, Mission
 from tfg_drake.diagrams.scenario import HatchedKeepOut, Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
-from tfg_drake.grid.frontier import OCCUPIED, classify
-from tfg_drake.grid.runs import cell_sides
+from tfg_drake.grid.frontier import OCCUPIED, cell_sides, classify
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
 from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tfg_drake.grid.runs import cell_sides, row_runs
+from tfg_drake.grid.frontier import cell_sides, row_runs
 from tfg_drake.messages import GridMap
 
 GRID = GridMap(0, 0.0, 0.5, np.array([10.0, 20.0]), np.full((3, 4), 0.5, dtype=np.float32))

@@ -3,7 +3,8 @@
 Definitions of Yamauchi (CIRA 1997): a cell is free, occupied or unknown as its probability lies below, above or at the
 prior; free cells next to unknown ones, joined to their neighbours, are a frontier. They are looked for where a wave of
 free cells from the robot arrives (wavefront frontier detection, Keidar and Kaminka, IJRR 2014): what was seen of the
-outside through a spurious gap, or lies behind a wall, is none.
+outside through a spurious gap, or lies behind a wall, is none. For pictures and metrics that know only segments, cells
+become some.
 """
 
 from __future__ import annotations
@@ -76,3 +77,22 @@ def find_frontiers(grid: GridMap, cells: CellArray, p_MB: FloatArray, least_leng
     order = np.argsort(of, kind="stable")
     order = order[grid.resolution * np.bincount(of)[of[order]] >= least_length]
     return where[order], of[order]
+
+
+def row_runs(grid: GridMap, which: BoolArray) -> FloatArray:
+    """Some of the cells (h, w) as segments (n, 4), m in M: from the centre of the first to that of the last of each run
+    of neighbours in a row."""
+    edges = np.diff(np.pad(which.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    row, first = np.nonzero(edges == 1)
+    _, after = np.nonzero(edges == -1)
+    x, y = grid.origin
+    middle = y + (row + 0.5) * grid.resolution
+    return np.stack([x + (first + 0.5) * grid.resolution, middle, x + (after - 0.5) * grid.resolution, middle], axis=1)
+
+
+def cell_sides(grid: GridMap, which: BoolArray) -> FloatArray:
+    """Some of the cells (h, w) as segments (n, 4), m in M: each one side long, through its centre."""
+    row, column = np.nonzero(which)
+    x, y = grid.origin
+    left, middle = x + column * grid.resolution, y + (row + 0.5) * grid.resolution
+    return np.stack([left, middle, left + grid.resolution, middle], axis=1)

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from tfg_drake.geometry.se2 import pose_at, transform
-from tfg_drake.grid.frontier import FREE, OCCUPIED, classify
-from tfg_drake.grid.runs import row_runs
+from tfg_drake.grid.frontier import FREE, OCCUPIED, classify, row_runs
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
