@@ -91,7 +91,7 @@ def test_a_map_in_two_halves_is_the_whole_but_for_the_way_between():
     keyframes, _, first, second = halves(2, 1.0)
     both = merge(first, second)
     X_MN = solve(reckoned(keyframes), 0.0, NOTHING)[0].X_MN
-    keyframes[HALF] = unknown_way(se2.between(X_MN[HALF], X_MN[HALF + 1]))[0].keyframe
+    keyframes[HALF] = unknown_way(se2.between(X_MN[HALF], X_MN[HALF + 1]))
     whole, _ = solve(reckoned(keyframes), 0.0, NOTHING, joint=1000)
     sigma = np.sqrt(np.linalg.eigvalsh(whole.landmark_covariance)[:, -1:])
     assert np.abs((both.p_ML - whole.p_ML) / sigma).max() < 0.15
@@ -219,7 +219,7 @@ def test_what_is_known_of_walls_is_known_as_well_as_if_one_graph_had_seen_all():
     both = merge(in_room(ROOM, range(6), HERE), in_room(ROOM, [7, 2, 9, 0, 4, 5], THERE, at=0.6))
     keyframes = looks(ROOM, range(6), HERE, 0.25)
     end = se2.compose(HERE, se2.compose(X_AD, se2.compose(X_AD, X_AD)))
-    keyframes += [unknown_way(se2.between(end, THERE))[0].keyframe, *looks(ROOM, range(6), THERE, 0.6)]
+    keyframes += [unknown_way(se2.between(end, THERE)), *looks(ROOM, range(6), THERE, 0.6)]
     whole, _ = solve(reckoned(keyframes), 0.0, NOTHING)
     np.testing.assert_allclose(known_walls(both.graph)[2], known_walls(whole)[2], rtol=0.03)
 

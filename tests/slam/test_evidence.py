@@ -19,7 +19,6 @@ from tfg_drake.slam.evidence import (
     doubtful,
     forgotten,
     missing,
-    only,
     overturned,
     renewed,
     sanitized,
@@ -90,9 +89,9 @@ class Account:
         """One keyframe more, with each tag seen in so many frames; agrees: where the map has it."""
         X_MA, frames = self.graph.X_MN[-1], np.array(frames)
         seen = Sighted(observed(self.rng, p_ML, X_MA, X_AD, np.arange(4)), frames)
-        seen, agrees = only(seen, frames > 0), np.array(agrees)[frames > 0]
+        seen, agrees = seen.only(frames > 0), np.array(agrees)[frames > 0]
         believed = believable(self.evidence, seen, X_MA, self.graph)
-        self.graph = extended(self.graph, only(seen, agrees).keyframe, se2.compose(X_MA, X_AD), is_view=True)
+        self.graph = extended(self.graph, seen.only(agrees).keyframe, se2.compose(X_MA, X_AD), is_view=True)
         self.evidence = weighed(self.evidence, seen, agrees, self.graph)
         return dict(zip(seen.keyframe.ids.tolist(), believed.tolist(), strict=True))
 

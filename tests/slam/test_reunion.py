@@ -156,7 +156,7 @@ def kidnapped():
         seen = observation(rng, points, X)
         if k > 0:
             X_DA = se2.between(se2.compose(PLACES[k - 1], X_AD), X)
-            between = unknown_way(se2.compose(X_DA, GUESS))[0].keyframe if k == 2 else way(rng, X_DA)
+            between = unknown_way(se2.compose(X_DA, GUESS)) if k == 2 else way(rng, X_DA)
             graph, estimate, _ = updated(graph, estimate, between, is_view=False)
         graph, estimate, rejected = updated(graph, estimate, seen)
         assert len(rejected) == 0
@@ -167,7 +167,7 @@ def kidnapped():
 def before_the_view(graph, estimate, seen):
     """Graph and map as they are put together where the robot has come to a view by a way that it knows."""
     state = SimpleNamespace(graph=graph, map=estimate, placed=0.0, stamp=9.0, hypotheses=empty(Hypotheses))
-    return found_again(state, ((SimpleNamespace(keyframe=BETWEEN), None),), seen)[:2]
+    return found_again(state, (SimpleNamespace(keyframe=BETWEEN),), seen)[:2]
 
 
 def joined(graph, estimate, seen):

@@ -70,7 +70,7 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
     names, walls = renamed(own, first.walls, before, found.X, found.covariance)
     one = named(own, names)
     views, X_BV = first.tfg_graph.stage, told.X_MA[: second.tfg_graph.stage]
-    unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X))[0].keyframe
+    unknown = unknown_way(se2.between(first.graph.X_MN[-1], found.X))
     graph = extended(first.graph, unknown, found.X, is_view=False)
     graph = extended(graph, one, se2.compose(found.X, told.X_MD), is_view=False)
     view_keyframe = np.append(graph.view_keyframe[:views], np.full(len(X_BV), len(graph.keyframes) - 1))

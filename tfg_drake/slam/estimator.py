@@ -36,7 +36,6 @@ from tfg_drake.slam.estimator_state import (
     KIDNAPPED,
     EstimatorState,
     OpenObservation,
-    Source,
     instant,
     opened,
     reduced_now,
@@ -53,7 +52,6 @@ from tfg_drake.slam.evidence import (
     doubtful,
     forgotten,
     missing,
-    only,
     overturned,
     sanitized,
     watched,
@@ -100,7 +98,7 @@ from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, uneve
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.turn import SAME_INSTANT, TurnFrame, no_detections, reduced
+from tfg_drake.slam.turn import SAME_INSTANT, Reduced, Source, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
@@ -553,16 +551,21 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
         return replace(state, open=opened(state))
     if state.kidnapped:
         X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
-        way: tuple[tuple[Sighted, Source | None], ...] = (unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma),)
+        way: tuple[Sighted, ...] = (Sighted(unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma)),)
     else:
-        solution = reduced_now(state, piece)
-        source = Source(piece, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
-        seen = Sighted(solution.keyframe, solution.sightings)
-        state = replace(state, noise=state.noise.with_sample(solution.sample))
+        state, _, seen = _reduced(state, piece)
         if not state.path_keyframe_period:
-            seen = only(seen, np.zeros(len(seen.frames), dtype=bool))
-        way = (*state.way, (seen, source))
+            seen = seen.only(np.zeros(len(seen.frames), dtype=bool))
+        way = (*state.way, seen)
     return replace(state, open=opened(state), way=way)
+
+
+def _reduced(state: EstimatorState, piece: OpenObservation) -> tuple[EstimatorState, Reduced, Sighted]:
+    """The state that will learn its noise from a turn or piece, which ends now; that solved, and as a keyframe."""
+    solution = reduced_now(state, piece)
+    by = state.graph.shared, state.noise.level, state.walls.floor
+    seen = Sighted(solution.keyframe, solution.sightings, Source(piece.begin, piece.frames, instant(state), *by))
+    return replace(state, noise=state.noise.with_sample(solution.sample)), solution, seen
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -581,18 +584,17 @@ def _reduced_anew(
     for k, source in enumerate(sources):
         at = k - len(sources)
         if source is None or (
-            np.all(np.abs(shared.mean - source.at.mean) <= REDUCED_WITHIN * source.at.sigma)
+            np.all(np.abs(shared.mean - source.shared.mean) <= REDUCED_WITHIN * source.shared.sigma)
             and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
         ):
             continue
-        seen, level = source.seen, state.walls.floor
-        anew = reduced(noise.now, seen.begin, seen.frames, source.end, shared, level, graph.unevenness)
-        one = anew.keyframe
+        frames, floor = (source.begin, source.frames, source.end), state.walls.floor
+        one = reduced(noise.now, *frames, shared, floor, graph.unevenness).keyframe
         if source.names is not None:
             one = beside_walls(named(one, source.names))
         one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))
         if np.array_equal(one.ids, keyframes[at].ids) and same_walls(one, keyframes[at]):
-            keyframes[at], kept[k] = one, replace(source, at=shared, level=noise.level, floor=state.walls.floor)
+            keyframes[at], kept[k] = one, replace(source, shared=shared, level=noise.level, floor=floor)
     if tuple(kept) == sources:
         return graph, sources
     return replace(graph, keyframes=tuple(keyframes)), tuple(kept)
@@ -618,24 +620,20 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     `solve`."""
     seen = state.open
     assert seen is not None
-    solution = reduced_now(state, seen)
-    source = Source(seen, instant(state), state.graph.shared, state.noise.level, state.walls.floor)
-    state = _with_scale_reported(replace(state, noise=state.noise.with_sample(solution.sample).learnt()))
-    keyframe = solution.keyframe
-    way, view = state.way, Sighted(keyframe, solution.sightings)
+    state, solution, view = _reduced(state, seen)
+    state = _with_scale_reported(replace(state, noise=state.noise.learnt()))
+    way, keyframe = state.way, view.keyframe
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
     if state.kidnapped and not state.turns and state.map is not None:
         seen = _found_meanwhile(state, seen)
-        way = (unknown_way(se2.between(state.map.X_MD, seen.X_MB), seen.sigma),)
+        way = (Sighted(unknown_way(se2.between(state.map.X_MD, seen.X_MB), seen.sigma)),)
     before, known, way, hypotheses = found_again(state, way, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
-    sources: tuple[Source | None, ...] = state.sources
-    walls = state.walls
-    for one, of in (*way, (view, source)):
+    sources, walls = state.sources, state.walls
+    for one in (*way, view):
         is_view = one is view
-        if of is not None:
-            one, of, walls = _with_names(one, of, walls, graph, estimate)
-        sources = (*sources, of)[-UNFUSED:]
+        one, walls = _with_names(one, walls, graph, estimate)
+        sources = (*sources, one.source)[-UNFUSED:]
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, one, is_view=is_view)
         _tell("mapped anew, for more was seen of them elsewhere", state, anew)
         moved = moved or len(anew) > 0
@@ -702,17 +700,16 @@ def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObser
     return replace(begun, X_MB=se2.compose(X_MB, se2.inverse(way)), sigma=sigma)
 
 
-def _with_names(
-    seen: Sighted, source: Source, walls: Walls, graph: KeyframeGraph, estimate: MapEstimate
-) -> tuple[Sighted, Source, Walls]:
-    """A keyframe that begins at the map's newest pose with its walls by the names that the map has for them."""
-    one, tags = seen.keyframe, is_tag(seen.keyframe.ids)
-    if tags.all():
-        return seen, source, walls
+def _with_names(seen: Sighted, walls: Walls, graph: KeyframeGraph, estimate: MapEstimate) -> tuple[Sighted, Walls]:
+    """A keyframe that begins at the map's newest pose with its walls by the names that the map has for them; the walls
+    then."""
+    one, source, tags = seen.keyframe, seen.source, is_tag(seen.keyframe.ids)
+    if source is None or tags.all():
+        return seen, walls
     names, walls = identified(one, seen.frames, walls, of_tied(estimate, graph), source.floor)
     one = beside_walls(named(one, names))
-    of_walls = np.zeros(one.walls, dtype=np.int64)
-    return Sighted(one, np.append(of_walls, seen.frames[tags])), replace(source, names=names), walls
+    frames = np.append(np.zeros(one.walls, dtype=np.int64), seen.frames[tags])
+    return Sighted(one, frames, replace(source, names=names)), walls
 
 
 def _with_keyframe(
@@ -730,13 +727,13 @@ def _with_keyframe(
         graph = replace(graph, p_ML=estimate.p_ML)
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, also=rows_of(far, graph.ids)[0])
     known = rows_of(ids, graph.ids)[1]
-    believed = only(seen, ~tags | known | believable(evidence, seen, estimate.X_MD, graph))
+    believed = seen.only(~tags | known | believable(evidence, seen, estimate.X_MD, graph))
     longer, after, rejected = updated(graph, estimate, believed.keyframe, is_view=is_view)
-    agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected))[tags], only(seen, tags)
+    agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected))[tags], seen.only(tags)
     known, rejected = known[tags], rejected[is_tag(rejected)]
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
         # It may be the robot that is elsewhere.
-        counted, agrees = only(counted, agrees), agrees[agrees]
+        counted, agrees = counted.only(agrees), agrees[agrees]
     weighed_up = weighed(evidence, counted, agrees, longer) if len(counted.frames) else evidence
     anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected
     if not len(anew):

@@ -32,8 +32,8 @@ from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.place_search import Seen
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
-from tfg_drake.slam.turn import Reduced, TurnFrame, no_detections, reduced
-from tfg_drake.slam.walls import Names, Walls, no_lines, no_walls
+from tfg_drake.slam.turn import Reduced, Source, TurnFrame, no_detections, reduced
+from tfg_drake.slam.walls import Walls, no_lines, no_walls
 from tfg_drake.table import empty
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
@@ -56,19 +56,6 @@ class OpenObservation:
     X_MB: FloatArray
     sigma: FloatArray
     frames: tuple[TurnFrame, ...]
-
-
-@message
-class Source:
-    """Where a keyframe comes from, to reduce it anew. seen, end: its frames. at: the parameters as they were known when
-    it was reduced, level: (5,) of the noise and floor of looks at walls likewise. names: of its walls."""
-
-    seen: OpenObservation
-    end: TurnFrame
-    at: Shared
-    level: FloatArray
-    floor: float = 1.0
-    names: Names | None = None
 
 
 @message
@@ -169,7 +156,7 @@ class EstimatorState:
     placed: float = -np.inf
     open: OpenObservation | None = None
     turns: bool = False
-    way: tuple[tuple[Sighted, Source | None], ...] = ()
+    way: tuple[Sighted, ...] = ()
     map: MapEstimate | None = None
     rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
     look: FirstLook | None = None
@@ -262,9 +249,9 @@ def with_map(
     return replace(state, open=opened(state), turns=False)
 
 
-def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> tuple[Sighted, None]:
+def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
     """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
-    return Sighted(way(X_DA, np.diag(sigma**2)), np.empty(0, dtype=np.int64)), None
+    return way(X_DA, np.diag(sigma**2))
 
 
 def reduced_now(state: EstimatorState, seen: OpenObservation) -> Reduced:

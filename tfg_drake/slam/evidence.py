@@ -14,6 +14,7 @@ any more.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Annotated
 
@@ -37,6 +38,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.scan_ranges import surface
 from tfg_drake.slam.tag_error import in_place
+from tfg_drake.slam.turn import Source
 from tfg_drake.table import concat, take
 
 # A tag is believed to be where it was seen in so many frames.
@@ -83,10 +85,19 @@ def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
 
 @message
 class Sighted:
-    """A keyframe, before it is in the map. frames: (n,) in how many of its frames each of its tags was seen."""
+    """A keyframe, before it is in the map. frames: (n,) in how many of its frames each of its tags was seen. source:
+    where it comes from, None of a way that nothing was seen on."""
 
     keyframe: Keyframe
-    frames: IntArray
+    frames: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    source: Source | None = None
+
+    def only(self, tags: BoolArray) -> Sighted:
+        """With some of its tags (n,) only."""
+        if tags.all():
+            return self
+        keyframe = without_tags(self.keyframe, self.keyframe.ids[~tags])
+        return replace(self, keyframe=keyframe, frames=self.frames[tags])
 
 
 @message
@@ -108,13 +119,6 @@ class Evidence:
     def is_mapped(self) -> BoolArray:
         """(h,) which of the places the map has."""
         return np.asarray(self.view == MAPPED)
-
-
-def only(seen: Sighted, tags: BoolArray) -> Sighted:
-    """The keyframe with some of its tags (n,) only."""
-    if tags.all():
-        return seen
-    return Sighted(without_tags(seen.keyframe, seen.keyframe.ids[~tags]), seen.frames[tags])
 
 
 def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> BoolArray:

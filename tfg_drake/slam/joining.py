@@ -31,8 +31,8 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
     told = solve(graph, state.stamp, no_observation(), joint=known_jointly(graph))[1]
     one = without_tags(known.keyframe, at.moved)
     names, walls = renamed(one, state.walls, told, se2.inverse(at.X), at.covariance)
-    way, _ = unknown_way(se2.between(known.X_KD, at.X), np.sqrt(np.diag(at.covariance)))
-    first = ((named(one, names), known.X_KD), (way.keyframe, at.X))
+    way = unknown_way(se2.between(known.X_KD, at.X), np.sqrt(np.diag(at.covariance)))
+    first = ((named(one, names), known.X_KD), (way, at.X))
     sessions = np.union1d(graph.sessions, known.sessions)
     both = _moved(replace(graph, p_ML=told.p_ML, sessions=sessions), at.X, first, 0)
     others = take(known.evidence, ~np.isin(known.evidence.ids, state.evidence.ids))

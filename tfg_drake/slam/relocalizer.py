@@ -35,7 +35,6 @@ from tfg_drake.slam.estimator_state import (
     KnownMap,
     OpenObservation,
     Placed,
-    Source,
     newest_of,
     opened,
     reduced_now,
@@ -63,8 +62,6 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW, seen_from_b
 from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.tag_search import Tagged, by_tags
 from tfg_drake.table import empty
-
-Ways = tuple[tuple[Sighted, Source | None], ...]
 
 # Deviations of a pose by walls, m, m, rad.
 BY_WALLS = np.array([0.05, 0.05, 0.005])
@@ -254,22 +251,22 @@ def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorS
     if begun.begin.stamp < state.turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
     way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
-    return replace(state, kidnapped=True, way=(way,), open=begun)
+    return replace(state, kidnapped=True, way=(Sighted(way),), open=begun)
 
 
 def found_again(
-    state: EstimatorState, way: Ways, view: Keyframe
-) -> tuple[KeyframeGraph, MapEstimate, Ways, Hypotheses]:
+    state: EstimatorState, way: tuple[Sighted, ...], view: Keyframe
+) -> tuple[KeyframeGraph, MapEstimate, tuple[Sighted, ...], Hypotheses]:
     """Graph and map before a view, and the way to it, known where they were not but what the view sees tells where it
     is. Else the poses in M, as hypotheses, at which what is adrift may begin."""
     graph, estimate = state.graph, state.map or state.localizer.map
-    j, lost = adrift(graph), any(is_unknown(one.keyframe) for one, _ in way)
+    j, lost = adrift(graph), any(is_unknown(one.keyframe) for one in way)
     if not (lost or j >= 0) or not state.placed < np.inf:
         return graph, estimate, way, empty(Hypotheses)
     before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
     before = before if j >= 0 else since
     at = estimate.X_MD
-    for one, _ in way:
+    for one in way:
         at = se2.compose(at, one.keyframe.y_AD)
     # Of what is adrift all views tell together where it is.
     k = len(graph.keyframes)
@@ -281,20 +278,16 @@ def found_again(
     found, places = _where(known, mapped, tags, seen, prior, earlier, is_growing=True)
     if found is None:
         left = places.probability > WRONG
-        return (
-            graph,
-            estimate,
-            way,
-            Hypotheses(se2.compose(places.X, begun)[left], places.probability[left], mapped.points),
-        )
+        some = Hypotheses(se2.compose(places.X, begun)[left], places.probability[left], mapped.points)
+        return graph, estimate, way, some
     _log.warning("%.2f s: the robot has found itself; what follows is tied to the map before", state.stamp)
     if lost:
-        way = (unknown_way(se2.between(estimate.X_MD, se2.compose(found.X, at)), PLACED),)
+        way = (Sighted(unknown_way(se2.between(estimate.X_MD, se2.compose(found.X, at)), PLACED)),)
         return graph, estimate, way, empty(Hypotheses)
     poses = graph.X_MN.copy()
     poses[j + 1 :] = se2.compose(found.X, poses[j + 1 :])
-    tie, _ = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
-    keyframes = (*graph.keyframes[:j], tie.keyframe, *graph.keyframes[j + 1 :])
+    tie = unknown_way(se2.between(poses[j], poses[j + 1]), PLACED)
+    keyframes = (*graph.keyframes[:j], tie, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
     return *solve(graph, estimate.stamp, estimate.observation), way, empty(Hypotheses)
 

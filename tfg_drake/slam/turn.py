@@ -43,7 +43,7 @@ from tfg_drake.slam.shared import (
     scale_of,
 )
 from tfg_drake.slam.surfaces import Ties, put_together
-from tfg_drake.slam.walls import Looks, grouped, no_lines, seen_walls, with_floor
+from tfg_drake.slam.walls import Looks, Names, grouped, no_lines, seen_walls, with_floor
 from tfg_drake.table import concat, empty
 
 # A detection this far off, in sigmas of its two whitened components together, is an outlier.
@@ -130,6 +130,20 @@ class TurnFrame:
     lines: FloatArray = dataclasses.field(default_factory=no_lines)
     only_scan: bool = False
     points: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
+
+
+@message
+class Source:
+    """What a keyframe was reduced from, and by, to reduce it anew: frames within [begin, end], the parameters as they
+    were known, level (5,) of the noise and floor of looks at walls then. names: of its walls."""
+
+    begin: TurnFrame
+    frames: tuple[TurnFrame, ...]
+    end: TurnFrame
+    shared: Shared
+    level: FloatArray
+    floor: float = 1.0
+    names: Names | None = None
 
 
 def no_detections(stamp: float) -> TagDetections:
