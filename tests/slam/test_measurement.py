@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.slam.test_localizer_kernels import AHEAD, lines_from
 from tests.slam.test_scan_lines import ANGLES, CONFIG
-from tests.slam.test_wall_correction import AHEAD, lines_from
 from tfg_drake.geometry import se2
 from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.measurement import COLUMNS, ERROR, linearise_tag, linearise_wall, look_of

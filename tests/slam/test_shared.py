@@ -130,7 +130,7 @@ def test_keyframes_are_reduced_where_the_parameters_have_been_found(drive):
     assert abs(state.graph.shared.mean[CAMERA_YAW]) > SHEET.sigma[CAMERA_YAW]
     assert len(state.sources) == 3
     for source in state.sources:
-        assert (np.abs(state.graph.shared.mean - source.at.mean) < 0.7 * source.at.sigma).all()
+        assert (np.abs(state.graph.shared.mean - source.shared.mean) < 0.7 * source.shared.sigma).all()
 
 
 # A room of 12 m, with the robot in its middle.

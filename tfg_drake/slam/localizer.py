@@ -18,10 +18,18 @@ import scipy.linalg
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TagDetections, is_tag, message, replace
 from tfg_drake.slam.keyframe import along_walls, placed, rows_of
-from tfg_drake.slam.localizer_kernels import POSE, Instant, Motion, State, filtered, pose_in_map
+from tfg_drake.slam.localizer_kernels import (
+    POSE,
+    Instant,
+    Motion,
+    State,
+    correct_by_walls,
+    filtered,
+    pose_in_map,
+    walls_seen,
+)
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.tag_error import in_place
-from tfg_drake.slam.wall_correction import correct_by_walls, walls_seen
 from tfg_drake.slam.walls import FLOOR, Walls, WallSet, no_walls
 from tfg_drake.table import empty, take
 

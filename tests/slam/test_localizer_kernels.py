@@ -6,9 +6,9 @@ import pytest
 from tests.slam.test_scan_lines import ANGLES, CONFIG
 from tests.walls import walls_between
 from tfg_drake.simulation.laser_scanner import scan
+from tfg_drake.slam.localizer_kernels import walls_seen
 from tfg_drake.slam.scan_lines import scan_lines
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.wall_correction import walls_seen
 from tfg_drake.slam.walls import WallSet
 
 # A room's far wall and the wall on its left, each from where it is seen to begin to where it ends, counterclockwise.
