@@ -16,7 +16,7 @@ from tfg_drake.slam.keyframe import moved_points, way
 from tfg_drake.slam.keyframe_graph import empty_graph, extended
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.shared import SHARED, exactly_known
-from tfg_drake.slam.solver import Unknowns, Values, assemble
+from tfg_drake.slam.solver import NONE, Unknowns, Values, assemble
 from tfg_drake.slam.surfaces import (
     CELL,
     COMMON,
@@ -558,8 +558,8 @@ def whole_system(factors, values):
     n, k = len(values.p_ML), len(values.X_MN) - 1
     of_errors = 2 * n if factors.has_errors else 0
     size = 2 * n + 3 * k + of_errors + SHARED
-    error_at = 2 * n + 3 * k + 2 * np.arange(n) if of_errors else np.full(n, -1)
-    u = Unknowns(2 * np.arange(n), np.append(-1, 2 * n + 3 * np.arange(k)), size - SHARED, error_at)
+    error_at = 2 * n + 3 * k + 2 * np.arange(n) if of_errors else np.full(n, NONE)
+    u = Unknowns(2 * np.arange(n), np.append(NONE, 2 * n + 3 * np.arange(k)), size - SHARED, error_at)
     H, gradient, places = np.zeros((size, size)), np.zeros(size), np.empty((len(factors.keyframes.rows), 2, 3))
     error = assemble(np.arange(k), factors.keyframes, values, u, H, gradient, places)
     error += add_pieces(np.arange(len(factors.pieces.frame)), factors.pieces, values.X_MN, u.node_at, H, gradient)

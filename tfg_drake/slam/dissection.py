@@ -24,7 +24,7 @@ from scipy.linalg import blas, lapack
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
-from tfg_drake.slam.solver import Unknowns, Values, assemble, factors_of
+from tfg_drake.slam.solver import NONE, Unknowns, Values, assemble, factors_of
 from tfg_drake.slam.surfaces import add_pieces, add_ties
 
 # Keyframes of a front that has no halves, at most.
@@ -60,8 +60,8 @@ class Front:
 
 @dataclasses.dataclass(frozen=True)
 class Dissection:
-    """Fronts, each after its halves, and where the unknowns are. at: (g,) the first unknown of each of g variables, -1
-    of one left out. size: how many unknowns there are."""
+    """Fronts, each after its halves, and where the unknowns are. at: (g,) the first unknown of each of g variables,
+    NONE of one left out. size: how many unknowns there are."""
 
     fronts: tuple[Front, ...]
     at: IntArray
@@ -219,7 +219,7 @@ def dissected(
     of_piece = table[level, lower >> level] if pieces else np.zeros(0, dtype=np.int64)
     order = np.argsort(of, kind="stable")
     order = order[width[order] > 0]
-    at = np.full(number, -1)
+    at = np.full(number, NONE)
     at[order] = np.cumsum(width[order]) - width[order]
 
     by_leaf = np.argsort(leaf[keyframe], kind="stable")
@@ -298,7 +298,6 @@ class DissectionSolver:
 
     def __init__(self, graph: KeyframeGraph, *, landmarks: bool = True) -> None:
         """landmarks: whether they are unknowns."""
-        self._graph = graph
         self.factors = factors_of(graph)
         n, k, rows = len(graph.ids), len(graph.keyframes), self.factors.keyframes.rows
         seen_by = np.repeat(np.arange(k), np.diff(self.factors.keyframes.offsets))
@@ -323,7 +322,7 @@ class DissectionSolver:
         tied = 2 * n + by[free] - 1
         self._dissection = dissected(leaf, variable, keyframe, width, tied, piece[free])
         landmark_at, error_at, node_at, shared_at = np.split(self._dissection.at, [n, 2 * n, 2 * n + k])
-        self.unknowns = Unknowns(landmark_at, np.append(-1, node_at), int(shared_at[0]), error_at)
+        self.unknowns = Unknowns(landmark_at, np.append(NONE, node_at), int(shared_at[0]), error_at)
 
     def linearised(self, values: Values, damping: float) -> System:
         """The system at some values, with `damping` added to the information on each unknown.
@@ -333,8 +332,8 @@ class DissectionSolver:
         factors, u, size = self.factors, self.unknowns, self._dissection.size
         gradient, error = np.zeros(size), 0.0
         places = np.empty((len(factors.keyframes.rows), 2, 3))
-        # A variable that is left out has no unknown, not even after its first.
-        entry, has_prior = np.full(size + 1, -SHARED), np.ones(len(u.error_at), dtype=bool)
+        # The last stand for NONE.
+        entry, has_prior = np.full(size - NONE, NONE), np.ones(len(u.error_at), dtype=bool)
 
         def block(front: Front) -> FloatArray:
             """The information (f, f) that the keyframes of a leaf have on its unknowns, and priors in the first."""
@@ -343,9 +342,8 @@ class DissectionSolver:
             whole, own = np.zeros((f, f)), np.zeros(f)
             entry[front.unknowns] = np.arange(f)
             at = Unknowns(entry[u.landmark_at], entry[u.node_at], int(entry[u.shared_at]), entry[u.error_at])
-            entry[front.unknowns] = -SHARED
-            if len(front.keyframes):
-                error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
+            entry[front.unknowns] = NONE
+            error += assemble(front.keyframes, factors.keyframes, values, at, whole, own, places)
             if len(front.pieces):
                 of_ties = front.pieces >= len(factors.pieces.frame)
                 some = front.pieces[~of_ties], front.pieces[of_ties] - len(factors.pieces.frame)
@@ -365,10 +363,6 @@ class DissectionSolver:
         elimination = eliminated(self._dissection, block, damping)
         error += factors.priors(values, u, gradient)
         return System(elimination.parts, elimination.log_determinant, gradient, error, places)
-
-    def log_determinant_given_landmarks(self, values: Values) -> float:
-        """The logarithm of the determinant of the information on all unknowns but the landmarks, given these."""
-        return DissectionSolver(self._graph, landmarks=False).linearised(values, 0.0).log_determinant
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
         """Gradient (u,) of the cost and twice the cost at some values."""

@@ -17,6 +17,8 @@ from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of, scatter
 # Where no step can be made, every unknown is held to its place by this information, and more if need be: it holds what
 # hangs on nothing by 100 m, or rad.
 LEAST_DAMPING = 1e-4
+# Stands for the first unknown of what has none: so do all that follow it.
+NONE = -SHARED
 
 
 class Keyframes(NamedTuple):
@@ -54,7 +56,7 @@ class Values(NamedTuple):
 
 class Unknowns(NamedTuple):
     """Which unknown the first of a landmark (n,), of a node (k + 1,), of the parameters and of a tag's errors (n,) is;
-    negative for what is none: the origin, and errors where tags have none."""
+    NONE for the origin, and for errors where tags have none."""
 
     landmark_at: IntArray
     node_at: IntArray
@@ -144,18 +146,14 @@ def _keyframe(
         vector = np.append(vector, keyframes.pull[some].copy().reshape(2 * n))
         parameters = np.append(parameters, errors)
     at = np.empty(2 * n + 6 + len(parameters), dtype=np.int64)
-    of_errors = at[2 * n + 6 + SHARED :]
-    for i in range(n):
-        at[2 * i] = unknowns.landmark_at[rows[i]]
-        at[2 * i + 1] = at[2 * i] + 1
+    of_landmarks, of_errors = at[: 2 * n].reshape(n, 2), at[2 * n + 6 + SHARED :]
+    for i in range(2):
+        of_landmarks[:, i] = unknowns.landmark_at[rows] + i
         if has_errors:
-            of_errors[2 * i], of_errors[2 * i + 1] = unknowns.error_at[rows[i]], unknowns.error_at[rows[i]] + 1
-    A, D = unknowns.node_at[k], unknowns.node_at[k + 1]
-    for i in range(3):
-        at[2 * n + i] = D + i
-        at[2 * n + 3 + i] = A + i if A >= 0 else -1
-    for i in range(SHARED):
-        at[2 * n + 6 + i] = unknowns.shared_at + i if unknowns.shared_at >= 0 else -1
+            of_errors[i::2] = unknowns.error_at[rows] + i
+    at[2 * n : 2 * n + 3] = unknowns.node_at[k + 1] + np.arange(3)
+    at[2 * n + 3 : 2 * n + 6] = unknowns.node_at[k] + np.arange(3)
+    at[2 * n + 6 : 2 * n + 6 + SHARED] = unknowns.shared_at + np.arange(SHARED)
     size = len(linear[0])
     information = keyframes.information[keyframes.starts[k] : keyframes.starts[k + 1]].reshape(size, size)
     return at, linear, information, vector, parameters
