@@ -345,9 +345,7 @@ def residual(
             on[a, 3 + unit], on[b, 3 + unit] = x, y
     error[m - 1] = wrap(D[2] - A[2] - y_AD[2])
     on[m - 1, 2] = -1.0
-    for i in range(SHARED):
-        error[m + i] = shared[i]
-        on[m + i, 3 + i] = 1.0
+    error[m:], on[m:, 3:] = shared, np.eye(SHARED)
     return error, on, by_landmark
 
 
@@ -358,8 +356,7 @@ def with_errors(linear: Linear, errors: FloatArray) -> Linear:
     m, k = len(error), len(errors)
     whole, wide = np.empty(m + k), np.zeros((m + k, on.shape[1] + k))
     whole[:m], whole[m:], wide[:m, : on.shape[1]] = error, errors, on
-    for i in range(k):
-        wide[m + i, on.shape[1] + i] = 1.0
+    wide[m:, on.shape[1] :] = np.eye(k)
     return whole, wide, by_landmark
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, IntArray, TagDetections, message, replace
 from tfg_drake.slam.keyframe import Keyframe, keyframe, moved_points
 from tfg_drake.slam.measurement import (
     CAMERA,
@@ -251,23 +251,20 @@ def reduced(
     looked = of_line, on_uneven(np.concatenate(lines), unevenness), twist[of_line]
     looks = grouped(*looked, X_AB)
     problem = _Problem(noise, shared, clock, X_OB, np.repeat(node, counts), ids, z, looks)
-    kept, slipped = np.ones(len(ids) + len(looks.node), dtype=bool), False
-    solution = _solved(problem, X_AB, kept)
+    solution, dropped, slipped = _solved(problem, X_AB), 0, False
     # By odometry a wall that was seen again after a turn round may seem to be another.
     again = grouped(*looked, solution.at.X_AB)
     if len(again.anchor) < len(looks.anchor):
         problem = problem._replace(looks=again)
-        solution = _solved(problem, solution.at.X_AB, kept)
+        solution = _solved(problem, solution.at.X_AB)
     if np.any(solution.squared > OUTLIER_SIGMAS**2):
-        solution, kept = _without_outliers(problem, X_AB)
-        unexplained = int(np.sum(~kept[: len(ids)]))
-        if unexplained >= SLIP_EXPLAINS:
+        solution, dropped = _without_outliers(problem, X_AB)
+        if dropped >= SLIP_EXPLAINS:
             # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
             slipping = replace(noise, walks=np.maximum(noise.walks, SLIPPING))
-            other, other_kept = _without_outliers(problem._replace(noise=slipping, clock=stamps), X_AB)
-            left = int(np.sum(~other_kept[: len(ids)]))
-            if left <= min(unexplained - SLIP_EXPLAINS, SLIP_LEAVES * unexplained):
-                solution, kept, slipped = other, other_kept, True
+            other, left = _without_outliers(problem._replace(noise=slipping, clock=stamps), X_AB)
+            if left <= min(dropped - SLIP_EXPLAINS, SLIP_LEAVES * dropped):
+                solution, dropped, slipped = other, left, True
     scale = scale_of(solution.unit, shared.mean)
     one, walls = _keyframe(solution, shared, floor)
     X_AB = solution.at.X_AB / np.array([scale, scale, 1.0])
@@ -278,7 +275,7 @@ def reduced(
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
         sightings=np.append(walls, solution.sightings),
-        dropped=int(np.sum(~kept[: len(ids)])),
+        dropped=dropped,
         stamps=stamps,
         X_AB=X_AB,
         sample=solution.at if solution.unit != DISTANCE_SCALE and not slipped else None,
@@ -385,21 +382,21 @@ def _ties(noise: Noise, frames: Sample) -> _Ties:
     return _Ties(frames.X_OB, dt, noise.walks, frames.prior, frames.of_prior, node, tag, z, before, left, looks)
 
 
-def _without_outliers(problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, BoolArray]:
-    """The solution without the sightings that lie too far from a robust one, and which of them it keeps."""
-    every = np.ones(len(problem.ids) + len(problem.looks.node), dtype=bool)
-    robust = _solved(problem, X_AB, every, HUBER_SIGMAS)
-    kept = ~(robust.squared > OUTLIER_SIGMAS**2)
-    return _solved(problem, robust.at.X_AB, kept), kept
+def _without_outliers(problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, int]:
+    """The solution without the sightings and looks that lie too far from a robust one, and how many sightings these
+    are."""
+    robust = _solved(problem, X_AB, huber=HUBER_SIGMAS)
+    tags, looks = np.split(~(robust.squared > OUTLIER_SIGMAS**2), [len(problem.ids)])
+    ids, node, z = problem.ids[tags], problem.node[tags], problem.z[tags]
+    kept = problem._replace(ids=ids, node=node, z=z, looks=problem.looks.kept(looks))
+    return _solved(kept, robust.at.X_AB), len(tags) - len(ids)
 
 
-def _solved(problem: _Problem, X_AB: FloatArray, kept: BoolArray, huber: float = math.inf) -> _Solution:
-    """The solution by the sightings kept (m,), from poses X_AB (t, 3) on. huber: the threshold of a robust one, in
-    sigmas, for which all noise is white."""
-    noise, shared = problem.noise, problem.shared
-    looks, kept = problem.looks.kept(kept[len(problem.ids) :]), kept[: len(problem.ids)]
-    node, z = problem.node[kept], problem.z[kept]
-    ids, tag, sightings = np.unique(problem.ids[kept], return_inverse=True, return_counts=True)
+def _solved(problem: _Problem, X_AB: FloatArray, huber: float = math.inf) -> _Solution:
+    """The solution from poses X_AB (t, 3) on. huber: the threshold of a robust one, in sigmas, for which all noise is
+    white."""
+    noise, shared, node, z, looks = problem.noise, problem.shared, problem.node, problem.z, problem.looks
+    ids, tag, sightings = np.unique(problem.ids, return_inverse=True, return_counts=True)
     unit = METRES if len(looks.node) else RANGE_SCALE if len(ids) else DISTANCE_SCALE
     prior, on = _by_shared(shared.mean, unit)
     covariance = on @ shared.covariance @ on.T
@@ -572,8 +569,7 @@ def _add_odometry(ties: _Ties, X: FloatArray, border: FloatArray, motions: Pair,
         for a in range(3):
             scale = 1.0 + (border[0] if a < 2 else border[2])
             by_scale = rows[a, last]
-            for b in range(3, 13):
-                rows[a, b] *= scale
+            rows[a, 3:] *= scale
             rows[a, 9 if a < 2 else 11] += by_scale
         _factor(rows)
         for a in range(6):
@@ -636,9 +632,8 @@ def _whiten(rows: FloatArray, sigma_first: float, sigma_second: float, huber: fl
     sigmas = math.sqrt(squared)
     if sigmas > huber:
         weight, more = math.sqrt(huber / sigmas), 0.5 * huber * (sigmas - huber)
-    for b in range(OF_TWIST):
-        rows[0, b] *= weight / sigma_first
-        rows[1, b] *= weight / sigma_second
+    rows[0, :OF_TWIST] *= weight / sigma_first
+    rows[1, :OF_TWIST] *= weight / sigma_second
     return squared, more
 
 
