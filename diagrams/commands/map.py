@@ -257,7 +257,7 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
 
     a, b = _load(map_file), _load(other)
     try:
-        tagged = by_tags(a, b)
+        tagged = by_tags(a.graph, b.graph)
     except BadInput as error:
         print(error)
         tagged = None

@@ -18,11 +18,10 @@ from tfg_drake.geometry import se2
 from tfg_drake.mapfile.placement import by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe, load_map
 from tfg_drake.messages import FloatArray, MapEstimate, replace
-from tfg_drake.slam.estimator import MOST_TAKEN_BACK
 from tfg_drake.slam.estimator_state import unknown_way
-from tfg_drake.slam.evidence import contradicted, disputed
+from tfg_drake.slam.evidence import disputed, reconciled
 from tfg_drake.slam.keyframe import Keyframe, along_walls, rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import extended, no_observation, taken_back
+from tfg_drake.slam.keyframe_graph import extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.tag_search import by_tags
@@ -58,7 +57,7 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
             "both maps hold the same session, which would count twice: one began with the other, or both with a third; "
             "use one alone"
         )
-    found = by_tags(first, second) or by_walls(standing_in(first), standing_in(second))
+    found = by_tags(first.graph, second.graph) or by_walls(standing_in(first), standing_in(second))
     if found is None:
         raise BadInput(
             f"{len(np.intersect1d(first.ids, second.ids))} tags are in both, too few or too near to each other, and "
@@ -78,12 +77,8 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
     X_AV = np.vstack([graph.X_AV[:views], X_BV])
     graph = replace(graph, view_keyframe=view_keyframe, X_AV=X_AV, sessions=sessions)
     graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
-    wrong = found.moved
-    for _ in range(MOST_TAKEN_BACK):
-        if (sighting := contradicted(graph)) is None:
-            break
-        graph, wrong = taken_back(graph, *sighting), np.append(wrong, sighting[0])
-        graph, estimate = solve(graph, second.stamp, no_observation(), joint=known_jointly(graph))
+    graph, estimate, contradicted = reconciled(graph, estimate)
+    wrong = np.append(found.moved, contradicted)
     tfg_graph = joined(
         first.tfg_graph, _with_names(second, one, names, estimate, graph.X_MN[-2]), estimate, TagSensorConfig()
     )

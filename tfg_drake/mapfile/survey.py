@@ -63,7 +63,7 @@ def in_survey(saved: SavedMap, survey: MapEstimate) -> Surveyed:
     Raises:
         BadInput: fewer than three agree; one line.
     """
-    found = by_tags(survey, saved)
+    found = by_tags(survey, saved.graph)
     ids, in_W, in_M = np.intersect1d(survey.ids, saved.ids, return_indices=True)
     if found is None:
         raise BadInput(f"{len(ids)} surveyed tags are in the map, too few or too near to each other: survey more of it")

@@ -47,12 +47,12 @@ from tfg_drake.slam.evidence import (
     Sighted,
     TagWatch,
     believable,
-    contradicted,
     disputed,
     doubtful,
     forgotten,
     missing,
     overturned,
+    reconciled,
     sanitized,
     watched,
     weighed,
@@ -61,7 +61,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_map, forget, fused, of_tied, taken_back
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_map, forget, fused, of_tied
 from tfg_drake.slam.localizer import (
     corrected_by_walls,
     localized_pose,
@@ -116,8 +116,6 @@ LONGEST_DOUBT = 60.0
 REDUCED_WITHIN = 0.5
 # And where the level of some noise has, by this.
 LEVEL_WITHIN = 0.2
-# Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
-MOST_TAKEN_BACK = 10
 # The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
 SAME_TAG_ERROR = 0.05
 MOST_SOLVES = 6
@@ -333,19 +331,16 @@ def finished_map(state: EstimatorState) -> EstimatorState:
     estimate = state.map
     if estimate is None:
         return state
-    graph, evidence = fused(replace(state.graph, p_ML=estimate.p_ML, prior=_prior(state))), state.evidence
+    graph = fused(replace(state.graph, p_ML=estimate.p_ML, prior=_prior(state)))
     for _ in range(MOST_SOLVES):
         before = graph.tag_error
         graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
         if np.allclose(graph.tag_error, before, rtol=SAME_TAG_ERROR):
             break
-    for _ in range(MOST_TAKEN_BACK):
-        wrong = contradicted(graph)
-        if wrong is None:
-            break
-        _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, wrong[0])
-        graph, evidence = taken_back(graph, *wrong), disputed(evidence, np.array(wrong[:1]))
-        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+    graph, estimate, wrong = reconciled(graph, estimate)
+    for tag in wrong.tolist():
+        _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, tag)
+    evidence = disputed(state.evidence, wrong)
     estimate = with_doubts(estimate, evidence, graph)
     published = estimate.of_tags
     return replace(state, graph=graph, solved=graph, map=estimate, published=published, evidence=evidence)
@@ -368,15 +363,14 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     tags, scan = held_against_odometry(look.messages, look.start.offset)
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
-    landmarks = state.landmarks
     if scan.lines:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=NO_SCAN[0]) for frame in turn.frames)
-        landmarks, state = "tags", replace(state, landmarks="tags", open=replace(turn, frames=frames), unread=())
+        state = replace(state, landmarks="tags", open=replace(turn, frames=frames), unread=())
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=landmarks), tags.ahead)
+        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=state.landmarks), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
             if not state.turns and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
@@ -386,8 +380,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
 
 def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
     """The state before any message with the camera's clock so much, s, farther ahead than its data sheet says."""
-    prior = state.sheet
-    prior = replace(prior, mean=prior.mean + ahead * np.eye(SHARED)[CLOCK])
+    prior = replace(state.sheet, mean=state.sheet.mean + ahead * np.eye(SHARED)[CLOCK])
     graph = replace(state.graph, prior=prior, shared=prior)
     return replace(
         state,

@@ -34,7 +34,8 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.slam.keyframe import Keyframe, linearised, rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import KeyframeGraph
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, taken_back
+from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.scan_ranges import surface
 from tfg_drake.slam.tag_error import in_place
@@ -51,6 +52,8 @@ MOST = 20
 # this large, m: the map may have moved between them.
 SAME = 9.2
 LEAST_DEVIATION = 0.1
+# Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
+MOST_TAKEN_BACK = 10
 # Stands for the view of a place that is the one in the map.
 MAPPED = -1
 # From farther away, m, and nearer than this, rad, to where no tag has been seen yet, detectors miss tags, and so they
@@ -188,6 +191,17 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
         if np.max(falls, initial=0.0) > most:
             most, found = float(np.max(falls)), (int(one.ids[np.argmax(falls)]), j)
     return found
+
+
+def reconciled(graph: KeyframeGraph, estimate: MapEstimate) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
+    """A graph, solved as a whole, and its map, less the sightings that contradict it, the worst first; and the ids of
+    their tags."""
+    wrong: list[int] = []
+    while len(wrong) < MOST_TAKEN_BACK and (sighting := contradicted(graph)) is not None:
+        graph = taken_back(graph, *sighting)
+        graph, estimate = solve(graph, estimate.stamp, estimate.observation, joint=known_jointly(graph))
+        wrong.append(sighting[0])
+    return graph, estimate, np.array(wrong, dtype=np.int64)
 
 
 def doubtful(evidence: Evidence) -> IntArray:

@@ -79,16 +79,9 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
     """The localiser at the departure pose of the newest map, and its walls."""
     walls = walls or no_walls()
     of_walls = estimate.local[~is_tag(estimate.ids[estimate.local])]
-    considered, with_D, p_DL = _considered(estimate, np.zeros(0, dtype=np.int64), walls.floor)
-    return empty(
-        Localizer,
-        map=estimate,
-        p_DL=p_DL,
-        considered=considered,
-        with_D=with_D,
-        walls=WallSet(*_in_departure(estimate, of_walls), estimate.reach[of_walls]),
-        floor=walls.floor,
-    )
+    in_D = WallSet(*_in_departure(estimate, of_walls), estimate.reach[of_walls])
+    start = empty(Localizer, map=estimate, walls=in_D, floor=walls.floor)
+    return _with_seen(start, start.seen)
 
 
 def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigma: FloatArray) -> Localizer:

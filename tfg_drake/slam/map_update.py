@@ -233,9 +233,8 @@ def finished(
     each[estimate.local] = estimate.covariance[:-3, :-3].reshape(len(m), 2, len(m), 2)[m, :, m, :]
     entropy = graph.entropy_beyond + entropy_of(estimate.covariance[:-3, :-3])
     graph = replace(graph, landmark_covariance=each, entropy=entropy)
-    return graph, estimate_of(
-        graph, stamp, observation, estimate.p_ML, estimate.X_MD, estimate.local, estimate.joint_covariance
-    )
+    told = replace(estimate, stage=len(graph.view_keyframe), stamp=stamp, observation=observation)
+    return graph, replace(told, landmark_covariance=each, entropy=entropy)
 
 
 def entropy_of(covariance: FloatArray) -> float:

@@ -60,7 +60,7 @@ from tfg_drake.slam.place_search import (
 )
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW, seen_from_body
 from tfg_drake.slam.surface_fit import surface_points
-from tfg_drake.slam.tag_search import Tagged, by_tags
+from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.table import empty
 
 # Deviations of a pose by walls, m, m, rad.
@@ -306,9 +306,9 @@ def _seen_of(
 
 
 def _where(
-    tags: Tagged,
+    tags: MapEstimate,
     mapped: Seen,
-    seen_tags: Tagged,
+    seen_tags: MapEstimate,
     seen: Seen,
     prior: Prior | None,
     before: FloatArray | None = None,

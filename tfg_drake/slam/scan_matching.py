@@ -457,9 +457,8 @@ def bridged(
         return None
     known = np.array([one.stamp for one in matched])
     at = np.concatenate([[begin], known[(known > begin) & (known < end)], [end]])
-    heading = np.unwrap([pose[2] for pose in poses])
-    values = (np.array([pose[0] for pose in poses]), np.array([pose[1] for pose in poses]), heading)
-    way = np.column_stack([np.interp(at, known, value) for value in values])
+    x, y, heading = np.array(poses).T
+    way = np.column_stack([np.interp(at, known, value) for value in (x, y, np.unwrap(heading))])
     return at, se2.between(way[0], way), covariance
 
 

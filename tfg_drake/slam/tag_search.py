@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from typing import Protocol
 
 import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import FloatArray, MapEstimate, is_tag
 from tfg_drake.slam.estimator_state import Placed
+from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.place_search import is_elsewhere
 
 # Tags that must agree, and the share of those that are in both.
@@ -28,23 +28,7 @@ STEPS = 8
 KNOWN, AHEAD = np.array([0.3, 0.3, 0.1]), 6.0
 
 
-class Tagged(Protocol):
-    """A map with tags."""
-
-    @property
-    def ids(self) -> IntArray:
-        """(n,) of the tags, ascending."""
-
-    @property
-    def p_ML(self) -> FloatArray:
-        """(n, 2) places of the tags, m."""
-
-    @property
-    def landmark_covariance(self) -> FloatArray:
-        """(n, 2, 2) of these, m^2."""
-
-
-def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
+def by_tags(of_A: MapEstimate | KeyframeGraph, of_B: MapEstimate | KeyframeGraph) -> Placed | None:
     """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
 
     Raises:
@@ -53,7 +37,8 @@ def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
     common, in_A, in_B = np.intersect1d(of_A.ids, of_B.ids, return_indices=True)
     in_both = of_A.landmark_covariance[in_A], of_B.landmark_covariance[in_B]
     variance = np.linalg.eigvalsh(in_both[0])[:, -1] + np.linalg.eigvalsh(in_both[1])[:, -1]
-    told = variance < LOOSE**2
+    tags = is_tag(common)
+    told = tags & (variance < LOOSE**2)
     ids, weight = common[told], np.asarray(1.0 / (variance[told] + MAP_SIGMA**2))
     # Seen from amid them: far off a small error of heading is a large one of the place.
     p_A, p_B = of_A.p_ML[in_A[told]], of_B.p_ML[in_B[told]]
@@ -73,7 +58,8 @@ def by_tags(of_A: Tagged, of_B: Tagged) -> Placed | None:
     agree = squared[best] < GATE
     if agree.sum() < LEAST_SHARE * len(ids):
         raise BadInput(
-            f"{len(common)} tags are in both, but fewer than three in five of them stand alike: are both of one place?"
+            f"{np.count_nonzero(tags)} tags are in both, but fewer than three in five of them stand alike: are both of "
+            "one place?"
         )
     J = np.tile(np.eye(2, 3), (len(ids), 1, 1))
     J[:, :, 2] = (se2.transform(X[best], p_B) - X[best, :2])[:, ::-1] * [-1.0, 1.0]
