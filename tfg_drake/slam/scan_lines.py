@@ -100,25 +100,22 @@ def unevenness_after(scan: LaserScan, lines: FloatArray, unevenness: float) -> f
 def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[float, float]:
     """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, all of one line, of
     (m,) which, 0 for none; nan where these are few. What is between them may have met nothing."""
-    n, count = len(ranges), 0
-    off = np.empty((n, 2))
-    for i in range(1, n - 1):
-        if of[i] == 0:
-            continue
-        half = round(0.5 * STRETCH / (ranges[i] * (angles[i + 1] - angles[i])))
-        half = max(2, min(half, MOST_RAYS))
-        first, last = i - half, i + half
-        if first < 0 or last >= n or np.any(of[np.array([first, i - 1, i + 1, last])] != of[i]):
-            continue
-        for column, m in enumerate((1, half)):
-            left, right, turn = ranges[i - m], ranges[i + m], 0.5 * (angles[i + m] - angles[i - m])
-            off[count, column] = abs(ranges[i] - 2.0 * math.cos(turn) * left * right / (left + right))
-        count += 1
-    if count < LEAST_RAYS:
+    ray = np.flatnonzero(of[1:-1]) + 1
+    half = np.round(0.5 * STRETCH / (ranges[ray] * (angles[ray + 1] - angles[ray])))
+    half = np.maximum(2, np.minimum(half, MOST_RAYS)).astype(np.int64)
+    inside = (ray >= half) & (ray + half < len(ranges))
+    ray, half = ray[inside], half[inside]
+    line = of[ray]
+    same = (of[ray - half] == line) & (of[ray - 1] == line) & (of[ray + 1] == line) & (of[ray + half] == line)
+    ray, half = ray[same], half[same]
+    if len(ray) < LEAST_RAYS:
         return np.nan, np.nan
+    off = np.empty(2)
+    for i, m in enumerate((np.ones_like(half), half)):
+        left, right, turn = ranges[ray - m], ranges[ray + m], 0.5 * (angles[ray + m] - angles[ray - m])
+        off[i] = np.median(np.abs(ranges[ray] - 2.0 * np.cos(turn) * left * right / (left + right))) / NORMAL
     # A ray, and half of each of two others.
-    near, far = np.median(off[:count, 0]) / NORMAL, np.median(off[:count, 1]) / NORMAL
-    return near * near / 1.5, far * far / 1.5
+    return off[0] * off[0] / 1.5, off[1] * off[1] / 1.5
 
 
 def surface_seen(scan: LaserScan) -> float:
@@ -225,19 +222,14 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         c, s = math.cos(angle), math.sin(angle)
         if offset < 0.0:
             c, s, offset, angle = -c, -s, -offset, angle + math.pi
-        H00, H01, H11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(m):
-            normal, along = (c * x[i] + s * y[i]) / r[i], (-s * x[i] + c * y[i]) / r[i]
-            if normal < SLANT:
-                continue
-            # Range that the line says, and its derivatives.
-            error = (offset / normal - r[i]) / sigma
-            by_offset, by_angle = 1.0 / normal / sigma, -offset * along / (normal * normal) / sigma
-            H00 += by_angle * by_angle
-            H01 += by_angle * by_offset
-            H11 += by_offset * by_offset
-            g0 += by_angle * error
-            g1 += by_offset * error
+        normal = (c * x + s * y) / r
+        met = normal >= SLANT
+        normal, along = normal[met], ((-s * x + c * y) / r)[met]
+        # Range that the line says, and its derivatives.
+        error = (offset / normal - r[met]) / sigma
+        by_offset, by_angle = 1.0 / normal / sigma, -offset * along / (normal * normal) / sigma
+        H00, H01, H11 = (by_angle * by_angle).sum(), (by_angle * by_offset).sum(), (by_offset * by_offset).sum()
+        g0, g1 = (by_angle * error).sum(), (by_offset * error).sum()
         det = H00 * H11 - H01 * H01
         if not det > 1e-9 * H00 * H11:
             return False
@@ -246,44 +238,33 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     c, s = math.cos(angle), math.sin(angle)
     if offset <= 0.0:
         return False
-    squares, used, begin, end = 0.0, 0, np.inf, -np.inf
-    u2, bend, by_turn, by_way = 0.0, 0.0, np.zeros(2), np.zeros(2)
+    normal = (c * x + s * y) / r
+    met = normal >= SLANT
+    x, y, r, normal = x[met], y[met], r[met], normal[met]
+    if len(x) < RAYS - 2 * TRIM:
+        return False
+    along, off = -s * x + c * y, offset / normal - r
+    begin, end, freedoms = along.min(), along.max(), len(x) - 2
+    if end - begin < LENGTH:
+        return False
+    error, part = off / sigma, (along - 0.5 * (begin + end)) / (0.5 * (end - begin))
+    u = (3.0 * (part * part) - 1.0) * 0.5
+    squares, bend, u2 = (error * error).sum(), (u * off / sigma).sum(), (u * u).sum()
+    if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
+        return False
     # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
     V00, V01, V11 = H11 / det, -H01 / det, H00 / det
     middle = V01 / V00
-    line[0], line[1], line[4] = math.atan2(s, c), offset, middle
-    of_middle = bearing_of(line)
-    for i in range(m):
-        normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
-        if normal < SLANT:
-            continue
-        error = (offset / normal - r[i]) / sigma
-        squares += error * error
-        used += 1
-        bearing = of_middle + wrap(math.atan2(y[i], x[i]) - of_middle)
-        on_line = np.array([-offset * along / (r[i] * normal), 1.0]) / (normal * sigma)
-        by_turn -= bearing * along / (normal * sigma) * on_line
-        by_way += bearing / (normal * sigma) * on_line
-        begin, end = min(begin, along), max(end, along)
-    if used < RAYS - 2 * TRIM or end - begin < LENGTH:
-        return False
-    centre, half = 0.5 * (begin + end), 0.5 * (end - begin)
-    for i in range(m):
-        normal, along = (c * x[i] + s * y[i]) / r[i], -s * x[i] + c * y[i]
-        if normal < SLANT:
-            continue
-        u = (3.0 * ((along - centre) / half) ** 2 - 1.0) * 0.5
-        bend += u * (offset / normal - r[i]) / sigma
-        u2 += u * u
-    freedoms = used - 2
-    if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
-        return False
-    line[2], line[3] = begin, end
+    line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle
     line[5] = math.sqrt(V00)
     line[6] = math.sqrt(max(V11 - V01 * V01 / V00, 1e-12))
-    for k, swept, expected in ((7, by_turn, -middle * of_middle), (9, by_way, of_middle)):
-        line[k] = V00 * swept[0] + V01 * swept[1]
-        line[k + 1] = V01 * swept[0] + V11 * swept[1] - middle * line[k] - expected
+    of_middle, scale = bearing_of(line), normal * sigma
+    bearing = np.array([of_middle + wrap(math.atan2(y[i], x[i]) - of_middle) for i in range(len(x))])
+    on_angle, on_offset = -offset * along / (r * normal) / scale, 1.0 / scale
+    for k, swept, expected in ((7, -bearing * along / scale, -middle * of_middle), (9, bearing / scale, of_middle)):
+        by_angle, by_offset = (swept * on_angle).sum(), (swept * on_offset).sum()
+        line[k] = V00 * by_angle + V01 * by_offset
+        line[k + 1] = V01 * by_angle + V11 * by_offset - middle * line[k] - expected
     return True
 
 
@@ -291,22 +272,25 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
 def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
     """Whether a line (11,) is a chord of what these rays see: a parabola is fitted to them."""
     c, s, length = math.cos(line[0]), math.sin(line[0]), line[3] - line[2]
-    H, g, squares, used = np.zeros((3, 3)), np.zeros(3), 0.0, 0
-    for i in range(TRIM, len(x) - TRIM):
-        normal, t = (c * x[i] + s * y[i]) / r[i], (-s * x[i] + c * y[i] - 0.5 * (line[2] + line[3])) / length
-        if normal < SLANT:
-            continue
-        row = np.array([1.0, t, t * t]) / (normal * sigma)
-        off = (c * x[i] + s * y[i] - line[1]) / (normal * sigma)
-        for a in range(3):
-            for b in range(3):
-                H[a, b] += row[a] * row[b]
-            g[a] += row[a] * off
-        squares += off * off
-        used += 1
+    x, y, r, H, g = (
+        x[TRIM : len(x) - TRIM],
+        y[TRIM : len(y) - TRIM],
+        r[TRIM : len(r) - TRIM],
+        np.empty((3, 3)),
+        np.empty(3),
+    )
+    normal, t = (c * x + s * y) / r, (-s * x + c * y - 0.5 * (line[2] + line[3])) / length
+    met = normal >= SLANT
+    t, scale, off = t[met], normal[met] * sigma, (c * x + s * y - line[1])[met]
+    off /= scale
+    rows = np.ones_like(t) / scale, t / scale, t * t / scale
+    for a in range(3):
+        g[a] = (rows[a] * off).sum()
+        for b in range(3):
+            H[a, b] = (rows[a] * rows[b]).sum()
     inverse = np.linalg.inv(H + 1e-9 * np.eye(3))
     by = inverse @ g
-    squares, freedoms = squares - float(by @ g), used - 3
+    squares, freedoms = (off * off).sum() - by @ g, len(t) - 3
     if freedoms < 1 or squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms):
         return False
     bend = abs(by[2])

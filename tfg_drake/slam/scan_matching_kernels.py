@@ -48,10 +48,8 @@ def normals(angles: FloatArray, ranges: FloatArray, sigma: float, stride: int) -
         if m < 4:
             continue
         mx, my = x[first : last + 1].mean(), y[first : last + 1].mean()
-        sxx = syy = sxy = 0.0
-        for i in range(first, last + 1):
-            dx, dy = x[i] - mx, y[i] - my
-            sxx, syy, sxy = sxx + dx * dx, syy + dy * dy, sxy + dx * dy
+        dx, dy = x[first : last + 1] - mx, y[first : last + 1] - my
+        sxx, syy, sxy = (dx * dx).sum(), (dy * dy).sum(), (dx * dy).sum()
         along = 0.5 * math.atan2(2.0 * sxy, sxx - syy)
         c, s = math.cos(along), math.sin(along)
         long = sxx * c * c + syy * s * s + 2.0 * sxy * c * s

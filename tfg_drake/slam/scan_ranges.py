@@ -132,15 +132,11 @@ def surface(bearing: float, angles: FloatArray, ranges: FloatArray, sigma: float
         return math.nan, math.nan
     step = (angles[first + 2 * RAYS - 1] - angles[first]) / (2 * RAYS - 1)
     middle = 0.5 * (angles[first + RAYS - 1] + angles[first + RAYS])
-    total, slope, bend = 0.0, 0.0, 0.0
-    for i in range(first, first + 2 * RAYS):
-        if not np.isfinite(ranges[i]) or ranges[i] <= 0.0:
-            return math.nan, math.nan
-        if i > first and not abs(ranges[i] - ranges[i - 1]) < SAME_SURFACE * ranges[i]:
-            return math.nan, math.nan
-        total += 1.0 / ranges[i]
-        slope += (i - first - RAYS + 0.5) / ranges[i]
-        bend += (1.0 if abs(i - first - RAYS + 0.5) > 0.5 * RAYS else -1.0) / ranges[i]
+    r, ray = ranges[first : first + 2 * RAYS], np.arange(2 * RAYS) - RAYS + 0.5
+    if not (np.all((r > 0.0) & (r < np.inf)) and np.all(np.abs(r[1:] - r[:-1]) < SAME_SURFACE * r[1:])):
+        return math.nan, math.nan
+    total, slope = (1.0 / r).sum(), (ray / r).sum()
+    bend = (np.where(np.abs(ray) > 0.5 * RAYS, 1.0, -1.0) / r).sum()
     # Rays that meet two walls on both sides of a corner.
     if abs(bend) > STRAIGHT * sigma * math.sqrt(2.0 * RAYS) * (total / (2 * RAYS)) ** 2:
         return math.nan, math.nan
