@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 import scipy.linalg
-from numba import njit
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
@@ -127,18 +126,13 @@ def _is_length(ids: IntArray) -> BoolArray:
     return np.concatenate([of_landmarks, [True, True], np.zeros(1 + SHARED, dtype=bool)])
 
 
-@njit(cache=True)
 def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> FloatArray:
     """The covariance of x with all entries of x that have a lever (u,) by the scale, in the row of_scale, in another
     unit: x' = scale * x, which the scale moves by the lever."""
     by = np.where(lever != 0.0, scale, 1.0)
     half = by * P[of_scale] + 0.5 * P[of_scale, of_scale] * lever
-    other = np.empty_like(P)
-    for i in range(len(P)):
-        for j in range(i + 1):
-            other[i, j] = by[i] * P[i, j] * by[j] + lever[i] * half[j] + half[i] * lever[j]
-            other[j, i] = other[i, j]
-    return other
+    other = by[:, None] * P * by + lever[:, None] * half + half[:, None] * lever
+    return np.where(np.tri(len(P), dtype=bool), other, other.T)  # What rounding made of both halves is one.
 
 
 def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:

@@ -167,16 +167,6 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
         begin, end, first, beyond = stack[top]
         if end - begin < RAYS:
             continue
-        last = end - 1
-        dx, dy = x[last] - x[begin], y[last] - y[begin]
-        length = math.hypot(dx, dy)
-        worst, at = 0.0, begin
-        for i in range(begin + 1, last):
-            off = abs(dx * (y[i] - y[begin]) - dy * (x[i] - x[begin])) / max(length, 1e-9)
-            cosine = max(abs(x[i] * dy - y[i] * dx) / max(length * r[i], 1e-9), 0.25)
-            off /= sigma * cosine
-            if off > worst:
-                worst, at = off, i
         if _fitted(x[begin:end], y[begin:end], r[begin:end], sigma, found[n]):
             line = found[n]
             along = -math.sin(line[0]) * x + math.cos(line[0]) * y
@@ -190,7 +180,14 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
             for i, j in ((right, left), (begin, left), (right, end)):
                 chord = chord or _is_chord(x[i:j], y[i:j], r[i:j], sigma, line)
             n += not chord
-        elif worst > SPLIT and last - begin >= 2:
+            continue
+        dx, dy = x[end - 1] - x[begin], y[end - 1] - y[begin]
+        length, u, v = math.hypot(dx, dy), x[begin + 1 : end - 1], y[begin + 1 : end - 1]
+        off = np.abs(dx * (v - y[begin]) - dy * (u - x[begin])) / max(length, 1e-9)
+        cosine = np.maximum(np.abs(u * dy - v * dx) / np.maximum(length * r[begin + 1 : end - 1], 1e-9), 0.25)
+        off /= sigma * cosine
+        at = begin + 1 + np.argmax(off)
+        if off.max() > SPLIT:
             stack[top] = np.array([at, end, first, beyond])
             stack[top + 1] = np.array([begin, at + 1, first, beyond])
             top += 2
