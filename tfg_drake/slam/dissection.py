@@ -165,10 +165,8 @@ def _halves(
     if len(begins):
         first, last = (each.reduceat(place[keyframe], begins, axis=0) for each in (np.minimum, np.maximum))
     # Both sides of a cut have the variables that begin before it, but for those that end before it.
-    begun, ended = (
-        np.bincount((directions * (of + 1) + np.arange(directions)).ravel(), minlength=directions * (q + 1))
-        for of in (first, last)
-    )
+    column, count = np.arange(directions), directions * (q + 1)
+    begun, ended = (np.bincount((directions * (of + 1) + column).ravel(), minlength=count) for of in (first, last))
     shared = np.cumsum((begun - ended).reshape(q + 1, directions), axis=0)[cuts]
     best, direction = np.unravel_index(np.argmin(shared), shared.shape)
     cut, first, last = cuts[best], first[:, direction], last[:, direction]

@@ -105,14 +105,9 @@ def step_localizer(
     if new.any():
         now = _with_seen(now, np.append(now.seen, np.sort(row[new])))
     column = _places(row, now.seen, SHARED)
-    (mean, covariance, sensitivity), accepted = filtered(
-        now.state,
-        (now.map.shared, now.considered),
-        motion,
-        instant,
-        (column, entry, now.p_DL),
-        (detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range),
-    )
+    considered, places = (now.map.shared, now.considered), (column, entry, now.p_DL)
+    frame = detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range
+    (mean, covariance, sensitivity), accepted = filtered(now.state, considered, motion, instant, places, frame)
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
     if (column >= 0).all():
         return now, len(ids), len(ids) - int(np.count_nonzero(accepted))

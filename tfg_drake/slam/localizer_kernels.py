@@ -140,14 +140,12 @@ def update(
     """Correct the state, in place, by pairs of measurements that are off by residual (2m,) with variances noise (2m,)
     and derivatives H (2m, 3 + 2k) on the state and H_c (2m, 13 + 2s) on what is considered; which pairs (m,) are inside
     their gate, and are used."""
-    (mean, P, W), accepted = state, np.zeros(len(residual) // 2, dtype=np.bool_)
+    mean, P, W = state
     HW, CH = H @ W + H_c, C @ H_c.T
     HP = H @ P + (W @ CH).T
     S = HP @ H.T + HW @ CH + np.diag(noise)
-    for k in range(len(accepted)):
-        a, b = 2 * k, 2 * k + 1
-        xx, xy, yy, x, y = S[a, a], S[a, b], S[b, b], residual[a], residual[b]
-        accepted[k] = yy * x * x - 2.0 * xy * x * y + xx * y * y <= GATE * (xx * yy - xy * xy)
+    x, y, xx, xy, yy = residual[::2], residual[1::2], np.diag(S)[::2], np.diag(S, 1)[::2], np.diag(S)[1::2]
+    accepted = yy * x * x - 2.0 * xy * x * y + xx * y * y <= GATE * (xx * yy - xy * xy)
     if accepted.any():
         kept = np.flatnonzero(np.repeat(accepted, 2))
         # S = G G^T, and G^-1 (H P, H W, residual): so P - (H P)^T S^-1 H P remains symmetric.

@@ -121,20 +121,15 @@ def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, 
     where local does not name them all, and the deviations of their constant errors, by nested dissection."""
     solver, nothing = DissectionSolver(graph), np.zeros(graph.p_ML.shape)
     values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
-    u, m = solver.unknowns, 2 * len(local)
-    at = np.concatenate(
-        [
-            (u.landmark_at[local][:, None] + [0, 1]).ravel(),
-            u.node_at[node] + np.arange(3),
-            u.shared_at + np.arange(SHARED),
-            (u.error_at[local][:, None] + [0, 1]).ravel() if solver.factors.has_errors else np.empty(0, dtype=np.int64),
-        ]
-    )
+    u, m, has_errors = solver.unknowns, 2 * len(local), solver.factors.has_errors
+    of_landmarks, of_errors = ((of[local][:, None] + [0, 1]).ravel() for of in (u.landmark_at, u.error_at))
+    of_pose, of_shared = u.node_at[node] + np.arange(3), u.shared_at + np.arange(SHARED)
+    at = np.concatenate([of_landmarks, of_pose, of_shared, of_errors if has_errors else of_errors[:0]])
     covariance = system.covariance(at)
-    of_errors = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
+    variance = np.diag(covariance)[m + 3 + SHARED :].reshape(-1, 2)
     covariance = covariance[: m + 3 + SHARED, : m + 3 + SHARED].copy()
-    if solver.factors.has_errors:
-        tag_error = learnt(graph.tag_error, values.errors[local], of_errors)
+    if has_errors:
+        tag_error = learnt(graph.tag_error, values.errors[local], variance)
     else:
         tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
     log_information = 0.0

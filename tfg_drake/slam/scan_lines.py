@@ -211,9 +211,8 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     if m < RAYS - 2 * TRIM:
         return False
     m_x, m_y = x.mean(), y.mean()
-    angle = (
-        0.5 * math.atan2(2.0 * ((x - m_x) * (y - m_y)).sum(), ((x - m_x) ** 2 - (y - m_y) ** 2).sum()) + 0.5 * math.pi
-    )
+    u, v = x - m_x, y - m_y
+    angle = 0.5 * math.atan2(2.0 * (u * v).sum(), (u**2 - v**2).sum()) + 0.5 * math.pi
     offset = math.cos(angle) * m_x + math.sin(angle) * m_y
     for _ in range(4):
         c, s = math.cos(angle), math.sin(angle)
@@ -269,18 +268,12 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
 def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
     """Whether a line (11,) is a chord of what these rays see: a parabola is fitted to them."""
     c, s, length = math.cos(line[0]), math.sin(line[0]), line[3] - line[2]
-    x, y, r, H, g = (
-        x[TRIM : len(x) - TRIM],
-        y[TRIM : len(y) - TRIM],
-        r[TRIM : len(r) - TRIM],
-        np.empty((3, 3)),
-        np.empty(3),
-    )
+    x, y, r = x[TRIM : len(x) - TRIM], y[TRIM : len(y) - TRIM], r[TRIM : len(r) - TRIM]
     normal, t = (c * x + s * y) / r, (-s * x + c * y - 0.5 * (line[2] + line[3])) / length
     met = normal >= SLANT
     t, scale, off = t[met], normal[met] * sigma, (c * x + s * y - line[1])[met]
     off /= scale
-    rows = np.ones_like(t) / scale, t / scale, t * t / scale
+    rows, H, g = (np.ones_like(t) / scale, t / scale, t * t / scale), np.empty((3, 3)), np.empty(3)
     for a in range(3):
         g[a] = (rows[a] * off).sum()
         for b in range(3):

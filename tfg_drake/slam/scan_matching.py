@@ -163,9 +163,8 @@ class _Way:
     def moved(self, begin: FloatArray, end: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
         """How far it comes from begin to end, each (n,), s: chord (n,), m, ahead and i times to the left as seen from
         half the turn, and turn (n,), rad."""
-        (p, q), (before, after) = (
-            [np.interp(at, self.stamps, value) for at in (begin, end)] for value in (self._p, self._heading)
-        )
+        p, q = (np.interp(at, self.stamps, self._p) for at in (begin, end))
+        before, after = (np.interp(at, self.stamps, self._heading) for at in (begin, end))
         return (q - p) * np.exp(-0.5j * (before + after)), np.asarray(after - before, dtype=float)
 
 

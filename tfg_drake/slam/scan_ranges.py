@@ -92,13 +92,9 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
         of_tag = np.zeros((len(ids), 7))
         of_tag[np.searchsorted(ids, before.ids)] = before.of_tag
         before, row = replace(before, ids=ids, of_tag=of_tag), np.searchsorted(ids, detections.ids)
-    of_tag, total, apart, pairs = _with_pairs(
-        (before.of_tag, before.total, before.apart),
-        row,
-        (detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing),
-        (scan.angles, scan.ranges, scan.sigma),
-        (shared.mean, shared.covariance),
-    )
+    sums, rays = (before.of_tag, before.total, before.apart), (scan.angles, scan.ranges, scan.sigma)
+    frame = detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing
+    of_tag, total, apart, pairs = _with_pairs(sums, row, frame, rays, (shared.mean, shared.covariance))
     return replace(before, of_tag=of_tag, total=total, apart=apart, pairs=before.pairs + pairs)
 
 
@@ -157,12 +153,8 @@ def _with_pairs(
     """of_tag, total and apart as before, with the sightings (n,) of a frame, of the tags in the rows tag (n,), and how
     many of these agree with the scan. known: mean and covariance of the parameters."""
     of_tag, total, apart, pairs = before[0].copy(), before[1].copy(), before[2].copy(), 0
-    (range_, bearing, sigma_range, sigma_bearing), (angles, ranges, sigma_scan), (shared, covariance) = (
-        frame,
-        scan,
-        known,
-    )
-    mean, sigma, row = np.zeros(5), np.full(5, BEFORE_SURFACE), np.ones(7)
+    (range_, bearing, sigma_range, sigma_bearing), (angles, ranges, sigma_scan) = frame, scan
+    (shared, covariance), mean, sigma, row = known, np.zeros(5), np.full(5, BEFORE_SURFACE), np.ones(7)
     for a in range(4):
         mean[a], sigma[a] = shared[COMPARED[a]], math.sqrt(covariance[COMPARED[a], COMPARED[a]])
     for a in range(3):

@@ -311,10 +311,8 @@ def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArr
 
     Those of a single step have its noise, which a clock would explain.
     """
-    first, last = (
-        np.searchsorted(stamps, stamps - TWIST_SPAN),
-        np.searchsorted(stamps, stamps + TWIST_SPAN, "right") - 1,
-    )
+    first = np.searchsorted(stamps, stamps - TWIST_SPAN)
+    last = np.searchsorted(stamps, stamps + TWIST_SPAN, "right") - 1
     span = np.maximum(stamps[last] - stamps[first], SAME_INSTANT)
     moved = np.array([arc(X_AB[i], X_AB[j]) for i, j in zip(first, last, strict=True)])
     scale = 1.0 + shared[[DISTANCE_SCALE, GYRO_SCALE]]
