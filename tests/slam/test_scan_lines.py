@@ -9,7 +9,7 @@ import pytest
 from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry import se2
 from tfg_drake.simulation.laser_scanner import along_rays, ray_angles, scan, spoilt
-from tfg_drake.slam.scan_lines import LENGTH, scan_lines, surface_seen, unevenness_after
+from tfg_drake.slam.scan_lines import LENGTH, on_uneven, scan_lines, surface_seen, unevenness_after
 
 CONFIG = ScanConfig()
 ANGLES = ray_angles(CONFIG)
@@ -128,7 +128,7 @@ def unevenness_told(noise, correlation, missing, unevenness, scans):
         normal = along_rays(normal, ANGLES, correlation) if correlation else normal
         one = scan(WALLS, X_WB, 0.0, ANGLES, normal, dataclasses.replace(CONFIG, noise=noise))
         one = spoilt(one, rng.uniform(size=len(ANGLES)), reality) if missing else one
-        unevenness = unevenness_after(one, scan_lines(one, unevenness), unevenness)
+        unevenness = unevenness_after(one, scan_lines(one), unevenness)
     return unevenness, one
 
 
@@ -151,7 +151,7 @@ def test_rays_that_meet_nothing_hide_no_errors_in_common(missing, correlation, t
 
 def test_uneven_walls_are_known_no_better_than_their_stretches():
     scan = seen(WALLS, np.array([0.3, -0.2, 0.4]))
-    even, uneven = scan_lines(scan), scan_lines(scan, 0.03)
+    even, uneven = scan_lines(scan), on_uneven(scan_lines(scan), 0.03)
     same = [0, 1, 2, 3, 4, 7, 8, 9, 10]
     np.testing.assert_allclose(uneven[:, same], even[:, same], rtol=1e-9, atol=1e-12)
     stretches = np.maximum((even[:, 3] - even[:, 2]) / 0.5, 1.0)

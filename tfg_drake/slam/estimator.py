@@ -11,6 +11,7 @@ is suddenly elsewhere (a slip, a push, a kidnapping).
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 from collections.abc import Callable
@@ -148,22 +149,10 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 def carried(state: EstimatorState) -> EstimatorState:
     """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
-    return replace(
-        state,
-        newest=None,
-        odometry=(),
-        pending=(),
-        scans=(),
-        unread=(),
-        looked=-math.inf,
-        contradictions=CONTRADICTIONS,
-        suspect=None,
-        kidnapped=True,
-        placed=math.nan,
-        open=None,
-        turns=False,
-        way=(),
-    )
+    before_any = {field.name: field.default for field in dataclasses.fields(state)}
+    of_drive = ("newest", "odometry", "pending", "scans", "unread", "looked", "suspect", "open", "turns", "way")
+    anew = {name: before_any[name] for name in of_drive}
+    return replace(state, contradictions=CONTRADICTIONS, kidnapped=True, placed=math.nan, **anew)
 
 
 @kept_finite

@@ -97,8 +97,6 @@ class Sighted:
 
     def only(self, tags: BoolArray) -> Sighted:
         """With some of its tags (n,) only."""
-        if tags.all():
-            return self
         keyframe = without_tags(self.keyframe, self.keyframe.ids[~tags])
         return replace(self, keyframe=keyframe, frames=self.frames[tags])
 

@@ -14,7 +14,7 @@ from tfg_drake.messages import FloatArray, is_tag, replace
 from tfg_drake.slam.estimator_state import EstimatorState, KnownMap, Placed, unknown_way, with_map
 from tfg_drake.slam.evidence import TagWatch
 from tfg_drake.slam.keyframe import Keyframe, joined_reach, placed, rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, extended, no_observation
+from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.walls import named, renamed
 from tfg_drake.table import concat, take
@@ -71,7 +71,7 @@ def _moved(
 
     Surfaces and free space hang on the views, and on the walls where those of the graph have them.
     """
-    both = replace(empty_graph(graph.prior, graph.solver), shared=graph.shared)
+    both = replace(take(graph, n=np.zeros(0, dtype=np.int64)), keyframes=(), X_MN=np.zeros((1, 3)))
     for one, X in (*first, *zip(graph.keyframes[begin:], se2.compose(X_FM, graph.X_MN[begin + 1 :]), strict=True)):
         both = extended(both, one, X, is_view=False)
     row, known = rows_of(both.ids, graph.ids)
@@ -80,17 +80,8 @@ def _moved(
     p_ML[known], anchor[known] = placed(X_FM, graph.ids[row], graph.p_ML[row], graph.anchor[row])
     nowhere = np.tile([np.inf, -np.inf], (len(w), 1))
     reach[w] = joined_reach(p_ML[w], anchor[w], nowhere, both.anchor[w], reach[w])
-    return replace(
-        both,
-        p_ML=p_ML,
-        anchor=anchor,
-        reach=reach,
-        view_keyframe=graph.view_keyframe + len(both.keyframes) - len(graph.keyframes),
-        X_AV=graph.X_AV,
-        tag_error=graph.tag_error,
-        unevenness=graph.unevenness,
-        sessions=graph.sessions,
-    )
+    view_keyframe = graph.view_keyframe + len(both.keyframes) - len(graph.keyframes)
+    return replace(both, p_ML=p_ML, anchor=anchor, reach=reach, view_keyframe=view_keyframe)
 
 
 def _turned(watch: TagWatch, X_FM: FloatArray) -> TagWatch:

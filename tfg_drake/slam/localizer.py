@@ -109,8 +109,6 @@ def step_localizer(
     frame = detections.bearing, detections.range, detections.sigma_bearing, detections.sigma_range
     (mean, covariance, sensitivity), accepted = filtered(now.state, considered, motion, instant, places, frame)
     now = replace(now, mean=mean, covariance=covariance, sensitivity=sensitivity)
-    if (column >= 0).all():
-        return now, len(ids), len(ids) - int(np.count_nonzero(accepted))
     local, fresh = entry >= 0, (column < 0) & (entry < 0)
     of, inside = (entry[local] - POSE) // 2, accepted[local]
     frames, last_seen = now.local_frames.copy(), now.last_seen.copy()
@@ -185,8 +183,6 @@ def localized_pose(
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
     """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
     and their p_MU (u, 2)."""
-    if not len(localizer.local_ids):
-        return localizer.local_ids, np.empty((0, 2))
     some = (localizer.local_frames >= LEAST_FRAMES) & ~rows_of(localizer.local_ids, ids)[1]
     p_DU = localizer.mean[POSE:].reshape(-1, 2)[some]
     return localizer.local_ids[some], se2.transform(localizer.map.X_MD, p_DU)

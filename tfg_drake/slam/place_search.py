@@ -234,8 +234,6 @@ def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> Fl
 
 def is_straight(cells: FloatArray) -> BoolArray:
     """Which cells (n, 4) are of something straight, as walls are and people are not."""
-    if not len(cells):
-        return np.zeros(0, dtype=np.bool_)
     i, j = cKDTree(cells[:, :2]).query_pairs(STRAIGHT, output_type="ndarray").T
     off = np.abs(np.sum((cells[j, :2] - cells[i, :2]) * cells[i, 2:], axis=1))
     along = (off < ACROSS) & (np.sum(cells[i, 2:] * cells[j, 2:], axis=1) > SAME_NORMAL)

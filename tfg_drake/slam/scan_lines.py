@@ -40,7 +40,7 @@ MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN, MOST_UNEVEN = 24, 30, 0.05, 0.004, 
 ON_LINE = 0.1
 
 
-def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
+def scan_lines(scan: LaserScan) -> FloatArray:
     """The straight pieces (n, 11) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
 
     Angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m); where along
@@ -51,20 +51,18 @@ def scan_lines(scan: LaserScan, unevenness: float = 0.0) -> FloatArray:
     in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
     ranges are longer by a length a radian of bearing, makes of both, over that length. Chords of curves are none: what
     is seen of a curve from elsewhere looks another way.
+    """
+    # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
+    sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
+    return np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
+
+
+def on_uneven(lines: FloatArray, unevenness: float) -> FloatArray:
+    """Lines (n, 11) of `scan_lines` with the deviations that those of uneven walls have besides.
 
     unevenness: m, as of `unevenness_after`, by which neighbouring half metres are off a plane independently: single
     looks, each at other stretches of one, agree no better.
     """
-    # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
-    sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
-    return on_uneven(np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma)), unevenness)
-
-
-def on_uneven(lines: FloatArray, unevenness: float) -> FloatArray:
-    """Lines (n, 11) whose deviations are by the noise of the rays alone, with those of walls that are so uneven, m,
-    see `scan_lines`."""
-    if not unevenness:
-        return lines
     lines = lines.copy()
     # The mean, and the slope, of n such stretches.
     length = lines[:, 3] - lines[:, 2]
@@ -121,8 +119,6 @@ def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[f
 def surface_seen(scan: LaserScan) -> float:
     """Length, m, of the surfaces that a scan sees, straight or not, as far as LENGTH of it or more hangs together."""
     rays = np.flatnonzero((scan.ranges > 0.0) & (scan.ranges < scan.range_max - 3.0 * scan.sigma))
-    if len(rays) < RAYS:
-        return 0.0
     r, angle = scan.ranges[rays], scan.angles[rays]
     most = np.minimum(r[1:], r[:-1]) * np.diff(angle) / SLANT + 4.0 * scan.sigma + STEP
     apart = np.flatnonzero((np.diff(rays) > 3) | (np.abs(np.diff(r)) > most)) + 1

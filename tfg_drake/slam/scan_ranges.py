@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, TagDetections, message, replace
-from tfg_drake.slam.keyframe import rows_of
 from tfg_drake.slam.shared import (
     CAMERA_YAW,
     LEVER_X,
@@ -86,12 +85,10 @@ def none_compared() -> ScanRanges:
 def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, shared: Shared) -> ScanRanges:
     """The pairs with those of one frame of tags and the scan of the same instant; shared: what is known of the
     parameters."""
-    row, known = rows_of(detections.ids, before.ids)
-    if not known.all():
-        ids = np.union1d(before.ids, detections.ids)
-        of_tag = np.zeros((len(ids), 7))
-        of_tag[np.searchsorted(ids, before.ids)] = before.of_tag
-        before, row = replace(before, ids=ids, of_tag=of_tag), np.searchsorted(ids, detections.ids)
+    ids = np.union1d(before.ids, detections.ids)
+    of_tag = np.zeros((len(ids), 7))
+    of_tag[np.searchsorted(ids, before.ids)] = before.of_tag
+    before, row = replace(before, ids=ids, of_tag=of_tag), np.searchsorted(ids, detections.ids)
     sums, rays = (before.of_tag, before.total, before.apart), (scan.angles, scan.ranges, scan.sigma)
     frame = detections.range, detections.bearing, detections.sigma_range, detections.sigma_bearing
     of_tag, total, apart, pairs = _with_pairs(sums, row, frame, rays, (shared.mean, shared.covariance))
