@@ -126,11 +126,10 @@ class Prior(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Poses X (k, 3) in M of a frame, the likeliest first, information (k, 3, 3) and probability (k,) of each; what is
-    left of 1 is that it is none of them. tells: (k,) whether the place is told in both directions."""
+    """Poses X (k, 3) in M of a frame, the likeliest first, and the probability (k,) of each; what is left of 1 is that
+    it is none of them. tells: (k,) whether the place is told in both directions."""
 
     X: FloatArray
-    information: FloatArray
     probability: FloatArray
     tells: BoolArray
 
@@ -148,7 +147,7 @@ class Places(NamedTuple):
 
 def no_places() -> Places:
     """None that is likelier than others."""
-    return Places(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
+    return Places(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
 
 
 def find_places(
@@ -200,7 +199,7 @@ def find_places(
     order = np.argsort(-probability, kind="stable")
     across = np.linalg.eigvalsh(information[:, :2, :2])
     tells = across[:, 0] > LEAST_ACROSS * across[:, 1]
-    return Places(X[order], information[order], probability[order], tells[order])
+    return Places(X[order], probability[order], tells[order])
 
 
 def log_odds(known: Seen, seen: Seen) -> float:

@@ -233,12 +233,10 @@ def doubted(state: EstimatorState) -> EstimatorState:
     X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
     points = [moved_points(se2.compose(X_AB, X_BS), some[some[:, 2:].any(axis=1)]) for X_AB, some in looks]
+    seen = nothing_seen().with_look(np.vstack([np.empty((0, 4)), *points]), turn.X_MB)
     views = graph.view_keyframe[np.hypot(*(graph.X_MA - turn.X_MB)[:, :2].T) < AROUND]
     mapped = seen_by_keyframes(graph, np.unique(views))
-    if not points or not len(mapped.points):
-        return state
-    seen = nothing_seen().with_look(np.vstack(points), turn.X_MB)
-    if not len(seen.points) or log_odds(mapped, seen) > DOUBTFUL:
+    if not len(mapped.points) or not len(seen.points) or log_odds(mapped, seen) > DOUBTFUL:
         return state
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
 
@@ -323,8 +321,7 @@ def _where(
         found = None
     if found is not None:
         only = np.ones(1)
-        information = np.asarray(np.linalg.inv(found.covariance))
-        return found, Places(found.X[None], information[None], only, only > 0.0)
+        return found, Places(found.X[None], only, only > 0.0)
     places = find_places(mapped, seen, prior, before, is_growing=is_growing)
     X = places.found()
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
