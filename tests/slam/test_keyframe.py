@@ -143,7 +143,7 @@ def test_it_costs_what_its_frames_cost():
     """At several parameters, all frames solved anew with these held."""
     robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (12, 2)), TRUTH, 4)
     pieces = robot.piece(0.2, 0.5, 8.0)
-    one = reduced(NOISE, *pieces, PRIOR).keyframe
+    one = reduced(NOISE, pieces, PRIOR).keyframe
     information, gradient = one.alone()
     rng, found = np.random.default_rng(1), dense([pieces]).shared
     costs, own = [], []
@@ -252,7 +252,7 @@ def test_many_keyframes_tell_nothing_of_the_scale_of_ranges_that_there_is_not():
         truth[[DISTANCE_SCALE, RANGE_SCALE, GYRO_SCALE]] = 0.0, 0.0, 0.01
         robot = Drive(rng.uniform(-8.0, 8.0, (20, 2)), truth, seed)
         pieces = [robot.piece(*one) for _ in range(10) for one in ((0.0, 0.6, 5.0), (0.4, 0.2, 3.0), (0.4, -0.3, 2.0))]
-        graph = reckoned([reduced(NOISE, *one, PRIOR).keyframe for one in pieces], PRIOR)
+        graph = reckoned([reduced(NOISE, one, PRIOR).keyframe for one in pieces], PRIOR)
         graph, _ = solve(graph, 0.0, NOTHING)
         scales.append(graph.shared.mean[RANGE_SCALE] / graph.shared.sigma[RANGE_SCALE])
     assert np.abs(scales).max() < 3.0

@@ -52,7 +52,7 @@ def test_a_fused_graph_says_of_the_parameters_what_the_whole_one_says():
     rng = np.random.default_rng(3)
     robot = Drive(rng.uniform(-6.0, 6.0, (20, 2)), SIGMA * rng.normal(size=SHARED), 3)
     pieces = [robot.piece(0.3, 0.4 * (-1) ** (k // 4), 2.0) for k in range(12)]
-    graph = reckoned([reduced(NOISE, *one, PRIOR).keyframe for one in pieces], PRIOR)
+    graph = reckoned([reduced(NOISE, one, PRIOR).keyframe for one in pieces], PRIOR)
     fewer = fused(graph)
     assert len(fewer.keyframes) < 0.7 * len(pieces)
     (X_MN, p_ML, shared, P), (X_few, p_few, shared_few, P_few) = dense_solution(graph), dense_solution(fewer)

@@ -369,7 +369,7 @@ def test_consistent_on_drives_with_all_parameters_off(nees):
                 error = X - robot.X_MB
                 error[2] = se2.wrap_angle(error[2])
                 values.append(nees(error, P))
-            graph, estimate, _ = updated(graph, estimate, reduced(NOISE, *pieces, graph.shared).keyframe)
+            graph, estimate, _ = updated(graph, estimate, reduced(NOISE, pieces, graph.shared).keyframe)
             graph, estimate = finished(graph, estimate, 0.0, NOTHING)
     # The mean of 32 times three squares, correlated in pairs.
     assert 0.6 < np.mean(values) < 1.5

@@ -125,7 +125,7 @@ def drive_of(seed, pieces):
 
 def graph_of(pieces, shared):
     """The graph of some pieces, all reduced where the parameters are taken to be `shared`."""
-    return reckoned([reduced(NOISE, *one, shared).keyframe for one in pieces], PRIOR)
+    return reckoned([reduced(NOISE, one, shared).keyframe for one in pieces], PRIOR)
 
 
 def test_the_graph_of_a_drive_is_the_least_squares_of_all_its_frames():

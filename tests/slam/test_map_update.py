@@ -114,7 +114,7 @@ def test_after_each_update_of_a_drive_all_is_as_a_solve_would_have_it():
         robot = Drive(rng.uniform(-8.0, 8.0, (30, 2)), SIGMA * rng.normal(size=SHARED), seed)
         graph, estimate = empty_graph(PRIOR), empty_map(PRIOR)
         for one in [(0.0, 0.6, 10.5), (0.4, 0.1, 4.0), (0.0, 0.6, 10.5), (0.4, -0.15, 5.0), (0.0, -0.6, 8.0)]:
-            seen = reduced(NOISE, *robot.piece(*one), graph.shared).keyframe
+            seen = reduced(NOISE, robot.piece(*one), graph.shared).keyframe
             graph, estimate, rejected = updated(graph, estimate, seen)
             assert len(rejected) == 0
             graph, estimate = finished(graph, estimate, 0.0, NOTHING)

@@ -46,7 +46,7 @@ def found(robot, pieces=16):
     known = noise_by_data_sheet(WALKS)
     for k in range(pieces):
         piece = robot.piece(0.0, 0.6, 8.0) if k % 2 == 0 else robot.piece(0.35, 0.15 * (-1) ** (k // 2), 5.0)
-        known = known.with_sample(reduced(known.now, *piece, PRIOR).sample)
+        known = known.with_sample(reduced(known.now, piece, PRIOR).sample)
     return dataclasses.replace(known, due=known.seen).learnt()
 
 
@@ -81,7 +81,7 @@ def test_a_misfit_is_the_logarithm_of_the_marginal_likelihood():
     prior = dataclasses.replace(PRIOR, covariance=np.diag(np.maximum(no_scale * SIGMA, 1e-6) ** 2))
     robot = Drive(np.random.default_rng(2).uniform(-8.0, 8.0, (12, 2)), 0.5 * no_scale * SIGMA, 2)
     seen = robot.piece(0.3, 0.4, 3.0)
-    sample = reduced(NOISE, *seen, prior).sample
+    sample = reduced(NOISE, seen, prior).sample
     assert sample is not None
     misfits, expected = [], []
     for factor in (1.0, 1.1, 1.2):
@@ -112,7 +112,7 @@ def test_exact_frames_do_not_make_the_noise_vanish():
 
 def test_it_is_learnt_as_samples_grow_threefold_and_slips_are_no_samples():
     robot = Drive(np.random.default_rng(6).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 6)
-    sample = reduced(NOISE, *robot.piece(0.0, 0.6, 2.0), PRIOR).sample
+    sample = reduced(NOISE, robot.piece(0.0, 0.6, 2.0), PRIOR).sample
     known, learnt_at = noise_by_data_sheet(WALKS).with_sample(None), []
     assert known.seen == 0
     for k in range(1, 30):

@@ -41,7 +41,7 @@ def simulate(drive, seed, noise, tags=35):
     robot = drive(points, seed, noise)
     begin = robot.instant()
     frames = robot.frames(0.0, 1.0, STEPS)
-    return robot, (NOISE, begin, frames, robot.instant(), SHEET)
+    return robot, (NOISE, (begin, frames, robot.instant()), SHEET)
 
 
 def posterior(one, prior=SHEET):
@@ -85,7 +85,7 @@ def test_exact_without_noise(drive):
     assert solution.X_AB.shape == (len(solution.stamps), 3)
     np.testing.assert_allclose(solution.X_AB[:, 2], se2.wrap_angle(solution.stamps), atol=1e-6)
     assert np.all(np.diff(solution.stamps) > 0.0)
-    assert solution.sightings.sum() == sum(len(frame.detections.ids) for frame in arguments[2])
+    assert solution.sightings.sum() == sum(len(frame.detections.ids) for frame in arguments[1][1])
 
 
 def test_exact_without_noise_where_all_parameters_are_off():
@@ -93,7 +93,7 @@ def test_exact_without_noise_where_all_parameters_are_off():
     truth = SIGMA * np.random.default_rng(1).normal(size=SHARED)
     robot = Drive(np.random.default_rng(1).uniform(-8.0, 8.0, (20, 2)), truth, 0, noise=0.0)
     known = dataclasses.replace(KNOWN, mean=truth)
-    solution = reduced(NOISE, *robot.piece(0.4, 0.3, 10.0), known)
+    solution = reduced(NOISE, robot.piece(0.4, 0.3, 10.0), known)
     p_AL, X_AD, _ = solution.keyframe.given(truth)
     # But for products of two of them: the lever arm is in the unit of ranges.
     np.testing.assert_allclose(p_AL, robot.p_ML(solution.keyframe.ids), atol=5e-4)
@@ -109,7 +109,7 @@ def test_it_is_the_least_squares_of_all_its_frames(piece):
     rng = np.random.default_rng(5)
     robot = Drive(rng.uniform(-8.0, 8.0, (25, 2)), SIGMA * rng.normal(size=SHARED), 5)
     seen = robot.piece(*piece)
-    solution, expected = reduced(NOISE, *seen, PRIOR), dense([seen])
+    solution, expected = reduced(NOISE, seen, PRIOR), dense([seen])
     assert solution.dropped == 0
     np.testing.assert_array_equal(solution.keyframe.ids, expected.ids)
     p_AL, X_AD, shared, found = posterior(solution.keyframe, PRIOR)
@@ -121,14 +121,14 @@ def test_it_is_the_least_squares_of_all_its_frames(piece):
 
 def test_what_a_turn_tells_and_what_a_piece_without_tags_does_not():
     robot = Drive(np.random.default_rng(2).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 2)
-    turn = reduced(NOISE, *robot.piece(0.0, 0.6, 10.5), PRIOR).keyframe
+    turn = reduced(NOISE, robot.piece(0.0, 0.6, 10.5), PRIOR).keyframe
     told = np.diag(turn.alone()[0]) * SIGMA**2
     assert (told[[GYRO_SCALE, LEVER_X, LEVER_Y]] > 1.0).all()
     # What no length is compared with has no scale.
     assert turn.unit == RANGE_SCALE
     assert told[RANGE_SCALE] < 1e-3
     robot.tags = np.zeros((0, 2))
-    blind = reduced(NOISE, *robot.piece(0.4, 0.1, 5.0), PRIOR).keyframe
+    blind = reduced(NOISE, robot.piece(0.4, 0.1, 5.0), PRIOR).keyframe
     assert blind.unit == DISTANCE_SCALE
     information, gradient = blind.alone()
     assert np.abs(SIGMA[:, None] * information * SIGMA).max() < 1e-6
@@ -149,14 +149,14 @@ def test_the_cameras_clock_is_counted_from_the_offset_that_stamps_were_taken_wit
     (begin, there, _), (_, back, end) = robot.piece(0.0, 0.6, 8.0), robot.piece(0.0, -0.6, 8.0)
     frames = tuple(dataclasses.replace(frame, offset=0.03) for frame in (*there, *back))
     clock = dataclasses.replace(PRIOR, mean=0.04 * np.eye(SHARED)[CLOCK])
-    _, _, shared, _ = posterior(reduced(NOISE, begin, frames, end, clock).keyframe, clock)
+    _, _, shared, _ = posterior(reduced(NOISE, (begin, frames, end), clock).keyframe, clock)
     assert shared[CLOCK] == pytest.approx(0.05, abs=2e-3)
 
 
 def test_where_noise_is_correlated_frames_count_for_less():
     robot = Drive(np.random.default_rng(4).uniform(-8.0, 8.0, (25, 2)), np.zeros(SHARED), 4)
     seen, correlated = robot.piece(0.0, 0.6, 10.5), dataclasses.replace(NOISE, correlation=0.8)
-    independent, solution = reduced(NOISE, *seen, KNOWN), reduced(correlated, *seen, KNOWN)
+    independent, solution = reduced(NOISE, seen, KNOWN), reduced(correlated, seen, KNOWN)
     sure, less = (np.sqrt(np.diag(one.keyframe.given(np.zeros(SHARED))[2]))[:-3] for one in (independent, solution))
     assert 1.5 < np.median(less / sure) < correlated.frame_worth**-0.5
 
@@ -182,7 +182,7 @@ def test_a_turn_of_correlated_frames_is_as_sure_as_it_may_be(drive, nees, gaps):
                 seen.sigma_bearing[kept],
             )
             frames.append(dataclasses.replace(frame, detections=seen))
-        solution = reduced(noise, begin, tuple(frames), robot.instant(), KNOWN)
+        solution = reduced(noise, (begin, tuple(frames), robot.instant()), KNOWN)
         p_AL, _, covariance = solution.keyframe.given(KNOWN.mean)
         values.append(nees((p_AL - robot.p_ML(solution.keyframe.ids)).ravel(), covariance[:-3, :-3]))
     assert 0.75 < np.mean(values) < 1.25
@@ -197,7 +197,7 @@ def test_consistent(drive, nees):
 
 
 def test_outliers_are_dropped_and_counted(drive):
-    robot, (noise, begin, frames, end, sheet) = simulate(drive, 3, 1.0)
+    robot, (noise, (begin, frames, end), sheet) = simulate(drive, 3, 1.0)
     bad = [10, 30, 50]
     spoilt = list(frames)
     for i in bad:
@@ -205,8 +205,8 @@ def test_outliers_are_dropped_and_counted(drive):
         distance = detections.range.copy()
         distance[0] += 4.0
         spoilt[i] = dataclasses.replace(frames[i], detections=dataclasses.replace(detections, range=distance))
-    clean = reduced(noise, begin, frames, end, sheet)
-    solution = reduced(noise, begin, tuple(spoilt), end, sheet)
+    clean = reduced(noise, (begin, frames, end), sheet)
+    solution = reduced(noise, (begin, tuple(spoilt), end), sheet)
     assert clean.dropped == 0
     assert solution.dropped == len(bad)
     np.testing.assert_allclose(posterior(solution.keyframe)[1], posterior(clean.keyframe)[1], atol=5e-3)
@@ -217,7 +217,7 @@ def test_outliers_are_dropped_and_counted(drive):
 def test_without_tags_odometry_remains(drive, steps):
     robot = drive(np.empty((0, 2)), 4, 0.0)
     begin, frames = robot.instant(), robot.frames(0.0, 1.0, steps)
-    one = reduced(NOISE, begin, frames, robot.instant(), SHEET).keyframe
+    one = reduced(NOISE, (begin, frames, robot.instant()), SHEET).keyframe
     _, X_AD, _, covariance = posterior(one)
     assert len(one.ids) == 0
     np.testing.assert_allclose(X_AD, robot.X_MB, atol=1e-9)
@@ -226,7 +226,7 @@ def test_without_tags_odometry_remains(drive, steps):
 
 
 def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
-    robot, (noise, begin, frames, end, sheet) = simulate(drive, 5, 1.0)
+    robot, (noise, (begin, frames, end), sheet) = simulate(drive, 5, 1.0)
     # From the middle on the robot slides half a metre to where it looked first, and the wheels know nothing of it.
     slide = 0.5 * np.clip(np.linspace(-2.0, 3.0, len(frames)), 0.0, 1.0)
     slid = []
@@ -236,7 +236,7 @@ def test_a_slip_during_the_turn_is_told_by_the_tags(drive):
         d = d - x * np.array([np.cos(theta), -np.sin(theta)])
         seen = dataclasses.replace(seen, range=np.hypot(*d.T), bearing=np.arctan2(d[:, 1], d[:, 0]))
         slid.append(dataclasses.replace(frame, detections=seen))
-    solution = reduced(noise, begin, tuple(slid), end, sheet)
+    solution = reduced(noise, (begin, tuple(slid), end), sheet)
     assert solution.dropped <= 2
     np.testing.assert_allclose(posterior(solution.keyframe)[1][:2] - robot.X_MB[:2], [0.5, 0.0], atol=0.05)
     assert np.abs(error(robot, solution.keyframe)[0]).max() < 0.3
@@ -255,7 +255,7 @@ def test_a_push_at_rest_is_told_by_the_tags(drive):
         clock = begin.clock + 1e-3 * (frame.stamp - begin.stamp)
         pushed.append(dataclasses.replace(frame, clock=clock, X_OB=begin.X_OB, detections=seen))
     end = dataclasses.replace(end, clock=begin.clock + 1e-3 * (end.stamp - begin.stamp), X_OB=begin.X_OB)
-    solution = reduced(NOISE, begin, tuple(pushed), end, SHEET)
+    solution = reduced(NOISE, (begin, tuple(pushed), end), SHEET)
     np.testing.assert_allclose(posterior(solution.keyframe)[1][:2], [1.0, 0.0], atol=0.05)
 
 
@@ -272,7 +272,7 @@ def sigma_of_heading(drive, standing, turns):
     moving = robot.frames(0.0, 1.0, STEPS * turns)
     moved = [*moving, robot.instant()]
     moved = [dataclasses.replace(f, clock=f.clock - rest, X_OB=f.X_OB - [0.0, 0.0, drift]) for f in moved]
-    solution = reduced(NOISE, begin, (*still, *moved[:-1]), moved[-1], SHEET)
+    solution = reduced(NOISE, (begin, (*still, *moved[:-1]), moved[-1]), SHEET)
     assert solution.dropped <= 2
     p_AL, _, _, covariance = posterior(solution.keyframe)
     across = (p_AL[:, ::-1] * [-1.0, 1.0]).ravel()
@@ -287,7 +287,7 @@ def test_standing_tells_the_heading_that_turning_does_not(drive):
 
 def test_scans_that_see_nothing_in_common_lie_off_each_other_by_how_far_the_turn_is_known(drive):
     """Two of them, each off their mean by half of the error of the turn between them."""
-    _, (noise, begin, frames, end, _) = simulate(drive, 0, 0.0, tags=0)
+    _, (noise, (begin, frames, end), _) = simulate(drive, 0, 0.0, tags=0)
     point = np.array([[1.0, 0.0, -1.0, 0.0]])
     first, last = frames[3], frames[-3]
     seen = tuple(dataclasses.replace(one, points=point) if one in (first, last) else one for one in frames)
@@ -297,7 +297,7 @@ def test_scans_that_see_nothing_in_common_lie_off_each_other_by_how_far_the_turn
     found = {}
     for scale in (0.05, 1e-6):
         shared = by_data_sheet(OdometryConfig(gyro_scale=scale, gyro_bias=1e-6), EXACT)
-        found[scale] = reduced(noise, begin, seen, end, shared).keyframe
+        found[scale] = reduced(noise, (begin, seen, end), shared).keyframe
         expected = noise.walks[1] ** 2 * span + (scale * turned) ** 2
         assert found[scale].scatter[2, 2] == pytest.approx(0.25 * expected, rel=0.05)
     assert found[0.05].scatter[2, 2] > 2.0 * found[1e-6].scatter[2, 2]

@@ -94,7 +94,7 @@ def faces(ends_W):
 
 def test_a_turn_puts_its_walls_where_they_are():
     begin, frames, end = turn()
-    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    one = reduced(NOISE, (begin, frames, end), SHEET).keyframe
     assert one.walls == len(one.ids) >= 4
     assert (one.ids < PROVISIONAL).all()
     ends = ends_seen(one, np.zeros(SHARED))
@@ -178,7 +178,7 @@ def test_turns_tell_how_the_scanner_is_mounted(scanner, clock, which, value):
     gradient = np.zeros(SHARED)
     for rate in (0.6, -0.6):
         begin, frames, end = turn(rate=rate, steps=60, scanner=scanner, clock=clock)
-        own, vector = reduced(NOISE, begin, frames, end, loose).keyframe.alone()
+        own, vector = reduced(NOISE, (begin, frames, end), loose).keyframe.alone()
         information, gradient = information + own, gradient + vector
     mean = -np.linalg.solve(information, gradient)
     if which == SCANNER_YAW:
@@ -210,7 +210,7 @@ def map_of(one, covariance=None, moved=(0.0, 0.0)):
 
 def test_a_wall_seen_again_is_found():
     begin, frames, end = turn(np.random.default_rng(4), steps=80)
-    first = reduced(NOISE, begin, frames, end, SHEET)
+    first = reduced(NOISE, (begin, frames, end), SHEET)
     names, walls = identified(first.keyframe, first.sightings, no_walls(), empty_map(SHEET))
     assert sorted(names.ids) == list(range(WALLS_BELOW - len(names.ids), WALLS_BELOW))
     assert len(names.ids) >= 4
@@ -218,7 +218,7 @@ def test_a_wall_seen_again_is_found():
     assert (np.diff(one.ids) > 0).all()
     estimate = map_of(one)
     begin, frames, end = turn(np.random.default_rng(5), steps=30)
-    again = reduced(NOISE, begin, frames, end, SHEET)
+    again = reduced(NOISE, (begin, frames, end), SHEET)
     names, after = identified(again.keyframe, again.sightings, walls, estimate)
     assert len(names.ids) >= 2
     assert np.isin(names.ids, one.ids).all()
@@ -246,7 +246,7 @@ def apart_at_ends(ends, known):
 def test_a_wall_is_told_along_its_normal_only():
     """However far the robot is moved along a wall, the cost of a keyframe that sees it is the same."""
     begin, frames, end = turn(np.random.default_rng(4))
-    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    one = reduced(NOISE, (begin, frames, end), SHEET).keyframe
     for id_ in one.ids:
         alone = without_tags(one, one.ids[one.ids != id_])
         ((p_M, q_M),) = ends_seen(alone, np.zeros(SHARED))
@@ -264,7 +264,7 @@ def test_a_wall_is_told_along_its_normal_only():
 def test_a_wall_that_is_hardly_known_spoils_nothing_of_the_others():
     """However little: rounding leaves what is known to a millimetre beside kilometres."""
     begin, frames, end = turn(np.random.default_rng(4))
-    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    one = reduced(NOISE, (begin, frames, end), SHEET).keyframe
     R, by_shared = one.conditional()
     for share in (1e-3, 1e-7):
         unit = np.ones(len(one.information))
@@ -280,7 +280,7 @@ def test_a_name_changes_nothing_but_the_order():
     begin, frames, end = turn(np.random.default_rng(6))
     shared = np.zeros(SHARED)
     shared[SCANNER_YAW] = 0.1
-    one = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
+    one = reduced(NOISE, (begin, frames, end), replace(SHEET, mean=shared)).keyframe
     ids = WALLS_BELOW - 1 - np.random.default_rng(7).permutation(one.walls)
     for some in (np.arange(one.walls), np.array([2, 0, 3])):
         seen = named(one, Names(one.ids[some], ids[some]))
@@ -300,7 +300,7 @@ def test_a_name_changes_nothing_but_the_order():
 def test_walls_are_the_same_wherever_their_anchors_are():
     """A keyframe's walls by other anchors on the same lines, or turned or moved by just more than is the same."""
     begin, frames, end = turn()
-    one = reduced(NOISE, begin, frames, end, SHEET).keyframe
+    one = reduced(NOISE, (begin, frames, end), SHEET).keyframe
     ends = ends_seen(one, np.zeros(SHARED))
 
     def by_others(pairs, at):
@@ -378,8 +378,8 @@ def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_t
     )
     shared = np.zeros(SHARED)
     shared[RANGE_SCALE] = 0.02
-    by_sheet = reduced(NOISE, begin, frames, end, SHEET).keyframe
-    other = reduced(NOISE, begin, frames, end, replace(SHEET, mean=shared)).keyframe
+    by_sheet = reduced(NOISE, (begin, frames, end), SHEET).keyframe
+    other = reduced(NOISE, (begin, frames, end), replace(SHEET, mean=shared)).keyframe
     assert other.walls == by_sheet.walls == len(by_sheet.ids) - 1
     np.testing.assert_allclose(ends_seen(other, shared), ends_seen(by_sheet, np.zeros(SHARED)), atol=1e-5)
     # And the tag is nearer, by the longer ranges.
@@ -390,7 +390,7 @@ def test_walls_have_the_length_that_the_scanner_says_whatever_the_scale_of_the_t
 def test_a_wall_beside_a_known_one_waits():
     """Not far enough to be another, too far to be the same: it gets no name."""
     begin, frames, end = turn()
-    solution = reduced(NOISE, begin, frames, end, SHEET)
+    solution = reduced(NOISE, (begin, frames, end), SHEET)
     names, walls = identified(solution.keyframe, solution.sightings, no_walls(), empty_map(SHEET))
     one = named(solution.keyframe, names)
     estimate = map_of(one, covariance=1e-8, moved=(0.15, 0.15))
@@ -407,7 +407,7 @@ def test_a_wall_beside_a_known_one_waits():
 def test_what_may_be_either_of_two_walls_is_neither():
     """But of two that lie within a hand of each other it is one, whichever."""
     begin, frames, end = turn()
-    solution = reduced(NOISE, begin, frames, end, SHEET)
+    solution = reduced(NOISE, (begin, frames, end), SHEET)
     names, walls = identified(solution.keyframe, solution.sightings, no_walls(), empty_map(SHEET))
     once = map_of(named(solution.keyframe, names), covariance=0.05**2)
     n = len(once.ids)
@@ -430,7 +430,7 @@ def test_what_may_be_either_of_two_walls_is_neither():
 
 def test_a_new_wall_is_long_and_has_been_looked_at_often():
     begin, frames, end = turn()
-    solution = reduced(NOISE, begin, frames, end, SHEET)
+    solution = reduced(NOISE, (begin, frames, end), SHEET)
     one, looks = solution.keyframe, solution.sightings
     all_of_them = set(identified(one, looks, no_walls(), empty_map(SHEET))[0].provisional)
     assert all_of_them == set(one.ids)
@@ -452,7 +452,7 @@ def test_a_wall_seen_again_after_a_turn_round_is_one_landmark():
     for share in (1.0, 1.02):
         begin, frames, end = turn(steps=135)
         frames = tuple(replace(one, X_OB=share * one.X_OB) for one in frames)
-        one = reduced(NOISE, begin, frames, replace(end, X_OB=share * end.X_OB), SHEET).keyframe
+        one = reduced(NOISE, (begin, frames, replace(end, X_OB=share * end.X_OB)), SHEET).keyframe
         assert end.X_OB[2] > 2.0 * np.pi + 1.0
         assert one.y_AD[2] == pytest.approx(se2.wrap_angle(end.X_OB[2]), abs=5e-3)
         counts.append(one.walls)
@@ -567,7 +567,7 @@ def test_the_noise_of_looks_is_learnt_from_how_they_agree_in_a_turn(factor):
             lines[:, 0] += by_angle
             lines[:, 1] += by_distance + by_angle * lines[:, 4]
             off.append(replace(frame, lines=lines))
-        known = known.with_sample(reduced(known.now, begin, tuple(off), end, SHEET).sample)
+        known = known.with_sample(reduced(known.now, (begin, tuple(off), end), SHEET).sample)
         known = replace(known, samples=known.samples[-4:], due=known.seen).learnt()
     assert known.now.looks == pytest.approx(factor, rel=0.1)
     assert known.sigma[LOOKS] < 0.05
@@ -588,7 +588,7 @@ def test_nothing_seen_is_no_wall():
     assert no_lines().shape == (0, 11)
     begin, frames, end = turn(steps=3)
     blind = tuple(TurnFrame(one.stamp, one.clock, one.X_OB, one.detections) for one in frames)
-    assert not len(reduced(NOISE, begin, blind, end, SHEET).keyframe.ids)
+    assert not len(reduced(NOISE, (begin, blind, end), SHEET).keyframe.ids)
 
 
 def test_a_mirrored_scan_is_no_witness():

@@ -545,8 +545,8 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _reduced(state: EstimatorState, piece: OpenObservation) -> tuple[EstimatorState, Reduced, Sighted]:
     """The state that will learn its noise from a turn or piece, which ends now; that solved, and as a keyframe."""
     solution = reduced_now(state, piece)
-    by = state.graph.shared, state.noise.level, state.walls.floor
-    seen = Sighted(solution.keyframe, solution.sightings, Source(piece.begin, piece.frames, instant(state), *by))
+    of, by = (piece.begin, piece.frames, instant(state)), (state.graph.shared, state.noise.level, state.walls.floor)
+    seen = Sighted(solution.keyframe, solution.sightings, Source(of, *by))
     return replace(state, noise=state.noise.with_sample(solution.sample)), solution, seen
 
 
@@ -570,8 +570,8 @@ def _reduced_anew(
             and np.all(np.abs(noise.level - source.level) <= LEVEL_WITHIN)
         ):
             continue
-        frames, floor = (source.begin, source.frames, source.end), state.walls.floor
-        one = reduced(noise.now, *frames, shared, floor, graph.unevenness).keyframe
+        floor = state.walls.floor
+        one = reduced(noise.now, source.piece, shared, floor, graph.unevenness).keyframe
         if source.names is not None:
             one = beside_walls(named(one, source.names))
         one = without_tags(one, np.setdiff1d(one.ids, keyframes[at].ids))

@@ -257,7 +257,7 @@ def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
 def reduced_now(state: EstimatorState, seen: OpenObservation) -> Reduced:
     """An observation, up to the filters' instant, solved by itself."""
     now, graph, floor = state.noise.now, state.graph, state.walls.floor
-    return reduced(now, seen.begin, seen.frames, instant(state), graph.shared, floor, graph.unevenness)
+    return reduced(now, (seen.begin, seen.frames, instant(state)), graph.shared, floor, graph.unevenness)
 
 
 def newest_of(seen: OpenObservation) -> OpenObservation:

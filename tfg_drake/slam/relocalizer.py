@@ -63,6 +63,8 @@ from tfg_drake.slam.surface_fit import surface_points
 from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.table import empty
 
+# The tags and surfaces of a map, or of a look.
+Look = tuple[MapEstimate, Seen]
 # Deviations of a pose by walls, m, m, rad.
 BY_WALLS = np.array([0.05, 0.05, 0.005])
 # The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
@@ -121,7 +123,7 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     if count != FRAMES and (count < FRAMES or parts[0] == parts[1]):
         return state
     newest = newest_of(turn)
-    return _with_place(state, known, *_seen_of(reduced_now(state, newest).keyframe, state, newest.X_MB))
+    return _with_place(state, known, _seen_of(reduced_now(state, newest).keyframe, state, newest.X_MB))
 
 
 def joined(state: EstimatorState) -> EstimatorState:
@@ -136,7 +138,7 @@ def joined(state: EstimatorState) -> EstimatorState:
     # Of what is seen all that is the session's own.
     tags, own = (empty_map(), OF_KNOWN + 1) if known.since else (estimate.of_tags, 0)
     seen = seen_by_keyframes(state.graph, range(own, len(state.graph.keyframes)))
-    state = _with_place(state, known, tags, seen)
+    state = _with_place(state, known, (tags, seen))
     if state.at is None:
         return state
     if not known.since:
@@ -184,8 +186,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if not by_surfaces and not len(suspect.frames[-1].detections.ids):
         return state
     newest = newest_of(suspect)
-    tags, seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
-    by_surfaces = by_surfaces and tells_place(seen.points)
+    seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
+    by_surfaces = by_surfaces and tells_place(seen[1].points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
     begin = adrift(graph) + 1
@@ -193,7 +195,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
     sigma, carried = FROM_HERE if state.kidnapped else (DRIFTED, CARRIED)
     prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
-    found, places = _where(known, mapped, tags, seen, prior, is_growing=True)
+    found, places = _where((known, mapped), seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
     here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
@@ -268,12 +270,12 @@ def found_again(
         at = se2.compose(at, one.keyframe.y_AD)
     # Of what is adrift all views tell together where it is.
     k = len(graph.keyframes)
-    tags, seen = _seen_of(view, state, at, None if lost else seen_by_keyframes(graph, range(j + 1, k)))
+    seen = _seen_of(view, state, at, None if lost else seen_by_keyframes(graph, range(j + 1, k)))
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags
     mapped = seen_by_keyframes(graph, range(j if j >= 0 else k))
     begun = at if lost else graph.X_MN[j + 1]
     prior, earlier = Prior(begun, *FROM_HERE, A_METRE, begun), state.hypotheses.X_KM
-    found, places = _where(known, mapped, tags, seen, prior, earlier, is_growing=True)
+    found, places = _where((known, mapped), seen, prior, earlier, is_growing=True)
     if found is None:
         left = places.probability > WRONG
         some = Hypotheses(se2.compose(places.X, begun)[left], places.probability[left], mapped.points)
@@ -290,9 +292,7 @@ def found_again(
     return *solve(graph, estimate.stamp, estimate.observation), way, empty(Hypotheses)
 
 
-def _seen_of(
-    one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen | None = None
-) -> tuple[MapEstimate, Seen]:
+def _seen_of(one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen | None = None) -> Look:
     """The tags and surfaces that a keyframe sees, which begins at a pose (3,) of some frame, in that; and what was seen
     before."""
     w, shared = one.walls, state.graph.shared.mean
@@ -304,35 +304,28 @@ def _seen_of(
 
 
 def _where(
-    tags: MapEstimate,
-    mapped: Seen,
-    seen_tags: MapEstimate,
-    seen: Seen,
-    prior: Prior | None,
-    before: FloatArray | None = None,
-    *,
-    is_growing: bool = False,
+    known: Look, seen: Look, prior: Prior | None, before: FloatArray | None = None, *, is_growing: bool = False
 ) -> tuple[Placed | None, Places]:
     """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces, None where that
     is not known; the places that it may be. before, is_growing: as of `find_places`."""
     try:
-        found = by_tags(tags, seen_tags)
+        found = by_tags(known[0], seen[0])
     except BadInput:  # Ids that hang elsewhere: in another building they do.
         found = None
     if found is not None:
         only = np.ones(1)
         return found, Places(found.X[None], only, only > 0.0)
-    places = find_places(mapped, seen, prior, before, is_growing=is_growing)
+    places = find_places(known[1], seen[1], prior, before, is_growing=is_growing)
     X = places.found()
     return (None if X is None else Placed(X, np.diag(BY_WALLS**2))), places
 
 
-def _with_place(state: EstimatorState, known: KnownMap, tags: MapEstimate, seen: Seen) -> EstimatorState:
+def _with_place(state: EstimatorState, known: KnownMap, seen: Look) -> EstimatorState:
     """The state of a session that has seen these, in its frame, with where it is in the map that it began with."""
     said = None if known.since else known.said
     prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
     of_map, earlier = known.estimate.of_tags, state.hypotheses.X_KM
-    found, places = _where(of_map, known.seen, tags, seen, prior, earlier)
+    found, places = _where((of_map, known.seen), seen, prior, earlier)
     at = state.at
     if at is not None and (not len(places.X) or places.near(at.X) > STILL):
         if known.since or not len(places.X):

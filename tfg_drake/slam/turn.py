@@ -132,14 +132,17 @@ class TurnFrame:
     points: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
 
 
+# Where a turn or piece of the way begins, its frames in the order of their stamps, and where it ends; the first and the
+# last carry no detections.
+Piece = tuple[TurnFrame, tuple[TurnFrame, ...], TurnFrame]
+
+
 @message
 class Source:
-    """What a keyframe was reduced from, and by, to reduce it anew: frames within [begin, end], the parameters as they
-    were known, level (5,) of the noise and floor of looks at walls then. names: of its walls."""
+    """What a keyframe was reduced from, and by, to reduce it anew: the parameters as they were known, level (5,) of the
+    noise and floor of looks at walls then. names: of its walls."""
 
-    begin: TurnFrame
-    frames: tuple[TurnFrame, ...]
-    end: TurnFrame
+    piece: Piece
     shared: Shared
     level: FloatArray
     floor: float = 1.0
@@ -220,24 +223,16 @@ class _Solution(NamedTuple):
         return self.at.border[SHARED + 2 * len(self.ids) :].reshape(-1, 2)
 
 
-def reduced(
-    noise: Noise,
-    begin: TurnFrame,
-    frames: tuple[TurnFrame, ...],
-    end: TurnFrame,
-    shared: Shared,
-    floor: float = 1.0,
-    unevenness: float = 0.0,
-) -> Reduced:
-    """The tags seen during a turn and the departure pose D (at end), in the arrival frame A (at begin).
+def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unevenness: float = 0.0) -> Reduced:
+    """The tags seen during a turn and the departure pose D at its end, in the arrival frame A at its beginning.
 
-    frames: in the order of their stamps, within [begin, end]; begin and end carry no detections. shared: what is known
+    shared: what is known
     of the parameters, which the solution is linearised at. floor: of looks at walls, see `walls.Walls`, unevenness: m,
     of what the frames' lines are of, as it is known by now and not as it was when each was seen. Where the
     sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
     """
-    stamps, clock, X_OB, node = _nodes(begin, frames, end)
-    every = (*frames, end)
+    stamps, clock, X_OB, node = _nodes(piece)
+    every = (*piece[1], piece[2])
     X_AB = se2.between(X_OB[0], X_OB)
     twist = twists(stamps, X_AB, shared.mean)
     seen, counts = concat(*(frame.detections for frame in every)), [len(frame.detections.ids) for frame in every]
@@ -414,11 +409,10 @@ def _solved(problem: _Problem, X_AB: FloatArray, huber: float = math.inf) -> _So
     return _Solution(ids, sightings, replace(at, X_AB=X_AB, border=border), information, gradient, squared, unit)
 
 
-def _nodes(
-    begin: TurnFrame, frames: tuple[TurnFrame, ...], end: TurnFrame
-) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+def _nodes(piece: Piece) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
     """Stamps and clock (t,) and odometry (t, 3) of the poses, and the pose of each frame and of the end; coinciding
     stamps share one."""
+    begin, frames, end = piece
     poses, node = [begin], []
     for frame in (*frames, end):
         if frame.stamp - poses[-1].stamp > SAME_INSTANT:
