@@ -11,10 +11,10 @@ from tfg_drake.slam.odometry_model import (
     arc,
     first_reckoning,
     interpolate,
-    interpolate_clock,
     predict_increment,
     random_walks,
     reckon,
+    reckoned_at,
 )
 
 NOISE = random_walks(OdometryConfig())
@@ -82,4 +82,4 @@ def test_what_the_gyro_says_while_no_wheel_turns_is_left_out():
     moved = reckon(rest, still, on)
     np.testing.assert_allclose(moved.X_OB, se2.compose(first.X_OB, np.array([0.5, 0.0, 0.1])), atol=1e-12)
     assert moved.clock == pytest.approx(1.0 + REST_SHARE)
-    assert interpolate_clock(rest, moved, 2.5) == pytest.approx(0.5 + REST_SHARE)
+    assert reckoned_at(rest, moved, 2.5).clock == pytest.approx(0.5 + REST_SHARE)

@@ -37,11 +37,10 @@ from tfg_drake.slam.odometry_model import (
     DeadReckoning,
     arc,
     first_reckoning,
-    interpolate,
-    interpolate_clock,
     predict_increment,
     random_walks,
     reckon,
+    reckoned_at,
 )
 from tfg_drake.slam.shared import calibration_sigma
 
@@ -273,8 +272,7 @@ def _reckoning_at(reckonings: tuple[DeadReckoning, ...], stamp: float) -> DeadRe
         only = reckonings[0]
         return DeadReckoning(stamp, only.clock, only.X_OB, only.V_B)
     after = next((i for i in range(1, len(reckonings)) if stamp <= reckonings[i].stamp), len(reckonings) - 1)
-    pair = reckonings[after - 1], reckonings[after]
-    return DeadReckoning(stamp, interpolate_clock(*pair, stamp), interpolate(*pair, stamp), pair[1].V_B)
+    return reckoned_at(reckonings[after - 1], reckonings[after], stamp)
 
 
 def _motion_covariance(state: GmappingState, X_MU: FloatArray) -> FloatArray:

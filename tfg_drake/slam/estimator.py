@@ -39,6 +39,7 @@ from tfg_drake.slam.estimator_state import (
     OpenObservation,
     instant,
     opened,
+    pose_now,
     reduced_now,
     unknown_way,
     with_map,
@@ -63,26 +64,11 @@ from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_map, forget, fused, of_tied
-from tfg_drake.slam.localizer import (
-    corrected_by_walls,
-    localized_pose,
-    new_tags,
-    placed_localizer,
-    start_localizer,
-    step_localizer,
-)
+from tfg_drake.slam.localizer import corrected_by_walls, new_tags, placed_localizer, start_localizer, step_localizer
 from tfg_drake.slam.loop_search import with_loops_closed
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, is_looser, jointly_known, needs_solve, updated
-from tfg_drake.slam.odometry_model import (
-    BREAK,
-    BREAK_RATE,
-    arc,
-    first_reckoning,
-    interpolate,
-    interpolate_clock,
-    reckon,
-)
+from tfg_drake.slam.odometry_model import BREAK, BREAK_RATE, arc, first_reckoning, reckon, reckoned_at
 from tfg_drake.slam.relocalizer import (
     CONTRADICTIONS,
     PLACED,
@@ -197,7 +183,7 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
         unread=tuple(one for one in before.unread if one.stamp > odometry.stamp),
     )
     state = _step_to(state, odometry.stamp)
-    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    X_MB, covariance = pose_now(state)
     if state.map is None:  # The map begins here.
         state = replace(state, localizer=start_localizer(state.localizer.map, state.walls), way=())
         return replace(state, open=opened(state))
@@ -290,7 +276,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
             increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
-    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, increment, dt)
+    X_MB, covariance = pose_now(state, increment, dt)
     if state.kidnapped and state.open is not None:
         covariance = covariance + np.diag(np.square(state.open.sigma))
     estimate = state.map or state.localizer.map
@@ -430,15 +416,15 @@ def _step(
     after = next(k for k, reckoned in enumerate(state.odometry) if reckoned.stamp >= stamp)
     begin = max(after - 1, 0)
     earlier, later = state.odometry[begin], state.odometry[after]
-    X_OB, clock = interpolate(earlier, later, stamp), interpolate_clock(earlier, later, stamp)
-    increment, dt, span = arc(state.X_OB, X_OB), clock - state.clock, later.stamp - earlier.stamp
+    now = reckoned_at(earlier, later, stamp)
+    increment, dt, span = arc(state.X_OB, now.X_OB), now.clock - state.clock, later.stamp - earlier.stamp
     twist = arc(earlier.X_OB, later.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     ranges = state.ranges if scan is None else compared(state.ranges, frame, scan, state.graph.shared)
     seen, every = state.open, 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
     looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
-    here = points if looks and _is_elsewhere(seen, X_OB) else NO_SCAN[1]
-    taken = TurnFrame(stamp, clock, X_OB, frame, state.offset, lines if looks else NO_SCAN[0], only_scan, here)
+    here = points if looks and _is_elsewhere(seen, now.X_OB) else NO_SCAN[1]
+    taken = TurnFrame(stamp, now.clock, now.X_OB, frame, state.offset, lines if looks else NO_SCAN[0], only_scan, here)
     if seen is not None and (looks or not only_scan):
         seen = replace(seen, frames=(*seen.frames, taken))
     localizer, known, ignored = step_localizer(
@@ -465,8 +451,8 @@ def _step(
         odometry=state.odometry[begin:],
         ranges=ranges,
         stamp=stamp,
-        clock=clock,
-        X_OB=X_OB,
+        clock=now.clock,
+        X_OB=now.X_OB,
         localizer=localizer,
         contradictions=contradictions,
         open=seen,
@@ -532,7 +518,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
     if state.map is None or state.stamp <= piece.begin.stamp:
         return replace(state, open=opened(state))
     if state.kidnapped:
-        X_MB, _ = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+        X_MB, _ = pose_now(state)
         way: tuple[Sighted, ...] = (Sighted(unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma)),)
     else:
         state, _, seen = _reduced(state, piece)
@@ -674,7 +660,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
 def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:
     """A piece that began after a way that is not known, its first pose by where the robot is by now, if that tells
     more: it has found itself among what is mapped. That is told again by what it has seen."""
-    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    X_MB, covariance = pose_now(state)
     sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
     if np.all(sigma >= begun.sigma) or state.lost:
         return begun

@@ -38,6 +38,8 @@ from tfg_drake.table import empty
 
 # Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
+# An increment of odometry.
+NO_MOTION = np.zeros(3)
 # So many of the newest frames tell where the robot is.
 MOST_FRAMES = 50
 # A camera that is mounted, and whose clock runs, as is believed.
@@ -223,9 +225,16 @@ def instant(state: EstimatorState) -> TurnFrame:
     return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
 
 
+def pose_now(
+    state: EstimatorState, increment: FloatArray = NO_MOTION, dt: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """X_MB (3,) and its covariance (3, 3) at the filters' instant, or an odometry increment (3,) later, over dt s."""
+    return localized_pose(state.localizer, state.noise.now.walks, increment, dt)
+
+
 def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
-    X_MB, covariance = localized_pose(state.localizer, state.noise.now.walks, np.zeros(3), 0.0)
+    X_MB, covariance = pose_now(state)
     return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 

@@ -64,7 +64,7 @@ def solve(
         local = np.union1d(local, others[np.linspace(0, len(others) - 1, min(spread, len(others))).astype(np.int64)])
     local = local if also is None else np.union1d(local, also)
     graph, covariance = solved(graph, local, node)
-    return graph, estimate_of(graph, stamp, observation, graph.p_ML, graph.X_MN[node], local, covariance)
+    return graph, estimate_of(graph, stamp, observation, (graph.p_ML, graph.X_MN[node]), local, covariance)
 
 
 def known_jointly(graph: KeyframeGraph) -> int:

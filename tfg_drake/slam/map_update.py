@@ -14,7 +14,7 @@ import scipy.linalg
 
 from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Observation, is_tag, message, replace
-from tfg_drake.slam.keyframe import Keyframe, Measured, placed, residual, rows_of, without_tags
+from tfg_drake.slam.keyframe import Keyframe, Measured, Pair, placed, residual, rows_of, without_tags
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import wall_ends
@@ -189,24 +189,18 @@ def is_looser(graph: KeyframeGraph, estimate: MapEstimate, before: FloatArray) -
 
 
 def estimate_of(
-    graph: KeyframeGraph,
-    stamp: float,
-    observation: Observation,
-    p_ML: FloatArray,
-    X_MD: FloatArray,
-    local: IntArray,
-    joint: FloatArray,
+    graph: KeyframeGraph, stamp: float, observation: Observation, places: Pair, local: IntArray, joint: FloatArray
 ) -> MapEstimate:
-    """The message of a graph, at some values of its landmarks and newest pose; joint: (2m + 16, 2m + 16) covariance of
-    its local landmarks, that pose and the parameters."""
+    """The message of a graph, at some places p_ML (n, 2) and X_MD (3,) of its landmarks and newest pose; joint: (2m +
+    16, 2m + 16) covariance of its local landmarks, that pose and the parameters."""
     return MapEstimate(
         stage=len(graph.view_keyframe),
         stamp=stamp,
         ids=graph.ids,
-        p_ML=p_ML,
+        p_ML=places[0],
         anchor=graph.anchor,
         reach=graph.reach,
-        X_MD=X_MD,
+        X_MD=places[1],
         local=local,
         covariance=joint[:-SHARED, :-SHARED],
         landmark_covariance=graph.landmark_covariance,
@@ -358,4 +352,4 @@ def _joined(
         order = np.argsort(local, kind="stable")
         local, entries = local[order], _entries(len(joint), order)
         joint = joint.take(entries, axis=0).take(entries, axis=1)
-    return graph, estimate_of(graph, estimate.stamp, estimate.observation, p_ML, X_MD, local, joint)
+    return graph, estimate_of(graph, estimate.stamp, estimate.observation, (p_ML, X_MD), local, joint)

@@ -79,11 +79,12 @@ def reckon(last: DeadReckoning, before: Odometry, after: Odometry) -> DeadReckon
     return DeadReckoning(after.stamp, last.clock + dt, X_OB, after.V_B)
 
 
-def interpolate_clock(before: DeadReckoning, after: DeadReckoning, stamp: float) -> float:
-    """The clock (s) at a stamp between two."""
+def reckoned_at(before: DeadReckoning, after: DeadReckoning, stamp: float) -> DeadReckoning:
+    """Dead reckoning at a stamp between two."""
     span = after.stamp - before.stamp
     share = (stamp - before.stamp) / span if span > 0.0 else 1.0
-    return before.clock + share * (after.clock - before.clock)
+    clock = before.clock + share * (after.clock - before.clock)
+    return DeadReckoning(stamp, clock, interpolate(before, after, stamp), after.V_B)
 
 
 def interpolate(before: Odometry | DeadReckoning, after: Odometry | DeadReckoning, stamp: float) -> FloatArray:
