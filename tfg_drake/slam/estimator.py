@@ -135,7 +135,7 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 def carried(state: EstimatorState) -> EstimatorState:
     """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
-    before_any = {field.name: field.default for field in dataclasses.fields(state)}
+    before_any: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(state)}
     of_drive = ("newest", "odometry", "pending", "scans", "unread", "looked", "suspect", "open", "turns", "way")
     anew = {name: before_any[name] for name in of_drive}
     return replace(state, contradictions=CONTRADICTIONS, kidnapped=True, placed=math.nan, **anew)

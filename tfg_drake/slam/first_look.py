@@ -75,14 +75,10 @@ def remedies(tags: Agreement, scan: Verdict) -> list[str]:
     lines = [TAGS_AGAINST] if tags.against else []
     if tags.ahead:
         lines.append(
-            f"the camera's clock is {_off(tags.ahead)} the base's, which is corrected: mend hardware.camera.latency, "
-            "on ROS the clocks"
+            f"the camera's clock is {abs(tags.ahead):.2f} s {'ahead of' if tags.ahead > 0.0 else 'behind'} the base's, "
+            "which is corrected: mend hardware.camera.latency, on ROS the clocks"
         )
     return lines + scan.lines
-
-
-def _off(ahead: float) -> str:
-    return f"{abs(ahead):.2f} s {'ahead of' if ahead > 0.0 else 'behind'}"
 
 
 def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:

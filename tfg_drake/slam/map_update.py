@@ -132,7 +132,7 @@ def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> F
     by = np.where(lever != 0.0, scale, 1.0)
     half = by * P[of_scale] + 0.5 * P[of_scale, of_scale] * lever
     other = by[:, None] * P * by + lever[:, None] * half + half[:, None] * lever
-    return np.where(np.tri(len(P), dtype=bool), other, other.T)  # What rounding made of both halves is one.
+    return np.asarray(np.where(np.tri(len(P), dtype=bool), other, other.T))  # What rounding made of both halves is one.
 
 
 def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:

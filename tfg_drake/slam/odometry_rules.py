@@ -68,7 +68,9 @@ def watch(
     )
     X_OR, unknown = state.X_OR, False
     if beyond[0] > LEAP or beyond[1] > LEAP_TURN or far > max(SUDDEN, FASTEST * dt):
-        X_OB = _driven(believed, min(dt, HELD))
+        ahead, turn = believed.V_B * min(dt, HELD)
+        way = np.array([ahead * math.cos(0.5 * turn), ahead * math.sin(0.5 * turn), turn])
+        X_OB = se2.compose(believed.X_OB, way)
         x, y, _ = se2.compose(np.array([0.0, 0.0, X_OB[2] - told.X_OB[2]]), told.X_OB)
         X_OR, beyond, unknown = (X_OB[0] - x, X_OB[1] - y, X_OB[2] - told.X_OB[2]), state.beyond, True
         passed = replace(passed, V_B=believed.V_B)
@@ -90,9 +92,3 @@ def velocity(step: FloatArray, dt: float) -> FloatArray:
     ahead = math.copysign(math.hypot(step[0], step[1]), math.cos(middle) * step[0] + math.sin(middle) * step[1])
     most = np.array([FASTEST, FASTEST_TURN])
     return np.clip(np.array([ahead, step[2]]) / max(dt, 1e-3), -most, most)
-
-
-def _driven(odometry: Odometry, dt: float) -> FloatArray:
-    """X_OB after dt s more at its velocity."""
-    ahead, turn = odometry.V_B * dt
-    return se2.compose(odometry.X_OB, np.array([ahead * math.cos(0.5 * turn), ahead * math.sin(0.5 * turn), turn]))

@@ -74,7 +74,8 @@ ROUNDING = 1e-9
 LEAST_PIVOT = 1e-30
 
 
-# Increments and covariances of odometry; or the chain's and the rest's normal equations.
+# Increments and covariances of odometry; or normal equations: three rows a pose of the chain, with columns for itself,
+# the next pose, the border and the gradient, of which the upper triangle counts; and the rest, D and the border.
 Pair = tuple[FloatArray, FloatArray]
 
 
@@ -436,7 +437,7 @@ def solved_chain(
     gradient there, and the squared errors of the sightings and of the looks, in sigmas.
     """
     size, motions, prior, of_prior = 3 + len(border), _motions(ties), ties.prior, ties.of_prior
-    chain, rest = equations = _normal_equations(len(X), size)
+    chain, rest = equations = np.zeros((len(X), 3, 4 + size)), np.zeros((size, size + 1))
     squared, step_X, step = np.empty(len(ties.node) + len(ties.looks.node)), np.zeros((len(X), 3)), np.zeros(size)
     cost, share, last = math.inf, 1.0, False
     for attempt in range(MOST_STEPS):
@@ -474,7 +475,8 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
     """The negative logarithm of the likelihood of odometry and sightings, linearised at X and border, of which it is
     the marginal; without what only the sightings' own deviations say. Arguments: as of `solved_chain`."""
     motions, prior, of_prior = _motions(ties), ties.prior, ties.of_prior
-    chain, rest = equations = _normal_equations(len(X), 3 + len(border))
+    size = 3 + len(border)
+    chain, rest = equations = np.zeros((len(X), 3, 4 + size)), np.zeros((size, size + 1))
     misfit = _add_odometry(ties, X, border, motions, equations)
     for one in motions[1]:
         misfit += 0.5 * math.log(np.linalg.det(one))
@@ -503,13 +505,6 @@ def _motions(ties: _Ties) -> Pair:
         increments[i] = arc(X_OB[i], X_OB[i + 1])
         covariance[i] = predict_increment(increments[i], dt[i], np.zeros(3), ties.walks)[2]
     return increments, covariance
-
-
-@njit(cache=True)
-def _normal_equations(poses: int, size: int) -> Pair:
-    """None yet: three rows a pose of the chain, with columns for itself, the next pose, the border and the gradient, of
-    which the upper triangle counts; and the rest, D and the border."""
-    return np.zeros((poses, 3, 7 + size - 3)), np.zeros((size, size + 1))
 
 
 @njit(cache=True)
