@@ -173,7 +173,7 @@ def checksum(body: bytes) -> int:
 
 
 def encode(*parts: SubPayload) -> bytes:
-    """The frame that carries these sub- Raises ValueError where a number or the whole does not fit."""
+    """The frame that carries some sub-payloads. Raises ValueError where a number or the whole does not fit."""
     payload = b"".join(bytes([number, len(data)]) + data for number, data in map(_numbered, parts))
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload of {len(payload)} bytes; a frame carries {MIN_PAYLOAD} to {MAX_PAYLOAD}")

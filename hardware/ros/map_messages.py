@@ -1,7 +1,7 @@
 """ROS messages of map, path and pose: pure functions that return dictionaries of ROS fields.
 
 Metres and radians; the frames' names are the preset's. A header's stamp is the host's time (s) here, because only the
-process that drives the robot knows the robot's ROS clock: see announcer.py.
+process that drives the robot knows the robot's ROS clock.
 """
 
 from __future__ import annotations
