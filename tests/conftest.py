@@ -12,6 +12,9 @@ from pathlib import Path
 # Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
 # when each of several processes spreads them over all cores.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# They start Python some hundred times: what it imports is compiled once.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import hypothesis
 import numpy as np
