@@ -46,14 +46,17 @@ def tree(path):
     return ast.parse((ROOT / path).read_text(encoding="utf-8"), str(path))
 
 
+@functools.cache
 def imports(path):
     """(line, dotted name) of everything a file imports, also inside functions; `from a import b` as a.b."""
+    found = []
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             module = "." * node.level + (node.module or "")
-            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+            found += [(node.lineno, f"{module}.{alias.name}") for alias in node.names]
+    return found
 
 
 def offenders(paths, *banned):

@@ -67,13 +67,12 @@ def test_a_run_leaves_its_folder_and_receipt(one_job):
     assert (receipt["method"], receipt["seed"], receipt["max_time_s"]) == ("tfg", 0, 3.0)
 
 
-@pytest.fixture(scope="module")
-def two_jobs(tmp_path_factory):
-    """The same runs, both at a time; either is sent every signal at once."""
+def signalled_runs(some, out):
+    """Runs all at a time, each of which is sent every signal at once."""
     over, signalled = threading.Event(), set()
 
-    def signal_both():
-        while len(signalled) < 2 and not over.is_set():
+    def signal_all():
+        while len(signalled) < len(some) and not over.is_set():
             for process in multiprocessing.active_children():
                 if process.pid not in signalled:
                     signalled.add(process.pid)
@@ -81,18 +80,18 @@ def two_jobs(tmp_path_factory):
                         os.kill(process.pid, number)
             time.sleep(0.01)
 
-    sender = threading.Thread(target=signal_both)
+    sender = threading.Thread(target=signal_all)
     sender.start()
-    runs = by_seed(run_local(tasks(), tmp_path_factory.mktemp("two"), 2, threading.Event()))
+    runs = by_seed(run_local(some, out, len(some), threading.Event()))
     over.set()
     sender.join()
-    assert len(signalled) == 2
+    assert len(signalled) == len(some)
     return runs
 
 
 @pytest.mark.slow
-def test_two_at_a_time_make_the_same_bits(one_job, two_jobs):
-    runs = two_jobs
+def test_two_at_a_time_make_the_same_bits(one_job, tmp_path):
+    runs = signalled_runs(tasks(), tmp_path)
     assert all_lasting(runs) == all_lasting(one_job[0])
     same = [(run.folder / "truth.tum").read_bytes() for run in (runs[0], one_job[0][0])]
     assert same[0] == same[1]
@@ -145,9 +144,9 @@ def test_a_killed_or_failed_run_stops_no_other(tmp_path):
     assert [run.seed for run in open_sweep(some, tmp_path)] == [1]
 
 
-def test_a_signal_to_the_whole_group_ends_no_run(two_jobs):
+def test_a_signal_to_the_whole_group_ends_no_run(tmp_path):
     """As `timeout` and clusters send it: whoever started the runs looks after it."""
-    assert [two_jobs[seed].outcome for seed in range(2)] == ["time_limit", "time_limit"]
+    assert signalled_runs(tasks(1), tmp_path)[0].outcome == "time_limit"
 
 
 def test_a_run_that_cannot_be_started_is_one_line(tmp_path, monkeypatch):
