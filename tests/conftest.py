@@ -12,9 +12,8 @@ from pathlib import Path
 # Before anything loads BLAS, and for every process that a test starts: small dense operations are many times slower
 # when each of several processes spreads them over all cores.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# They start Python some hundred times: what it imports is compiled once.
+# They start Python some hundred times: it compiles what they import once.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 import hypothesis
 import numpy as np
@@ -24,6 +23,9 @@ from tfg_drake import kernels
 from tfg_drake.cockpit.browser import BrowserMissing, open_browser
 from tfg_drake.diagrams.compile_kernels import MODULE
 from tfg_drake.messages import WALLS_BELOW
+
+# As for the processes above.
+sys.dont_write_bytecode = False
 
 # The same examples in every run, and no limit on an example's time: the first call of a kernel compiles it.
 hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=True)

@@ -98,7 +98,7 @@ def test_short_paths_end_and_are_not_left(length, heading):
 
 def test_a_path_of_nothing_is_finished():
     for points in (np.zeros((0, 2)), np.zeros((1, 2))):
-        assert follow(points, np.zeros(3), 0.0, 0.0, False, ROBOT).finished
+        assert follow(frozen(points), frozen(np.zeros(3)), 0.0, 0.0, False, ROBOT).finished
 
 
 @pytest.mark.parametrize("target", [2 * math.pi, 0.3, -1.0])
@@ -147,29 +147,28 @@ def test_what_is_in_view_needs_no_turn():
 
 
 def test_the_robot_slows_down_for_a_corner_as_it_can_brake():
-    corner = np.vstack(
-        [np.stack([np.arange(0.0, 3.01, 0.1), np.zeros(31)], axis=1), [[3.0, 0.1], [3.0, 0.2], [3.0, 1.0]]]
-    )
-    speeds = [follow(corner, np.array([3.0 - d, 0.0, 0.0]), 0.1, 3.0 - d, False, ROBOT).speed for d in (1.0, 0.2)]
+    along = np.stack([np.arange(0.0, 3.01, 0.1), np.zeros(31)], axis=1)
+    corner = frozen(np.vstack([along, [[3.0, 0.1], [3.0, 0.2], [3.0, 1.0]]]))
+    speeds = [follow(corner, frozen([3.0 - d, 0.0, 0.0]), 0.1, 3.0 - d, False, ROBOT).speed for d in (1.0, 0.2)]
     assert speeds[0] == ROBOT.max_speed
     assert 0.2 < speeds[1] < 0.4
 
 
 def test_a_command_leaves_something_of_the_limits_to_control():
-    path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
+    path = frozen(np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1))
     for heading, aside, speed, turning in itertools.product(
         np.linspace(-np.pi, np.pi, 37), (-0.2, 0.0, 0.2), (0.0, 0.5), (True, False)
     ):
-        command = follow(path, np.array([1.0, aside, heading]), speed, 1.0, turning, ROBOT)
+        command = follow(path, frozen([1.0, aside, heading]), speed, 1.0, turning, ROBOT)
         assert abs(command.turn_rate) <= TURNING_SHARE * ROBOT.max_turn_rate + 1e-9
 
 
 def test_progress_is_not_lost_where_a_path_comes_back_beside_itself():
     there = np.stack([np.arange(0.0, 3.01, 0.1), np.zeros(31)], axis=1)
-    path = np.vstack([there, np.add(there[::-1], [0.0, 0.1])])
+    path = frozen(np.vstack([there, np.add(there[::-1], [0.0, 0.1])]))
     for progress, at in ((0.5, [0.5, 0.06, 0.0]), (5.6, [0.5, 0.04, np.pi])):
-        assert follow(path, np.array(at), 0.0, progress, False, ROBOT).progress == pytest.approx(progress, abs=0.01)
-    assert follow(path, np.array([0.52, 0.0, 0.0]), 0.0, 0.55, False, ROBOT).progress == pytest.approx(0.55)
+        assert follow(path, frozen(at), 0.0, progress, False, ROBOT).progress == pytest.approx(progress, abs=0.01)
+    assert follow(path, frozen([0.52, 0.0, 0.0]), 0.0, 0.55, False, ROBOT).progress == pytest.approx(0.55)
 
 
 def test_a_robot_is_at_rest_when_it_neither_drives_nor_turns():

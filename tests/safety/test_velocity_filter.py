@@ -64,7 +64,7 @@ def run(command, duration=2.0, hazards=NONE, scan=CLEAR, state=None):
 
 def scan_of(walls, X_WB=(0.0, 0.0, 0.0), stamp=0.0):
     angles = ray_angles(SCAN)
-    return scan(np.array(walls, dtype=float).reshape(-1, 4), np.array(X_WB), stamp, angles, np.zeros(249), SCAN)
+    return scan(frozen(np.reshape(walls, (-1, 4))), np.array(X_WB), stamp, angles, np.zeros(249), SCAN)
 
 
 def test_limits():
@@ -121,7 +121,7 @@ def test_after_three_reflexes_in_a_row_the_base_stands():
     for k in range(320):
         hazards, before = Hazards(0.0, 2 * (k % 16 == 0), 0, 0), state[SPEED]
         odometry = Odometry(0.0, ORIGIN, np.zeros(2), at_rest=True)
-        state = filter_command(state, 0.0, np.zeros(2), hazards, CLEAR, watch, odometry, ROBOT, often, PERIOD)
+        state = filter_command(frozen(state), 0.0, np.zeros(2), hazards, CLEAR, watch, odometry, ROBOT, often, PERIOD)
         begun += state[SPEED] < 0.0 <= before
     assert begun == MOST_REFLEXES
 
@@ -197,7 +197,7 @@ def test_without_a_fresh_scan_there_is_no_forward_motion(stamp):
 
 @pytest.mark.parametrize("heading", [0.0, 0.4, 0.8])
 def test_full_speed_at_a_wall_ends_before_it(heading):
-    walls = np.array([[3.0, -20, 3, 20]])
+    walls = frozen([[3.0, -20, 3, 20]])
     state, filtered = drive.initial_state(np.array([0, 0, heading]), walls, ROBOT), np.zeros(STATE_SIZE)
     watch = None
     for k in range(64 * 20):
@@ -259,7 +259,7 @@ def test_the_filter_keeps_the_speed_of_a_base_that_backs_away_from_a_bumper():
     for k in range(60):
         hazards = Hazards(0.0, 2, 0, 0) if k == 0 else NONE
         state = filtered_command(state, 0.0, [0.5, 0.0], hazards, CLEAR)
-        base = drive.step(base, state[:2], np.zeros((0, 4)), ROBOT, PERIOD)
+        base = drive.step(base, state[:2], frozen(np.zeros((0, 4))), ROBOT, PERIOD)
         assert state[BASE_SPEED] == pytest.approx(base[drive.SPEED], abs=1e-12)
 
 
@@ -270,7 +270,7 @@ def drive_by(spike, command, turn_rate, cliff=0):
     (x, y), base = spike, drive.initial_state(np.zeros(3), np.zeros((0, 4)), ROBOT)
     base[drive.SPEED], base[drive.TURN_RATE] = ROBOT.max_speed, turn_rate
     state = moving(ROBOT.max_speed, turn_rate)
-    walls = np.array([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
+    walls = frozen([[x, y * side, x + 0.1, (y + 0.3) * side], [x, y * side, x - 0.1, (y + 0.3) * side]])
     turned, watch = 0.0, None
     for k in range(64):
         X_WB = base[drive.X : drive.THETA + 1]

@@ -6,13 +6,14 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.arrays import frozen
 from tfg_drake.config import RobotConfig
 from tfg_drake.simulation import differential_drive as drive
 
 ROBOT = RobotConfig()
 PERIOD = 1.0 / 64.0
-NO_WALLS = np.zeros((0, 4))
-ROOM = np.array([[-2.0, -2, 2, -2], [2, -2, 2, 2], [2, 2, -2, 2], [-2, 2, -2, -2], [0.5, 0.5, 1.5, 0.6]])
+NO_WALLS = frozen(np.zeros((0, 4)))
+ROOM = frozen([[-2.0, -2, 2, -2], [2, -2, 2, 2], [2, 2, -2, 2], [-2, 2, -2, -2], [0.5, 0.5, 1.5, 0.6]])
 
 
 def drive_for(state, command, walls, duration, robot=ROBOT):
@@ -86,7 +87,7 @@ def test_the_outline_never_enters_a_wall(heading, speed, turn_rate, seed):
     rng = np.random.default_rng(seed)
     clutter = rng.uniform(-2, 2, (12, 4))
     distance = np.array([shapely.LineString(w.reshape(2, 2)).distance(shapely.Point(0, 0)) for w in clutter])
-    walls = np.vstack([ROOM[:4], clutter[distance > ROBOT.radius + 0.01]])
+    walls = frozen(np.vstack([ROOM[:4], clutter[distance > ROBOT.radius + 0.01]]))
     lines = shapely.MultiLineString(walls.reshape(-1, 2, 2).tolist())
     states = drive_for(drive.initial_state(np.array([0, 0, heading]), walls, ROBOT), [speed, turn_rate], walls, 8.0)
     gaps = shapely.distance(shapely.points(states[:, drive.X : drive.Y + 1]), lines) - ROBOT.radius

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.config import DisturbanceConfig, OdometryConfig, RobotConfig
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation import odometry
 from tfg_drake.simulation.disturbance import displacement
 
-NO_WALLS = np.zeros((0, 4))
+NO_WALLS = frozen(np.zeros((0, 4)))
 NO_ERRORS = np.zeros(3)
 
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.config import ScanConfig, ScanRealityConfig
 from tfg_drake.geometry.motion import advance
 from tfg_drake.geometry.se2 import compose, inverse
 from tfg_drake.simulation.laser_scanner import along_rays, no_scan, ray_angles, scan, spoilt, swept
 
 CONFIG = ScanConfig()
-WALL = np.array([[4.0, -100.0, 4.0, 100.0]])
+WALL = frozen([[4.0, -100.0, 4.0, 100.0]])
 
 
 def test_rays_cover_the_field_of_view():

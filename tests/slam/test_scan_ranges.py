@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, TagDetections, replace
@@ -204,18 +205,18 @@ def test_a_straight_surface_is_read_exactly(slant):
     """A wall 3 m away along the bearing of 0.2 rad, looked at by this tangent of the incidence."""
     normal = 0.2 + np.arctan(slant)
     ranges = 3.0 * np.cos(0.2 - normal) / np.cos(ANGLES - normal)
-    distance, found = surface(0.2, ANGLES, ranges, 0.015)
+    distance, found = surface(0.2, frozen(ANGLES), frozen(ranges), 0.015)
     assert distance == pytest.approx(3.0, abs=3e-4)
     assert found == pytest.approx(slant, abs=0.01)
 
 
 def test_rays_round_a_corner_are_no_surface():
     """From the middle of a room, to its corner; to a scanner so bad that they may be straight they are one."""
-    ranges = cast_rays(WALLS, np.zeros(2), ANGLES + 0.7, 12.0)
-    corner = float(ANGLES[np.argmax(ranges)])
-    assert np.isnan(surface(corner, ANGLES, ranges, 0.015)[0])
-    assert np.isfinite(surface(corner, ANGLES, ranges, 0.5)[0])
-    assert np.isfinite(surface(corner + 0.2, ANGLES, ranges, 0.015)[0])
+    angles, ranges = frozen(ANGLES), frozen(cast_rays(WALLS, np.zeros(2), ANGLES + 0.7, 12.0))
+    corner = float(angles[np.argmax(ranges)])
+    assert np.isnan(surface(corner, angles, ranges, 0.015)[0])
+    assert np.isfinite(surface(corner, angles, ranges, 0.5)[0])
+    assert np.isfinite(surface(corner + 0.2, angles, ranges, 0.015)[0])
 
 
 def test_without_a_pair_nothing_is_learnt():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.arrays import frozen
 from tests.slam.test_scan_lines import ANGLES, CONFIG, WALLS
 from tests.walls import walls_between
 from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
@@ -334,7 +335,8 @@ def test_what_is_known_of_a_wall_is_compared_with_what_is_seen_of_it():
     seen, p_AC, seen_reach = walls_between(part)
     root, own = 0.01 * rng.normal(size=(11, 11)), 0.01 * rng.normal(size=(6, 6))
     P, R, entry = root @ root.T, own @ own.T, np.array([2, 0, 3])
-    squared, far, overlap = compared(WallSet(seen, p_AC, seen_reach), R, WallSet(known, p_MC, reach), entry, X_MD, P)
+    one, other = WallSet(seen, frozen(p_AC), frozen(seen_reach)), WallSet(known, p_MC, reach)
+    squared, far, overlap = compared(one, R, other, entry, frozen(X_MD), frozen(P))
 
     def error(x, k):
         """Angle and distance of wall k, x: (5,) its own and the pose, by the anchor seen, less those that are seen."""
@@ -364,7 +366,8 @@ def test_what_hardly_overlaps_is_not_compared(shift):
     ends_M = np.array([[3.0, -2.0], [3.0, -2.0]]) + np.outer(piece + shift, [0.0, 1.0])
     seen, p_AC, seen_reach = walls_between(se2.transform(se2.inverse(X_MD), ends_M), 0.8)
     P, R, entry = 1e-4 * np.eye(5), 1e-4 * np.eye(2), np.array([0])
-    squared, far, overlap = compared(WallSet(seen, p_AC, seen_reach), R, WallSet(known, p_MC, reach), entry, X_MD, P)
+    one, other = WallSet(seen, frozen(p_AC), frozen(seen_reach)), WallSet(known, p_MC, reach)
+    squared, far, overlap = compared(one, R, other, entry, frozen(X_MD), frozen(P))
     expected = min(5.0, 3.5 + shift) - max(0.0, 1.0 + shift)
     assert overlap[0, 0] == pytest.approx(expected)
     assert np.isfinite(squared[0, 0]) == np.isfinite(far[0, 0]) == (expected > OVERLAP)
