@@ -51,6 +51,16 @@ def compiled():
             subprocess.run([sys.executable, "-m", MODULE], check=True, stdout=subprocess.DEVNULL)
 
 
+@pytest.fixture(scope="module")
+def coarse_figures():
+    """Figures are drawn coarsely, in half the time."""
+    from tfg_drake.pictures.figure_file import write_figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(write_figure, "__defaults__", (50.0,))
+        yield
+
+
 # Beside the project, where there is one; nothing of it is the project's own.
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 

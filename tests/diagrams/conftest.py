@@ -12,6 +12,11 @@ def _compiled(compiled):
     """No command waits for kernels."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _coarse(coarse_figures):
+    """Every mission draws its figure."""
+
+
 @pytest.fixture
 def room(tmp_path):
     """The path of a scenario: a bare room, mapped within 8 s."""

@@ -6,3 +6,8 @@ import pytest
 @pytest.fixture(autouse=True)
 def _compiled(compiled):
     """No command waits for kernels."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse(coarse_figures):
+    """Every mission draws its figure."""
