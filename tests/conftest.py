@@ -32,13 +32,22 @@ hypothesis.settings.register_profile("tfg_drake", deadline=None, derandomize=Tru
 hypothesis.settings.load_profile("tfg_drake")
 
 
-# Whole missions and robots: begun first, so that none of them is left over when all else is done.
-LONG = ("tests/diagrams/", "tests/hardware/", "tests/integration/")
+# Robots keep real time: most of theirs they wait.
+WAITING = ("tests/hardware/", "tests/integration/test_real_robot.py")
+# Whole missions: begun first, so that none of them is left over when all else is done.
+LONG = ("tests/diagrams/", "tests/integration/")
 
 
 def pytest_collection_modifyitems(items):
-    """The long ones first."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+    """File by file, the long ones first; after two that compute comes one that waits: of three at a time one does."""
+    files = {}
+    for item in items:
+        files.setdefault(item.nodeid.partition("::")[0], []).append(item)
+    waiting = [name for name in files if name.startswith(WAITING)]
+    order = sorted(files.keys() - set(waiting), key=lambda name: (not name.startswith(LONG), name))
+    for k, name in enumerate(waiting):
+        order.insert(3 * k + 2, name)
+    items[:] = [item for name in order for item in files[name]]
 
 
 @pytest.fixture(scope="session")
