@@ -71,6 +71,7 @@ def test_a_tree_is_read_as_it_was_written():
         assert dataclasses.asdict(one.either) == dataclasses.asdict(other.either)
         assert vars(one.notes[0]) == vars(other.notes[0])
     assert (type(found.leaves), type(found.notes), type(found.named[4])) == (tuple, list, Pair)
+    assert found.named[4].at.flags.writeable
 
 
 def test_what_was_one_object_is_one_still():

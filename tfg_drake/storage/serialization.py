@@ -167,7 +167,8 @@ def codec_of(hint: Any) -> _Codec:
     if origin is tuple:
         return _parts(tuple, tuple, [codec_of(part) for part in parts], strict=True)
     if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_make"):
-        return _parts(hint, hint._make, [codec_of(part) for part in typing.get_type_hints(hint).values()], strict=True)
+        codecs = [codec_of(part) for part in typing.get_type_hints(hint).values()]
+        return _parts(hint, lambda parts: hint._make(map(_own, parts)), codecs, strict=True)
     if origin is dict:
         pairs = codec_of(list[tuple[parts]])  # type: ignore[valid-type]
         return _Codec(
@@ -175,6 +176,11 @@ def codec_of(hint: Any) -> _Codec:
             lambda plain, data: dict(pairs.read(plain, data)),
         )
     raise TypeError(f"{getattr(hint, '__name__', hint)} cannot be kept: make it a dataclass with annotated fields")
+
+
+def _own(value: Any) -> Any:
+    """A tuple's value; an array is writeable, as in the mission that kernels are compiled for: messages lock theirs."""
+    return value.copy() if isinstance(value, np.ndarray) else value
 
 
 def _of(kind: Any, value: Any) -> Any:
