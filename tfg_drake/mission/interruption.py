@@ -34,6 +34,7 @@ class Interruption(threading.Event):
         program was started to ignore, as by `nohup`, still is."""
         is_main = threading.current_thread() is threading.main_thread()
         before = {number: signal.getsignal(number) for number in NAMES} if is_main else {}
+        self._last = -math.inf
         for number, handler in before.items():
             if number != signal.SIGHUP or handler != signal.SIG_IGN:
                 signal.signal(number, self._handle)
