@@ -119,9 +119,10 @@ def run_slam(
             raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
         mapping, online = method or next(iter(MAPPING_METHODS)), _shares(say, "online")
         return map_recording(loaded, dataset, out, mapping, online, settings, relations=relations, **mapped)
-    if relations is not None or settings:
-        option = f"--relations {relations}" if relations is not None else f"--set {settings[0]}"
-        raise DatasetError(f"{option}: is for laser recordings; leave it out")
+    given = {f"--relations {relations}": relations, **{f"--set {one}": one for one in settings}}
+    given |= {"--page": mapped.get("cockpit"), "--meshcat": mapped.get("meshcat")}
+    if wrong := next((option for option, value in given.items() if value is not None), ""):
+        raise DatasetError(f"{wrong}: is for laser recordings; leave it out")
     name = dataset.name.split(".")[0] if isinstance(loaded, PoseGraph) else loaded.name
     # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():

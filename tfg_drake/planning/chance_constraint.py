@@ -201,12 +201,13 @@ def predicted_deviation(
     field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
     `speed` (m/s), where walls are landmarks over BETWEEN_VIEWS of it at most. The robot drives on while the frames
-    come: everywhere TRACKING_DEVIATION is added or what odometry
-    adds in that second, which bounds what the filter has not yet taken out, if that is more (by rollouts at one and at
-    three times the usual noise the greater of both is enough). before: (n,) m, what it was found to be last,
-    inf where it never was: where not enough landmarks are known jointly, far from the robot, it stays that.
-    """
+    come: everywhere TRACKING_DEVIATION is added or what odometry adds in that second, which bounds what the filter has
+    not yet taken out, if that is more (by rollouts at one and at three times the usual noise the greater of both is
+    enough).
 
+    before: (n,) m, what it was found to be last, inf where it never was: where not enough landmarks are known jointly,
+    far from the robot, it stays that.
+    """
     reach = min(sensor.range, LOCALISATION_RANGE)
     in_view = visible_targets(
         points,

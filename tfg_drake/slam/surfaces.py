@@ -129,7 +129,7 @@ def _order(keys: IntArray) -> IntArray:
 
 
 # p_MP (p, 4) and p_AP (p, 4) of some points, and what each is worth (p,).
-Placed = tuple[FloatArray, FloatArray, FloatArray]
+PlacedPoints = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class Ties(NamedTuple):
@@ -185,7 +185,7 @@ def add_ties(
 
 @njit(cache=True)
 def _weighed(
-    which: IntArray, frame: FloatArray, looks: IntArray, begin: IntArray, placed: Placed, floor: float
+    which: IntArray, frame: FloatArray, looks: IntArray, begin: IntArray, placed: PlacedPoints, floor: float
 ) -> FloatArray:
     """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1]. floor: m^2, the
     variance that they have in common."""

@@ -237,7 +237,7 @@ def same_walls(one: Keyframe, other: Keyframe) -> bool:
     return bool(np.all(np.abs(apart[:, 0]) < SAME_WALL) and np.all(np.abs(off) < SAME_WALL))
 
 
-class Seen(NamedTuple):
+class SeenWalls(NamedTuple):
     """The walls of a turn as landmarks of its keyframe. order: (w,) of them among those of its looks, ids ascending.
     anchor: (w, 2) in A, reach: (w, 2) m. shift: (w,) m, how far along the wall its anchor is from that of its looks.
     looks: (w,) how many there are."""
@@ -250,7 +250,7 @@ class Seen(NamedTuple):
     looks: IntArray
 
 
-def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> Seen:
+def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> SeenWalls:
     """The walls (w, 2) of a solution, each by an anchor on it in the middle of what was seen."""
     w, along = len(walls), along_walls(walls)
     middle = se2.transform(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
@@ -262,7 +262,7 @@ def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> Seen:
     anchor = ends_of(walls, looks.anchor, shift[:, None])[:, 0]
     counts = np.bincount(looks.wall, minlength=w)
     reach, ids = reach - shift[:, None], PROVISIONAL - 1 - looks.name
-    return Seen(order, ids[order], anchor[order], reach[order], shift[order], counts[order])
+    return SeenWalls(order, ids[order], anchor[order], reach[order], shift[order], counts[order])
 
 
 def with_floor(W: FloatArray, g: FloatArray, walls: int, level: float) -> tuple[FloatArray, FloatArray]:

@@ -191,6 +191,8 @@ def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
         ([str(mrclam), "--seed", "1"], f"--seed 1: {own}"),
         ([str(mrclam), "--odometry-noise", "2"], f"--odometry-noise 2: {own}"),
         ([str(mrclam), "--method", "grid"], f"--method grid: {methods}"),
+        ([str(mrclam), "--page"], "--page: is for laser recordings; leave it out"),
+        ([str(mrclam), "--set", "scan.range=5"], "--set scan.range=5: is for laser recordings; leave it out"),
         ([str(carmen), "--method", "tags"], f"--method tags: {methods}"),
         ([str(blind)], f"{blind}: no scan in it met anything; copy it again"),
         ([str(carmen), "--seed", "-1"], "--seed -1: must be between 0 and 2147483647"),
