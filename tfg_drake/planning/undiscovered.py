@@ -18,9 +18,9 @@ from tfg_drake.planning.openings import KEPT_OUT, TOO_NARROW, Openings
 
 # Of rooms of which areas it is asked, m^2.
 AREAS = (1.0, 4.0, 10.0)
-# Fitted to missions in drawn offices by benchmarks/undiscovered.py: b, u, w of openings that the robot can pass, how
-# much less b is where it cannot, and the probability where there is no opening.
-BIAS, BY_UNKNOWN, BY_WIDTH, IMPASSABLE, NO_OPENING = -4.22, 1.01, 2.01, -5.0, 0.006
+# Fitted to eight missions in drawn offices by benchmarks/undiscovered.py: b, u, w of openings that the robot can pass,
+# how much less b is where it cannot, and the probability where there is no opening.
+BIAS, BY_UNKNOWN, BY_WIDTH, IMPASSABLE, NO_OPENING = -4.58, 0.746, 2.1, -5.56, 0.00454
 
 
 def undiscovered(openings: Openings, areas: tuple[float, ...] = AREAS) -> FloatArray:
