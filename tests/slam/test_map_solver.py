@@ -220,6 +220,24 @@ def test_what_hangs_on_nothing_keeps_its_shape(joint):
     assert np.abs(shape).max() < 0.1
 
 
+def test_poses_that_a_double_cannot_tell_given_the_landmarks_end_no_mission(monkeypatch):
+    class Singular(DissectionSolver):
+        def __init__(self, graph, *, landmarks=True):
+            super().__init__(graph, landmarks=landmarks)
+            self.landmarks = landmarks
+
+        def linearised(self, values, damping):
+            if not self.landmarks and damping == 0.0:
+                raise np.linalg.LinAlgError
+            return super().linearised(values, damping)
+
+    graph = reckoned(ring(7, views=6)[0])
+    solved, _ = solve(graph, 0.0, NOTHING, joint=10)
+    monkeypatch.setattr(map_solver, "DissectionSolver", Singular)
+    held, _ = solve(graph, 0.0, NOTHING, joint=10)
+    assert held.entropy == pytest.approx(solved.entropy, rel=1e-6)
+
+
 def test_how_many_are_known_jointly_is_bounded(monkeypatch):
     keyframes, _, _ = ring(7, views=6)
     graph = reckoned(keyframes)

@@ -134,7 +134,7 @@ def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, 
         tag_error = suspected(*_tag_pulls(solver.factors.keyframes, values, system.places))
     log_information = 0.0
     if len(local) < len(graph.ids):
-        given_landmarks = DissectionSolver(graph, landmarks=False).linearised(values, 0.0)
+        given_landmarks = _linearised(DissectionSolver(graph, landmarks=False), values)
         log_information = system.log_determinant - given_landmarks.log_determinant
     return values, covariance, log_information, tag_error
 
