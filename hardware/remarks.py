@@ -99,7 +99,7 @@ def where(bits: int) -> str:
 
 
 def charge_left(state: BaseState) -> str:
-    """What is left in a battery, in words."""
+    """A battery's rest, in words."""
     return f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
 
 

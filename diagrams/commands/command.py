@@ -105,14 +105,14 @@ def positive(metavar: str, told: str, unit: str = "") -> Any:
 
 
 def checked_rate(rate: float) -> float:
-    """What --realtime-rate says. Raises BadInput."""
+    """The number of --realtime-rate. Raises BadInput."""
     if not (math.isfinite(rate) and rate >= 0.0):
         bad_input(f"--realtime-rate {rate:g}: must be 0 (no limit) or more")
     return rate
 
 
 def checked_seed(seed: int | None) -> int | None:
-    """What --seed says. Raises BadInput."""
+    """The number of --seed. Raises BadInput."""
     if seed is not None and not 0 <= seed < 2**31:
         bad_input(f"--seed {seed}: must be between 0 and 2147483647")
     return seed

@@ -175,7 +175,7 @@ class MissionRequest:
 
     @property
     def world(self) -> str:
-        """What its world is called, where that is known."""
+        """Its world's name, where that is known."""
         return (self.world_name or self.name) if self.robot.world_known else "unknown"
 
     @property

@@ -1,4 +1,4 @@
-"""What the Kobuki's core sensors say of battery, charger, wheels' current and buttons."""
+"""Battery, charger, wheels' current and buttons by the Kobuki's core sensors."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ def load_preset(name_or_path: str | Path) -> Preset:
 
 
 def _misfit(topics: Topics) -> str:
-    """What is wrong with the types of the topics, "" for nothing."""
+    """A complaint about the types of the topics, "" for none."""
     for key, known in TYPES.items():
         entry = getattr(topics, key)
         for topic in entry if isinstance(entry, list) else [entry] if entry is not None else []:

@@ -222,7 +222,7 @@ class Search:
         return np.asarray(np.array(seen).reshape(len(places), -1) & reached[:, None])
 
     def _bend(self, angle: float) -> float:
-        """What a bend by an angle (rad, not negative) costs more than driving on, s."""
+        """Seconds that a bend by an angle (rad, not negative) costs more than driving on."""
         robot = self._robot
         stop = robot.max_speed / robot.max_acceleration + turn_time(angle, robot)
         if angle > SHARPEST:

@@ -12,7 +12,7 @@ Colour = tuple[float, float, float]
 
 
 class Palette(NamedTuple):
-    """What each is for, here on a light ground."""
+    """Colours by their use, here on a light ground."""
 
     wall: Colour = (0.84, 0.85, 0.87)
     edge: Colour = (0.16, 0.18, 0.22)
