@@ -24,8 +24,8 @@ SEARCH = 2
 
 
 def to_see_in(known: KnownWorld, world: World, scenario: Scenario) -> ToSee:
-    """What a mission in a scenario's world is judged by: NEARLY_ALL of the cells that `area_seen_s` counts, seen by the
-    scanner, and each tag that can be reached."""
+    """Cells and tags that a mission in a scenario's world is judged by: NEARLY_ALL of the cells that `area_seen_s`
+    counts, seen by the scanner, and each tag that can be reached."""
     return to_see(known.counted_places(), world, known.reachable, NEARLY_ALL, scenario.scan, scenario.tags)
 
 

@@ -238,7 +238,7 @@ def test_it_speeds_up_within_its_limits(commands):
 
 
 def locked_by(states, period=0.02):
-    """What locks an enabled watchdog after each of some states of its base, which drove well before."""
+    """Reasons why an enabled watchdog is locked, after each of some states of its base, which drove well before."""
     watchdog, all_of = Watchdog(Limits()), []
     watchdog.hear(0.0)
     watchdog.hear_alarms({}, 0.0)

@@ -140,8 +140,11 @@ Piece = tuple[TurnFrame, tuple[TurnFrame, ...], TurnFrame]
 
 @message
 class Source:
-    """What a keyframe was reduced from, and by, to reduce it anew: the parameters as they were known, level (5,) of the
-    noise and floor of looks at walls then. names: of its walls."""
+    """Frames and parameters that a keyframe was reduced by, to reduce it anew.
+
+    piece: its first instant, frames and last instant. shared: the parameters as they were known. level: (5,) of the
+    noise, floor: of looks at walls, as they were then. names: of its walls, None where it has none.
+    """
 
     piece: Piece
     shared: Shared

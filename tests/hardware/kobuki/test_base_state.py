@@ -1,4 +1,4 @@
-"""What the Kobuki says of battery, charger and current."""
+"""Battery, charger and current by the Kobuki's core sensors."""
 
 import pytest
 
