@@ -16,7 +16,9 @@ deviations, the landmarks' RMSE before and at the end, and whether the robot is 
 from __future__ import annotations
 
 import argparse
+import json
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
 
 import numpy as np
 from pydrake.common import RandomGenerator
@@ -193,22 +195,37 @@ def main() -> None:
     parser.add_argument("--scenario", default="paper")
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="A line of JSON a mission; what is there is not run again.")
     options = parser.parse_args()
+    kept = options.out.read_text().splitlines() if options.out and options.out.exists() else []
+    which = {"kind": options.kind, "scenario": options.scenario}
+    results = [row for row in map(json.loads, kept) if which.items() <= row.items() and row["seed"] < options.seeds]
+    missing = sorted(set(range(options.seeds)) - {row["seed"] for row in results})
     heads = ("found after s", "among tags s", "error m", "false s", "RMSE before m", "after m", "is mapped")
     print("seed" + "".join(f"{head:>14}" for head in heads), flush=True)
-    results = []
     with ProcessPoolExecutor(options.jobs) as pool:
-        jobs = [pool.submit(run_seed, options.kind, options.scenario, seed) for seed in range(options.seeds)]
+        jobs = [pool.submit(run_seed, options.kind, options.scenario, seed) for seed in missing]
         for done in as_completed(jobs):
-            r = done.result()
+            r = which | done.result()
             results.append(r)
             figures = [f"{r.get(key, np.nan):>14.3f}" for key in KEYS]
             print(f"{r['seed']:>4}" + "".join(figures), flush=True)
-    print()
-    for key, what in (("seconds", "in the world"), ("among_tags", "among the tags in view")):
+            if options.out:
+                with options.out.open("a") as file:
+                    file.write(json.dumps(r, default=float) + "\n")
+    carried = options.kind == "carry"
+    print(f"\n{options.kind}, {options.scenario}, {len(results)} missions:")
+    wheres = {"seconds": "in the world"} if carried else {"seconds": "in the world", "among_tags": "among tags in view"}
+    for key, where in wheres.items():
         seconds = np.array([r.get(key, np.nan) for r in results])
-        found = f"{np.count_nonzero(seconds < PATIENCE)} of {len(results)} found themselves {what}"
-        print(f"{found} within {PATIENCE:g} s of three mapped tags in view; median {np.nanmedian(seconds):.2f} s")
+        seen = "" if carried else " with three mapped tags in view"
+        found = f"{np.count_nonzero(seconds < PATIENCE)} found themselves {where}"
+        print(f"{found} within {PATIENCE:g} s{seen}; median {np.nanmedian(seconds):.1f} s")
+    if carried:
+        mapped = [r for r in results if r.get("mapped")]
+        print(
+            f"{sum(r['seconds'] < PATIENCE for r in mapped)} of the {len(mapped)} that were put where the map is free"
+        )
     false = np.array([r.get("false", 0.0) for r in results])
     print(f"{np.count_nonzero(false)} were falsely sure of their position, for {np.max(false):.1f} s at most")
 

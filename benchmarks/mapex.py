@@ -217,6 +217,12 @@ def main() -> None:
         means = " ".join(f"{np.nanmean(column):6.1f}" if np.isfinite(column).any() else "   nan" for column in at.T)
         ends = Counter(row["outcome"] for row in some if "outcome" in row)
         ended = "".join(f"; {ends[name]} {name}" for name in sorted(ends))
+        if "error_m" in some[0]:
+            off, nees = (np.array([row[key] for row in some]) for key in ("error_m", "online_pose_anees"))
+            ended += (
+                f"; off by {off.mean():.3f} m (worst {off.max():.3f}), NEES {nees.mean():.2f} (worst {nees.max():.2f})"
+            )
+            ended += f", {sum(row['contacts'] for row in some)} contacts"
         print(f"{method:9s} {np.mean([area(row) for row in some]):.3f} {means}; {np.isfinite(at).sum(axis=0)}{ended}")
     areas = {m: np.mean([area(rows[*which, m]) for which in kept]) for m in options.methods}
     if {"nearest", "exact"} <= set(areas):

@@ -1,139 +1,258 @@
 """Makes the tables of docs/results.md anew, all by the code that is here.
 
     python benchmarks/results.py --data FOLDER
-    python benchmarks/results.py --tables offices flat --data FOLDER
+    python benchmarks/results.py --tables found floors --data FOLDER
     python benchmarks/results.py --tables missions --rows house paper_real --seeds 3 --dry
 
-A table is what one benchmark prints after its last empty line, below the command and the commit; the tables missions
-and deviations are made here, a row a world. All runs are in --out, which has the commit in its name unless it is given:
-what is there is not run again, so that a run that was ended goes on. FOLDER has recordings and floors that are not the
-project's; tables that need it stay as they are without it. A table goes to docs/tables, and from there into the
-document. --dry prints the tables and leaves both alone.
+A table is what benchmarks print after their last empty line, below their commands and the commit, or a row a world of
+missions that are run here. All runs are in --out, which has the commit in its name unless it is given: what is there is
+not run again, so that a run that was ended goes on. FOLDER has recordings and floors that are not the project's; tables
+that need it stay as they are without it. A table goes to docs/tables, and from there into the document. --dry prints
+the tables and leaves both alone. At the end: the CPU hours that each table has taken so far.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
+import resource
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import offices
 import reality
 
 BENCHMARKS = Path(__file__).parent
 DOCUMENT = BENCHMARKS.parent / "docs" / "results.md"
 TABLES = DOCUMENT.parent / "tables"
-DATA = "DATA"
-# Arguments of the benchmarks that print a table, several by " + ", and the CPU minutes that it takes; DATA stands for
-# --data.
-PRINTED: dict[str, tuple[str, int]] = {
-    "relations": (f"relations.py {DATA}/radish --methods walls --out relations.jsonl", 6),
-    "regions": (f"relation_regions.py {DATA}/radish regions", 10),
-    "mapex": (f"mapex.py {DATA}/mapex --methods nearest exact", 70),
-    "stated": (
-        'consistency.py --seeds 3 + tag_spacing.py --rows "paper, 1" "paper, none" --seeds 3 + look_alikes.py --seeds 1'
-        ' + offices.py --rows offices + offices.py --rows "people, glass" --seeds 10',
-        100,
-    ),
-    "found": (
-        f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat"
-        " + relocation.py house paper --starts 8 --time 60 --out relocation"
-        " + relocation.py offices --offices 5 --starts 2 --time 60 --out offices",
-        40,
-    ),
-    "pieces": (f"located_pieces.py {DATA}/radish regions --pieces 100", 30),
-    "sessions": ("sessions.py", 8),
-    "kills": ("kills.py", 20),
+# In arguments: --data, the seed, and the office plan that is drawn from it.
+DATA, SEED, PLAN = "DATA", "SEED", "PLAN"
+# Arguments of the benchmarks that print a table, several by " + ".
+PRINTED: dict[str, str] = {
+    "relations": f"relations.py {DATA}/radish --methods walls --out relations.jsonl",
+    "mapex": f"mapex.py {DATA}/mapex --methods nearest exact ours --out mapex.jsonl",
+    "stated": "offices.py --rows offices --out stated.jsonl"
+    " + offices.py --rows 'people, glass' --seeds 10 --out stated.jsonl + look_alikes.py --seeds 3 --out stated.jsonl",
+    "regions": f"relation_regions.py {DATA}/radish regions",
+    "undiscovered": "undiscovered.py --out undiscovered.jsonl",
+    "found": f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat"
+    " + relocation.py house paper --starts 8 --time 60 --out relocation"
+    " + relocation.py offices --offices 5 --starts 2 --time 60 --out offices",
+    "pieces": f"located_pieces.py {DATA}/radish regions --pieces 100",
+    "sessions": "sessions.py",
+    "carried": "disturbances.py carry --scenario house --seeds 10 --out carried.jsonl"
+    " + disturbances.py carry --scenario house_real --seeds 20 --out carried.jsonl"
+    " + disturbances.py carry --scenario paper --seeds 20 --out carried.jsonl",
+    "mutations": "recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl",
+    "kills": "kills.py",
+    "sizes": "planning_map_size.py --stages 4 + map_size.py --goals 8",
 }
-# The rows of either table: scenario and number of seeds. All missions together take 54 CPU-minutes.
-MISSIONS = {"paper": 20, "corridor": 6, "house": 10, "paper_real": 10, "house_real": 30}
-DEVIATIONS = [row for row in reality.ROWS if row != reality.BELIEVED]
-SEEDS = 6
-HEADER = (
-    "| world | seeds | complete | contacts | mapped (worst) | time | distance | position (worst) | heading"
-    " | landmark RMSE (worst tag) | NEES of landmarks, departures, online poses | speed |"
-)
 
 
-def command(row: str, seed: int, folder: Path) -> list[str]:
-    """The command of one mission of a row."""
-    scenario = row if row in MISSIONS else "paper"
-    line = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", scenario, "--headless"]
-    line += ["--seed", str(seed), "--out", str(folder), "--max-time", "3600"]
-    for setting in reality.settings(row, seed) if row in reality.ROWS else []:
-        line += ["--set", setting]
-    return line
+class Row(NamedTuple):
+    """Missions of a table: their name, the arguments of `tfg-drake explore`, and the seeds."""
+
+    name: str
+    arguments: str
+    seeds: range
 
 
-def run(row: str, seed: int, out: Path) -> dict | None:
+UNTAGGED = "--tag-spacing none --max-time 3600"
+# Ours, and what it is compared with.
+METHOD, OTHER = "tfg", "grid-nearest"
+MISSIONS: dict[str, list[Row]] = {
+    "explored": [
+        Row("`house`", f"house {UNTAGGED}", range(40, 50)),
+        Row("`paper`", f"paper {UNTAGGED}", range(40, 46)),
+        Row("office plans", f"paper_real --world {PLAN} {UNTAGGED}", range(8)),
+        Row("`house`, tags", "house --max-time 3600", range(40, 46)),
+        Row("`paper`, tags", "paper --max-time 3600", range(40, 43)),
+    ],
+    "missions": [
+        Row(f"`{world}`", f"{world} --max-time 3600", range(seeds))
+        for world, seeds in {"paper": 10, "corridor": 4, "house": 10, "paper_real": 6, "house_real": 10}.items()
+    ],
+    "deviations": [Row(name, "paper --max-time 3600", range(3)) for name in reality.ROWS if name != reality.BELIEVED],
+    "floors": [
+        Row(f"`{name}`, {size}", f"--world {DATA}/maps/{file} --tag-spacing none --max-time 6000", range(2))
+        for name, size, file in (
+            ("LGRC1", "111 x 34 m", "LGRC1.vectormap.txt --start=50,29.8,0"),
+            ("NSHA", "63 x 43 m", "NSHA.vectormap.txt --start=20,24,0"),
+            ("building_31", "35 x 32 m", "building_31.yaml --start=-17,4,0"),
+            ("GDC3", "88 x 56 m", "GDC3.vectormap.txt"),
+        )
+    ],
+}
+Summary = dict[str, Any]
+Cell = tuple[str, Callable[[list[Summary]], str]]
+
+
+def values(runs: list[Summary], *keys: str) -> list[float]:
+    """A field of summary.json of each run, nan where it is None."""
+    found: list = list(runs)
+    for key in keys:
+        found = [one[key] for one in found]
+    return [float("nan") if one is None else one for one in found]
+
+
+def mean(digits: int, *keys: str) -> Callable[[list[Summary]], str]:
+    """The mean of a field over the runs that have it, - where none has."""
+
+    def read(runs: list[Summary]) -> str:
+        known = [value for value in values(runs, *keys) if np.isfinite(value)]
+        return f"{np.mean(known):.{digits}f}" if known else "-"
+
+    return read
+
+
+def mean_and_worst(digits: int, *keys: str, worst: tuple[str, ...] = ()) -> Callable[[list[Summary]], str]:
+    """The mean, and the largest of that field or of another."""
+    return lambda runs: f"{mean(digits, *keys)(runs)} ({np.nanmax(values(runs, *(worst or keys))):.{digits}f})"
+
+
+def count(runs: list[Summary]) -> str:
+    return f"{sum(one['outcome'] == 'complete' for one in runs)} of {len(runs)}"
+
+
+COMMON: list[Cell] = [
+    ("complete", count),
+    ("contacts", lambda runs: str(sum(one["contacts"] for one in runs))),
+    ("explored s", mean(0, "explored_s")),
+    ("way m", mean(0, "distance_m")),
+    ("position m (worst mission)", mean_and_worst(3, "position_error_m", "mean")),
+    ("heading rad", mean(4, "heading_error_rad", "mean")),
+    ("NEES online (worst)", mean_and_worst(2, "online_pose_anees")),
+]
+CPU: Cell = ("CPU s", mean(0, "cpu_time_s"))
+TAGS: list[Cell] = [
+    ("mapped %", lambda runs: f"{100 * min(a['landmarks_mapped'] / a['landmarks_reachable'] for a in runs):.1f}"),
+    ("RMSE m (worst tag)", mean_and_worst(3, "landmark_rmse_m", worst=("landmark_error_max_m",))),
+    ("NEES of tags", mean(2, "landmark_nees")),
+]
+NEES = COMMON[-1]
+EXPLORED = "explored"
+CELLS: dict[str, list[Cell]] = {
+    EXPLORED: [
+        ("complete", count),
+        ("explored s", mean(0, "explored_s")),
+        ("position m", mean(3, "position_error_m", "mean")),
+        ("surface within 5 cm, %", lambda runs: f"{100 * np.mean(values(runs, 'surface_coverage_5cm')):.1f}"),
+        CPU,
+    ],
+    "missions": [*COMMON, *TAGS, CPU],
+    "deviations": [*COMMON, *TAGS],
+    "floors": [
+        *COMMON[:3],
+        (
+            "position m (worst instant)",
+            mean_and_worst(2, "position_error_m", "mean", worst=("position_error_m", "max")),
+        ),
+        NEES,
+        ("share of the time for the last hundredth", lambda runs: f"{np.nanmean(_last(runs)):.2f}"),
+        CPU,
+        ("memory GB", lambda runs: f"{max(values(runs, 'peak_rss_bytes')) / 1e9:.2f}"),
+    ],
+}
+
+
+def _last(runs: list[Summary]) -> np.ndarray:
+    """The share of the time until explored that the last hundredth of the area has taken."""
+    return 1.0 - np.array(values(runs, "area_seen_s")) / np.array(values(runs, "explored_s"))
+
+
+def run(arguments: list[str], folder: Path) -> Summary | None:
     """summary.json of one mission, run where it is not there yet; None of one that left none."""
-    folder = out / row.replace(" ", "_").replace(",", "") / f"seed-{seed}"
     path = folder / "summary.json"
     if not path.exists():
-        done = subprocess.run(command(row, seed, folder), capture_output=True, text=True, check=False)
-        print(f"{row}, seed {seed}: {'done' if path.exists() else done.stderr.strip()[-200:]}", flush=True)
+        command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", *arguments, "--headless", "--out", folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        print(f"{folder}: {'done' if path.exists() else done.stderr.strip()[-200:]}", flush=True)
     return json.loads(path.read_text()) if path.exists() else None
 
 
-def line(row: str, runs: list[dict]) -> str:
-    """A row of a table."""
+def runs_of(row: Row, options: argparse.Namespace, method: str = METHOD) -> list[Summary]:
+    """Summaries of the missions of a row that left one."""
 
-    def mean(*keys: str) -> float:
-        values: list = list(runs)
-        for key in keys:
-            values = [value[key] for value in values]
-        return float(np.mean(values))
+    def one(seed: int) -> Summary | None:
+        arguments = row.arguments
+        if PLAN in arguments:
+            plan = options.out / "plans" / f"{seed}.yaml"
+            offices.write(seed, plan)
+            arguments = arguments.replace(PLAN, str(plan))
+        line = shlex.split(arguments.replace(DATA, str(options.data and options.data.resolve())))
+        line += ["--seed", str(seed), "--method", method]
+        for setting in reality.settings(row.name, seed) if row.name in reality.ROWS else []:
+            line += ["--set", setting]
+        name = "".join(letter if letter.isalnum() else "_" for letter in row.name).strip("_")
+        return run(line, options.out / method / name / str(seed))
 
-    mapped = min(s["landmarks_mapped"] / s["landmarks_reachable"] for s in runs)
-    name = f"`{row}`" if row in MISSIONS else row
-    cells = [
-        name,
-        str(len(runs)),
-        str(sum(s["outcome"] == "complete" for s in runs)),
-        str(sum(s["contacts"] for s in runs)),
-        f"{100.0 * mapped:.1f} %",
-        f"{mean('sim_time_s'):.0f} s",
-        f"{mean('distance_m'):.0f} m",
-        f"{mean('position_error_m', 'mean'):.3f} m ({max(s['position_error_m']['mean'] for s in runs):.3f} m)",
-        f"{mean('heading_error_rad', 'mean'):.4f} rad",
-        f"{mean('landmark_rmse_m'):.3f} m ({max(s['landmark_error_max_m'] for s in runs):.2f} m)",
-        ", ".join(f"{mean(name):.2f}" for name in ("landmark_nees", "pose_anees", "online_pose_anees")),
-        f"{np.mean([s['sim_time_s'] / s['cpu_time_s'] for s in runs]):.0f}",
-    ]
-    return "| " + " | ".join(cells) + " |"
+    with ThreadPoolExecutor(options.jobs) as pool:
+        return [summary for summary in pool.map(one, row.seeds[: options.seeds]) if summary]
 
 
+def of_missions(name: str, options: argparse.Namespace) -> str | None:
+    """A table of whole missions, a row a world; None where no row of it is wanted, or its data is not there."""
+    columns = [(METHOD, head, read) for head, read in CELLS[name]]
+    if name == EXPLORED:
+        columns += [(METHOD, *NEES), *((OTHER, head, read) for head, read in CELLS[name])]
+    heads = ["world", "seeds", *(f"{method}: {head}" if method == OTHER else head for method, head, _ in columns)]
+    heads += ["over"] * (name == EXPLORED)
+    lines = []
+    for row in MISSIONS[name]:
+        if (options.rows and row.name.strip("`") not in options.rows) or (DATA in row.arguments and not options.data):
+            continue
+        runs = {method: runs_of(row, options, method) for method in dict.fromkeys(method for method, *_ in columns)}
+        if not all(runs.values()):
+            continue
+        seeds = row.seeds[: options.seeds]
+        cells = [row.name, f"{seeds[0]} to {seeds[-1]}", *(read(runs[method]) for method, _, read in columns)]
+        if name == EXPLORED:
+            ours, theirs = (np.array(values(some, "explored_s")) for some in runs.values())
+            both = np.isfinite(ours) & np.isfinite(theirs)
+            cells.append(f"{ours[both].mean() / theirs[both].mean():.2f}")
+        lines.append("| " + " | ".join(cells) + " |")
+    if not lines:
+        return None
+    told = f"$ python benchmarks/results.py --tables {name}  # {version()}"
+    return "\n".join([f"`{told}`", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *lines, ""])
+
+
+@functools.cache
 def version() -> str:
-    """The commit that is checked out, and whether it is what runs."""
-    here = DOCUMENT.parent
+    """The last commit that changed more than documents, and whether it is what runs."""
+    code = ["--", ".", ":!docs", ":!*.md"]
+    root = DOCUMENT.parents[1]
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True, check=True
+        ["git", "log", "-1", "--format=%h", *code], cwd=root, capture_output=True, text=True, check=True
     )
     changed = subprocess.run(
-        ["git", "status", "--porcelain", "-uno"], cwd=here, capture_output=True, text=True, check=True
+        ["git", "status", "--porcelain", "-uno", *code], cwd=root, capture_output=True, text=True, check=True
     )
     return commit.stdout.strip() + (", with changes" if changed.stdout.strip() else "")
 
 
 def replaced(text: str, name: str, table: str) -> str:
-    """The document with a table from the mark of its name to the next empty line."""
-    mark = f"<!-- {name}: made by benchmarks/results.py -->\n"
+    """The document with a table from the mark of its name to the mark of its end."""
+    mark, end = f"<!-- {name}: made by benchmarks/results.py -->\n", f"<!-- end of {name} -->\n"
     before, found, rest = text.partition(mark)
-    if not found:
-        raise SystemExit(f"{DOCUMENT}: has no mark {mark.strip()}")
-    _, _, after = rest.partition("\n\n")
-    return f"{before}{mark}{table}\n{after}"
+    _, ended, after = rest.partition(end)
+    if not (found and ended):
+        raise SystemExit(f"{DOCUMENT}: has no mark {mark.strip()} or {end.strip()}")
+    return f"{before}{mark}{table}{end}{after}"
 
 
 def printed(name: str, data: Path | None, out: Path) -> str | None:
     """A table that a benchmark prints, with its command and version; None where it needs data that is not there, or
     fails."""
     lines: list[str] = []
-    for arguments in PRINTED[name][0].split(" + "):
+    for arguments in PRINTED[name].split(" + "):
         if data is None and DATA in arguments:
             print(f"{name}: needs --data", flush=True)
             return None
@@ -151,41 +270,45 @@ def printed(name: str, data: Path | None, out: Path) -> str | None:
     return "\n".join(["```", *lines, "```", ""])
 
 
-def of_missions(name: str, options: argparse.Namespace) -> str | None:
-    """The table of whole missions, or that of worlds that are not as believed; None where no row of it is wanted."""
-    lines = {}
-    with ThreadPoolExecutor(options.jobs) as pool:
-        for row in [row for row in (MISSIONS if name == "missions" else DEVIATIONS) if row in options.rows]:
-            seeds = range(options.seeds or MISSIONS.get(row, SEEDS))
-            runs = [one for one in pool.map(lambda seed, row=row: run(row, seed, options.out), seeds) if one]
-            if runs:
-                lines[row] = line(row, runs)
-    ruled = "|" + "---|" * (HEADER.count("|") - 1)
-    header = HEADER.replace("world", f"world (`{version()}`)")
-    return "\n".join([header, ruled, *lines.values(), ""]) if lines else None
+def add_hours(out: Path, name: str, seconds: float) -> None:
+    """Adds to the CPU seconds that a table has taken so far, and prints all of them."""
+    path = out / "cpu_seconds.json"
+    taken = json.loads(path.read_text()) if path.exists() else {}
+    taken[name] = taken.get(name, 0.0) + seconds
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(taken, indent=1))
+    print(f"{name}: {taken[name] / 3600:.2f} CPU hours; {sum(taken.values()) / 3600:.2f} in all so far", flush=True)
+
+
+def cpu_seconds() -> float:
+    """CPU time of all processes that were waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def main() -> None:
     """Run what is missing and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tables", nargs="+", choices=["missions", "deviations", *PRINTED], help="These alone.")
+    tables = [*MISSIONS, *PRINTED]
+    parser.add_argument("--tables", nargs="+", choices=tables, default=tables, help="These alone.")
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--rows", nargs="+", choices=[*MISSIONS, *DEVIATIONS], default=[*MISSIONS, *DEVIATIONS])
-    parser.add_argument("--seeds", type=int, help="Of each row, instead of its own number.")
+    parser.add_argument("--rows", nargs="+", help="These rows of tables of missions alone.")
+    parser.add_argument("--seeds", type=int, help="Of each row of missions at most.")
     parser.add_argument("--jobs", type=int, default=2, help="Missions at a time.")
     parser.add_argument("--out", type=Path, default=Path("runs") / f"results-{version().split(',')[0]}")
     parser.add_argument("--dry", action="store_true", help="Print the tables only.")
     options = parser.parse_args()
+    options.out = options.out.resolve()
 
-    wanted, made = options.tables or ["missions", "deviations", *PRINTED], {}
-    for name in wanted:
+    for name in options.tables:
+        before = cpu_seconds()
         table = printed(name, options.data, options.out) if name in PRINTED else of_missions(name, options)
-        if table is not None:
-            print(table, flush=True)
-            made[name] = table
-    if made and not options.dry:
-        TABLES.mkdir(exist_ok=True)
-        for name, table in made.items():
+        add_hours(options.out, name, cpu_seconds() - before)
+        if table is None:
+            continue
+        print(table, flush=True)
+        if not options.dry:
+            TABLES.mkdir(exist_ok=True)
             (TABLES / f"{name}.md").write_text(table)
             DOCUMENT.write_text(replaced(DOCUMENT.read_text(), name, table))
 

@@ -154,12 +154,12 @@ def judged(lines: list[dict[str, Any]], kinds: tuple[str, ...]) -> Iterator[tupl
                     yield mission, area, float(probability), moment["largest_m2"] >= area
 
 
-def table(lines: list[dict[str, Any]], kinds: tuple[str, ...]) -> None:
-    """Prints the bins of what was stated of all areas, then of each."""
+def table(lines: list[dict[str, Any]], kinds: tuple[str, ...], areas: tuple[float | None, ...]) -> None:
+    """Prints the bins of what was stated of rooms of some areas, m^2, None: of all together."""
     rows = np.array(list(judged(lines, kinds)))
     rng = np.random.default_rng(0)
     print(f"{'area':>8s} {'stated':>12s} {'cuts':>6s} {'mean stated':>12s} {'were there':>11s} {'95 %':>14s}")
-    for area in (None, *model.AREAS):
+    for area in areas:
         some = rows if area is None else rows[rows[:, 1] == area]
         for low, high in itertools.pairwise(BINS):
             ours = some[(some[:, 2] >= low) & ((some[:, 2] < high) | (high == 1.0))]
@@ -217,9 +217,14 @@ def main() -> None:
         fit([line for line in lines if line["world"] == FITTED])
         return
     others = [line for line in lines if line["world"] != FITTED]
-    for kind, what in (("cut", "Cut between 30 and 95 %"), ("late", "Cut between 88 and 100 %"), ("end", "At the end")):
-        print(f"\n{what}, {len(others)} missions")
-        table(others, (kind,))
+    kinds = {"cut": "cut between 30 and 95 %", "late": "cut between 88 and 100 %", "end": "at the end"}
+    for kind, when in kinds.items():
+        print(f"\n{len(others)} missions, {when}, each area")
+        table(others, (kind,), model.AREAS)
+    print()
+    for kind, when in kinds.items():
+        print(f"{len(others)} missions, {when}")
+        table(others, (kind,), (None,))
 
 
 if __name__ == "__main__":

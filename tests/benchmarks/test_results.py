@@ -1,5 +1,6 @@
 """Tables of docs/results.md that benchmarks print."""
 
+import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +49,58 @@ def test_a_table_without_its_data_or_of_a_benchmark_that_fails_is_left_alone(res
 
 
 def test_every_command_is_of_a_benchmark(results) -> None:
-    commands = [one for arguments, _ in results.PRINTED.values() for one in arguments.split(" + ")]
+    commands = [one for arguments in results.PRINTED.values() for one in arguments.split(" + ")]
     assert all((BENCHMARKS / command.split()[0]).exists() for command in commands)
-    assert all(f"<!-- {name}: made by" in results.DOCUMENT.read_text() for name in results.PRINTED)
+
+
+def test_every_table_has_its_place_in_the_document(results) -> None:
+    text = results.DOCUMENT.read_text()
+    for name in (*results.PRINTED, *results.MISSIONS):
+        assert results.replaced(text, name, "new\n").count("new\n<!-- end of") == 1
+
+
+def test_a_document_without_a_table_s_marks_is_refused(results) -> None:
+    with pytest.raises(SystemExit, match="has no mark"):
+        results.replaced("text\n", "kills", "")
+
+
+def summary(explored: float | None, **fields) -> dict:
+    """What a table reads of a mission."""
+    return {
+        "outcome": "complete" if explored else "stuck",
+        "explored_s": explored,
+        "position_error_m": {"mean": 0.01, "max": 0.02},
+        "online_pose_anees": 0.5,
+        "surface_coverage_5cm": 0.9,
+        "cpu_time_s": 10.0,
+    } | fields
+
+
+def test_methods_are_compared_over_the_seeds_that_both_explore(results, monkeypatch, tmp_path) -> None:
+    seconds = {"tfg": {1: 100.0, 2: 300.0, 3: 900.0}, "grid-nearest": {1: 300.0, 2: 500.0, 3: None}}
+
+    def run(arguments, folder):
+        method = arguments[arguments.index("--method") + 1]
+        assert arguments[arguments.index("--seed") + 1] == folder.name
+        return summary(seconds[method][int(folder.name)])
+
+    monkeypatch.setattr(results, "run", run)
+    monkeypatch.setattr(results, "version", lambda: "abc")
+    monkeypatch.setitem(results.MISSIONS, "explored", [results.Row("`house`", "house", range(1, 4))])
+    options = argparse.Namespace(rows=None, seeds=None, data=None, out=tmp_path, jobs=1)
+    table = results.of_missions("explored", options)
+    assert table.splitlines()[-1] == (
+        "| `house` | 1 to 3 | 3 of 3 | 433 | 0.010 | 90.0 | 10 | 0.50 (0.50)"
+        " | 2 of 3 | 400 | 0.010 | 90.0 | 10 | 0.50 |"
+    )
+
+
+def test_a_row_that_needs_data_is_left_out_where_there_is_none(results, tmp_path) -> None:
+    options = argparse.Namespace(rows=None, seeds=None, data=None, out=tmp_path, jobs=1)
+    assert results.of_missions("floors", options) is None
+
+
+def test_cpu_time_of_a_table_adds_up_over_calls(results, tmp_path, capsys) -> None:
+    results.add_hours(tmp_path / "runs", "kills", 1800.0)
+    results.add_hours(tmp_path / "runs", "kills", 1800.0)
+    assert capsys.readouterr().out.endswith("kills: 1.00 CPU hours; 1.00 in all so far\n")
