@@ -19,7 +19,8 @@ from tfg_drake.vision.image import Image
 
 Image32 = NDArray[np.float32]
 
-_FAMILIES = {"tag36h11": cv2.aruco.DICT_APRILTAG_36h11, "tag16h5": cv2.aruco.DICT_APRILTAG_16h5}
+# The families of tags, all that robotpy_apriltag is compiled with, as OpenCV's dictionaries of them.
+FAMILIES = {"tag36h11": cv2.aruco.DICT_APRILTAG_36h11, "tag16h5": cv2.aruco.DICT_APRILTAG_16h5}
 # Points of the pattern along a cell, as many as it has pixels but within these bounds.
 _FINEST, _COARSEST = 8, 5
 # Blur of an image, pixels: what is tried, along either side of the tag, and where that begins.
@@ -98,7 +99,7 @@ def _likeness(one: Image32, other: Image32) -> float:
 @functools.lru_cache(maxsize=1024)
 def _cells(tag: int, family: str) -> Image32:
     """Grey levels of a tag's cells with its white border, one cell wide."""
-    dictionary = cv2.aruco.getPredefinedDictionary(_FAMILIES[family])
+    dictionary = cv2.aruco.getPredefinedDictionary(FAMILIES[family])
     n = dictionary.markerSize + 2
     cells = cv2.aruco.generateImageMarker(dictionary, tag, n).astype(np.float32)
     return np.pad(cells, 1, constant_values=255.0)

@@ -10,10 +10,8 @@ import robotpy_apriltag
 
 from tfg_drake.messages import FloatArray, IntArray, message
 from tfg_drake.vision.image import Image, grey
-from tfg_drake.vision.tag_corners import refined
+from tfg_drake.vision.tag_corners import FAMILIES, refined
 
-# Those that robotpy_apriltag is compiled with.
-FAMILIES = ("tag36h11", "tag16h5")
 # The detector's own default (10 degrees); robotpy's 45 misses tags seen aslant.
 _CRITICAL_ANGLE = math.radians(10.0)
 # The detector counts from the corner of the first pixel, OpenCV from its centre.
