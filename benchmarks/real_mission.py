@@ -207,11 +207,11 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = options.out or Path(temporary)
-        rows = [line("emulated", real(options.robot, options.world, options.speed, options.max_time, out / "real"))]
+        rows = [line(options.robot, real(options.robot, options.world, options.speed, options.max_time, out / "real"))]
         for seed in range(options.simulated):
             folder = out / f"seed{seed}"
             rows.append(line(f"seed {seed}", simulated(options.world, options.speed, seed, options.max_time, folder)))
-    print("  ".join(f"{cell:>12}" for cell in ("", *FIELDS)))
+    print("\n" + "  ".join(f"{cell:>12}" for cell in ("", *FIELDS)))
     print("\n".join(rows))
 
 

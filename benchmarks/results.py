@@ -44,7 +44,9 @@ PRINTED: dict[str, str] = {
     "undiscovered": "undiscovered.py --out undiscovered.jsonl",
     "found": f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat"
     " + relocation.py house paper --starts 8 --time 60 --out relocation"
-    " + relocation.py offices --offices 5 --starts 2 --time 60 --out offices",
+    " + relocation.py offices --offices 5 --starts 2 --time 60 --out offices"
+    " + relocation.py offices --offices 5 --starts 2 --time 60 --later --out later"
+    " + relocation.py house --map flat/flat-map --starts 10 --out other",
     "pieces": f"located_pieces.py {DATA}/radish regions --pieces 100",
     "sessions": "sessions.py",
     "carried": "disturbances.py carry --scenario house --seeds 10 --out carried.jsonl"
@@ -52,6 +54,10 @@ PRINTED: dict[str, str] = {
     " + disturbances.py carry --scenario paper --seeds 20 --out carried.jsonl",
     "mutations": "recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl",
     "kills": "kills.py",
+    "robots": " + ".join(
+        f"real_mission.py {robot} --simulated 0" for robot in ("kobuki", "ros2", "without_ros", "without_tags")
+    ),
+    "approaches": " + ".join(f"approaches.py --count 3000 --at {what}" for what in ("wall", "end", "edge", "behind")),
     "sizes": "planning_map_size.py --stages 4 + map_size.py --goals 8",
 }
 
