@@ -13,15 +13,14 @@ from tfg_drake.config import RobotCameraConfig
 from tfg_drake.hardware.device import DeviceError, imported
 from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.remarks import Remark, Spells, begun
-from tfg_drake.hardware.sensor_reader import SensorReader
+from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import TagDetections
 
 if TYPE_CHECKING:
     from tfg_drake.vision.calibration import CameraCalibration
     from tfg_drake.vision.camera_view import CameraView
+    from tfg_drake.vision.frames import Frame
 
-# How long to wait for the first image, s.
-PATIENCE = 10.0
 # Fewer images a second are told, counted over so many seconds. Tags are mapped all the same.
 LOW_RATE, COUNTED = 4.0, 3.0
 # Images whose mean is below or above are too dark or too bright, grey levels; one pixel in so many is looked at.
@@ -42,8 +41,8 @@ class CameraDriver(SensorReader):
         has it."""
         name = f"camera:{source}"
         super().__init__(name, {TagDetections: f"tags of {name}"})
+        self._source, self._latency, self._family = source, camera.latency, camera.family
         self._calibration = known_calibration(self.name, camera)
-        from tfg_drake.hardware.frame_reader import FrameReader
         from tfg_drake.vision.mount import CameraMount
         from tfg_drake.vision.same_view import no_views
         from tfg_drake.vision.sighting import TagSizes
@@ -52,62 +51,72 @@ class CameraDriver(SensorReader):
         self._sizes = TagSizes(camera.tag_size)
         self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch, camera.roll)
         self._views = no_views()
-        self._family = camera.family
         try:
             self._detector = TagDetector(DetectorConfig((camera.family,), camera.threads, camera.decimation))
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
-        # When images were looked at in the last COUNTED seconds, and since when they come, s; of the newest the mean
-        # grey level, and whether a tag was seen in it.
+        # When images were looked at in the last COUNTED seconds, s; of the newest the mean grey level, and whether a
+        # tag was seen in it.
         self._looked: collections.deque[float] = collections.deque()
         self._light, self._tag_seen = DARK, False
+        self._begin()
+
+    def _connect(self) -> None:
+        from tfg_drake.hardware.frame_reader import FrameReader
+
         size = self._calibration.width, self._calibration.height
-        self._device = FrameReader(source, size, camera.latency, self._remark)
-        frame = self._device.first(PATIENCE)
-        if frame is None:
-            why = self._device.error or f"no image in {PATIENCE:.0f} s; is it there, and free?"
-            self.close()
-            raise DeviceError(f"{self.name}: {why.removeprefix(f'{source}: ')}")
-        height, width = frame.image.shape[:2]
-        if (width, height) != size:
-            self.close()
-            raise DeviceError(
-                f"{self.name}: images of {width} x {height} pixels, the calibration is of {size[0]} x {size[1]}; "
-                "calibrate the camera as it is used"
-            )
-        self._begin = time.monotonic()
+        self._device = FrameReader(self._source, size, self._latency)
+        self._looked.clear()
+        self._opened = time.monotonic()
 
-    def spin(self, duration: float) -> None:
-        """Looks at what arrives, for `duration` s, or as long as it takes to look at one image."""
-        from tfg_drake.vision.same_view import weighed
-        from tfg_drake.vision.sighting import sighted
+    def _missing(self) -> str:
+        return "" if self._messages else f"no image in {PATIENCE:.0f} s; is it there, and free?"
 
-        frame = self._device.take(duration)
+    def _receive(self, left: float) -> None:
+        """Looks at one image; raises DeviceError where it is not of the calibration's size."""
+        from tfg_drake.vision.frames import is_live
+
+        frame = self._device.take(left)
         now = time.monotonic()
         if frame is not None:
-            tags = self._detector.detect(frame.image)
-            seen = sighted(tags, frame.stamp, self._calibration, self._sizes, self._mount)
-            detections, self._views = weighed(seen.detections, tags, self._views)
-            self._messages.append(detections)
-            tell(self.refusals, self.name, seen.remarks)
-            self._looked.append(now)
-            self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
-            self._tag_seen = bool(len(detections.ids))
-        while self._looked and (self._looked[0] < now - COUNTED or self._device.error):
+            self._look_at(frame, now)
+        elif error := self._device.error:
+            then = ": is it plugged in? It is looked for" if is_live(self._source) else "; they begin again"
+            self._lose(f"no more images{then}" if self._looked or self._lost else error)
+            return
+        while self._looked and self._looked[0] < now - COUNTED:
             self._looked.popleft()
-        if self._device.error:
-            self._begin = now
         self._spells, names = begun(self._spells, holds := self._holding(now), now)
         for name in names:
             self._remark(holds[name].line)
+
+    def _look_at(self, frame: Frame, now: float) -> None:
+        from tfg_drake.vision.same_view import weighed
+        from tfg_drake.vision.sighting import sighted
+
+        (height, width), calibrated = frame.image.shape[:2], self._calibration
+        if (width, height) != (calibrated.width, calibrated.height):
+            self.close()
+            raise DeviceError(
+                f"{self.name}: images of {width} x {height} pixels, the calibration is of {calibrated.width} x "
+                f"{calibrated.height}; calibrate the camera as it is used"
+            )
+        tags = self._detector.detect(frame.image)
+        seen = sighted(tags, frame.stamp, calibrated, self._sizes, self._mount)
+        detections, self._views = weighed(seen.detections, tags, self._views)
+        self._messages.append(detections)
+        tell(self.refusals, self.name, seen.remarks)
+        self._looked.append(now)
+        self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
+        self._tag_seen = bool(len(detections.ids))
 
     def _holding(self, now: float) -> dict[str, Remark]:
         rate = len(self._looked) / COUNTED
         if not rate:  # that there are no images is told by who reads them
             return {}
         holds = {}
-        if rate < LOW_RATE and now - self._begin > COUNTED:
+        if rate < LOW_RATE and now - self._opened > COUNTED:
             why = f"fewer than {LOW_RATE:g}: more light, smaller images or another cable may help"
             holds["rate"] = Remark(f"{rate:.1f} images a second, {why}", LASTS)
         if self._light < DARK:

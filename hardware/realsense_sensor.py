@@ -12,7 +12,7 @@ import numpy as np
 
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.hardware.device import DeviceError, imported
-from tfg_drake.hardware.sensor_reader import ReconnectingReader
+from tfg_drake.hardware.sensor_reader import PATIENCE, SILENT, SensorReader, stamped
 from tfg_drake.messages import LaserScan
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
@@ -20,18 +20,14 @@ from tfg_drake.vision.mount import CameraMount
 
 # Width, height, pixels, and images a second, the wide one first: what the D400 series and the L515 have.
 MODES = ((848, 480, 15), (640, 480, 15), (640, 480, 30))
-# How long to wait for the first image, and after what silence the camera is opened again, s.
-PATIENCE, SILENT = 5.0, 2.0
 # What it measures along its axis, m, and the standard deviation of a range, m.
 LEAST_DEPTH, MOST_DEPTH, SIGMA = 0.3, 5.0, 0.03
 # Standard deviation of a pixel's depth at 1 m, m: a D435 matches to 0.08 pixels, with 424 pixels of focal length and
 # 5 cm between its lenses.
 NOISE = 0.004
-# A stamp is believed where it is that much older than the image's arrival, s.
-_OLDEST = 1.0
 
 
-class RealsenseDriver(ReconnectingReader):
+class RealsenseDriver(SensorReader):
     """Makes a scan of each depth image; see tfg_drake.hardware.device.Driver. A camera that was unplugged is opened
     again."""
 
@@ -48,8 +44,10 @@ class RealsenseDriver(ReconnectingReader):
             self._config = DepthScanConfig(*limits, SIGMA, noise=NOISE)
         except ValueError as error:
             raise DeviceError(f"{name}: {error}") from None
-        self._connect()
-        self._wait_for_first(PATIENCE, f"no depth image in {PATIENCE:.0f} s; plug the camera into a USB 3 port")
+        self._begin()
+
+    def _missing(self) -> str:
+        return "" if self._messages else f"no depth image in {PATIENCE:.0f} s; plug the camera into a USB 3 port"
 
     def _connect(self) -> None:
         """Raises DeviceError."""
@@ -102,11 +100,9 @@ class RealsenseDriver(ReconnectingReader):
 
     def _stamp(self, depth: Any, arrival: float) -> float:
         """When the image was taken, s of the host's monotonic clock."""
-        if depth.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock:
-            stamp = 1e-3 * float(depth.get_timestamp()) - time.time() + time.monotonic()
-            if arrival - _OLDEST < stamp <= arrival:
-                return stamp
-        return arrival
+        if depth.get_frame_timestamp_domain() == self._rs.timestamp_domain.hardware_clock:
+            return arrival
+        return stamped(1e-3 * float(depth.get_timestamp()) - time.time() + time.monotonic(), arrival, arrival)
 
     def _hang_up(self) -> None:
         if self._device is not None:

@@ -1,19 +1,38 @@
-"""Shared parts of the drivers of sensors: one that drives nothing, and one that connects again after a loss."""
+"""Shared parts of the drivers of sensors: what they have to say, and a connection that is opened again after a loss."""
 
 from __future__ import annotations
 
 import abc
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tfg_drake.hardware.device import DeviceError, Driver, Message
 from tfg_drake.hardware.plausible import Refusals
 from tfg_drake.hardware.watchdog import TICK
 
+# How long to wait for a device's first message, s.
+PATIENCE = 10.0
+# A device that says nothing for so long is opened again, s.
+SILENT = 2.0
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
+# A device's own stamp is believed where it is that much older than the message's arrival, s.
+_OLDEST = 1.0
+
+
+def delays() -> Iterator[float]:
+    """How long to wait before each attempt to connect again, s."""
+    delay = BACK_OFF
+    while True:
+        yield delay
+        delay = min(2.0 * delay, LONGEST_BACK_OFF)
+
+
+def stamped(stamp: float, arrival: float, otherwise: float) -> float:
+    """A device's own stamp of what has just arrived, s, or another one where that cannot be of this clock."""
+    return stamp if arrival - _OLDEST < stamp <= arrival else otherwise
 
 
 class Inbox:
@@ -40,8 +59,9 @@ class Inbox:
         return fault
 
 
-class SensorReader(Inbox, Driver):
-    """A driver that drives nothing; a subclass opens a device and reads it.
+class SensorReader(Inbox, Driver, abc.ABC):
+    """A driver that drives nothing. It opens a device and reads it, and opens it again where it was lost; a subclass
+    connects and receives.
 
     name: of its source, such as "socket:127.0.0.1:5000". _device: what is open, such as a port; None while it is lost.
     """
@@ -51,6 +71,64 @@ class SensorReader(Inbox, Driver):
         super().__init__()
         self.name, self.sources = name, sources
         self._device: Any = None
+        # Why it was lost, "" while it is not; when to connect again, s.
+        self._lost, self._retry, self._delays = "", 0.0, delays()
+
+    @abc.abstractmethod
+    def _connect(self) -> None:
+        """Opens the device; raises OSError, DeviceError."""
+
+    @abc.abstractmethod
+    def _receive(self, left: float) -> None:
+        """Takes in what arrives within `left` s; may return before."""
+
+    @abc.abstractmethod
+    def _missing(self) -> str:
+        """What has not arrived in PATIENCE, and how to mend that; "" where it has."""
+
+    def _begin(self) -> None:
+        """Connects, and waits until nothing is missing; raises OSError, DeviceError."""
+        self._connect()
+        end = time.monotonic() + PATIENCE
+        while missing := self._missing():
+            if self._device is None or time.monotonic() > end:
+                self.close()
+                raise DeviceError(f"{self.name}: {self._lost or missing}")
+            self.spin(TICK)
+
+    def spin(self, duration: float) -> None:
+        """Takes in what arrives, for `duration` s."""
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            if self._device is None:
+                self._connect_again(left)
+                continue
+            before = len(self._messages)
+            self._receive(left)
+            if self._lost and len(self._messages) > before:
+                self._lost, self._delays = "", delays()
+                self._remark("connected again")
+
+    def _connect_again(self, left: float) -> None:
+        """Connects where it is time to, for up to `left` s."""
+        if (wait := self._retry - time.monotonic()) > 0.0:
+            time.sleep(min(wait, left))
+            return
+        try:
+            self._connect()
+        except (OSError, DeviceError):
+            self._wait()
+
+    def _lose(self, why: str) -> None:
+        """The device is lost, and looked for; told once until something arrives again."""
+        if not self._lost:
+            self._remark(why)
+        self._lost = why
+        self._hang_up()
+        self._wait()
+
+    def _wait(self) -> None:
+        self._retry = time.monotonic() + next(self._delays)
 
     def close(self) -> None:
         """Lets go of the device."""
@@ -64,54 +142,3 @@ class SensorReader(Inbox, Driver):
 
     def _remark(self, line: str) -> None:
         self.refusals.tell(f"{self.name}: {line}")
-
-
-class ReconnectingReader(SensorReader, abc.ABC):
-    """A driver of a sensor that connects again where the device was lost; a subclass connects and receives."""
-
-    _back_off, _retry = BACK_OFF, 0.0
-
-    @abc.abstractmethod
-    def _connect(self) -> None:
-        """Opens the device; raises OSError, DeviceError."""
-
-    @abc.abstractmethod
-    def _receive(self, left: float) -> None:
-        """Takes in what arrives within `left` s; may return before."""
-
-    def _wait_for_first(self, patience: float, why: str) -> None:
-        """Waits for a message, s; raises DeviceError where none comes, why in words."""
-        end = time.monotonic() + patience
-        while not self._messages:
-            if time.monotonic() > end:
-                self.close()
-                raise DeviceError(f"{self.name}: {why}")
-            self.spin(TICK)
-
-    def spin(self, duration: float) -> None:
-        """Takes in what arrives, for `duration` s."""
-        end = time.monotonic() + duration
-        while (left := end - time.monotonic()) > 0.0:
-            if self._device is None:
-                self._connect_again(left)
-            else:
-                self._receive(left)
-
-    def _connect_again(self, left: float) -> None:
-        """Connects where it is time to, for up to `left` s; says so where that helps."""
-        if (wait := self._retry - time.monotonic()) > 0.0:
-            time.sleep(min(wait, left))
-            return
-        try:
-            self._connect()
-        except (OSError, DeviceError):
-            self._back_off = min(2.0 * self._back_off, LONGEST_BACK_OFF)
-            self._retry = time.monotonic() + self._back_off
-            return
-        self._back_off = BACK_OFF
-        self._remark("connected again")
-
-    def _lose(self, why: str) -> None:
-        """The device is lost, and looked for."""
-        self._remark(why)
-        self._hang_up()

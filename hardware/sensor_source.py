@@ -24,6 +24,7 @@ from tfg_drake.hardware.realsense_sensor import RealsenseDriver
 from tfg_drake.hardware.ros.graph_driver import SensorDriver, opened
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.rplidar.driver import RplidarDriver
+from tfg_drake.hardware.sensor_reader import delays
 from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 
@@ -33,8 +34,6 @@ KINDS = {"tags": TagDetections, "scan": LaserScan}
 ROSBRIDGE_PORT = 9090
 # How often a process is looked at, s, and after how many looks at which it has said nothing it hangs: ten seconds.
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
-# Before a process is started again, s: at first and at most.
-_BACK_OFF, _LONGEST_BACK_OFF = 0.2, 10.0
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
 # Sensors that hang on this machine, what each is a source of, and what may be named of it.
 OWN = {"camera": "tags", "rplidar": "scan", "realsense": "scan"}
@@ -182,9 +181,10 @@ class SensorSource(Device):
 
     def _start_again(self) -> None:
         self._end()
-        delay, told = _BACK_OFF, ""
-        while not self._closed.wait(delay):
-            delay = min(2.0 * delay, _LONGEST_BACK_OFF)
+        told = ""
+        for delay in delays():
+            if self._closed.wait(delay):
+                return
             try:
                 self._open()
             except DeviceError as error:

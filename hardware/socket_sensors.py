@@ -14,13 +14,10 @@ import numpy as np
 
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.plausible import judged
-from tfg_drake.hardware.sensor_reader import ReconnectingReader
-from tfg_drake.hardware.watchdog import TICK
+from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.table import dtype_of
 
-# How long to wait for the server, and for its first lines, s.
-PATIENCE = 5.0
 # A line that is longer than this is none, bytes.
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
@@ -75,7 +72,7 @@ def _value(value: Any, name: str, hint: Any) -> Any:
     return array
 
 
-class SocketDriver(ReconnectingReader):
+class SocketDriver(SensorReader):
     """Reads lines; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
     refusals: of lines that say no message.
@@ -91,19 +88,17 @@ class SocketDriver(ReconnectingReader):
         self._arrived: set[type] = set()
         self._doubt = ""
         try:
-            self._connect()
+            self._begin()
         except OSError as error:
             raise DeviceError(
                 f"{self.name}: {error.strerror or error}: start what serves tags and scans there, or name the "
                 "HOST:PORT that it prints"
             ) from None
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and len(self._arrived) < len(kinds):
-            self.spin(TICK)
-        if missing := [_NAMES[kind] for kind in kinds if kind not in self._arrived]:
-            self.close()
-            why = f" ({self._doubt})" if self._doubt else ""
-            raise DeviceError(f"{self.name}: no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them")
+
+    def _missing(self) -> str:
+        missing = [_NAMES[kind] for kind in self._kinds if kind not in self._arrived]
+        why = f" ({self._doubt})" if self._doubt else ""
+        return f"no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them" if missing else ""
 
     def _connect(self) -> None:
         self._device = socket.create_connection(self._address, PATIENCE)

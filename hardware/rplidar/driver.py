@@ -14,20 +14,18 @@ from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.rplidar import codec
 from tfg_drake.hardware.rplidar.codec import NodeDecoder
 from tfg_drake.hardware.rplidar.sweeps import SweepMaker
-from tfg_drake.hardware.sensor_reader import ReconnectingReader
+from tfg_drake.hardware.sensor_reader import PATIENCE, SILENT, SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK
 
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
-# How long to wait for an answer, for a scanner that was reset, and for the first revolution, s.
-ANSWER_WITHIN, RESET_WITHIN, PATIENCE = 0.5, 1.0, 8.0
-# A scanner that says nothing for so long is started again, s.
-SILENT = 2.0
+# How long to wait for an answer, and for a scanner that was reset, s.
+ANSWER_WITHIN, RESET_WITHIN = 0.5, 1.0
 # Bytes that are read at once, at most: of many turns.
 _MOST = 1 << 16
 
 
-class RplidarDriver(ReconnectingReader):
+class RplidarDriver(SensorReader):
     """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
     unplugged or is silent is started again.
 
@@ -40,8 +38,10 @@ class RplidarDriver(ReconnectingReader):
         super().__init__(name, {Sweep: f"scan of {name}"})
         self._path, self._mount = path, mount
         self._model = 0
-        self._connect()
-        self._wait_for_first(PATIENCE, f"no whole revolution in {PATIENCE:.0f} s; does it turn freely?")
+        self._begin()
+
+    def _missing(self) -> str:
+        return "" if self._messages else f"no whole revolution in {PATIENCE:.0f} s; does it turn freely?"
 
     def _connect(self) -> None:
         """Raises DeviceError."""
@@ -53,7 +53,7 @@ class RplidarDriver(ReconnectingReader):
                 self._device.reset_input_buffer()
                 told = self._asked(codec.GET_INFO)
                 if told is not None:
-                    self._begin(codec.model(told))
+                    self._start(codec.model(told))
                     return
             except (OSError, termios.error) as error:
                 self._hang_up()
@@ -65,7 +65,7 @@ class RplidarDriver(ReconnectingReader):
         rates = " or ".join(map(str, codec.BAUD_RATES))
         raise DeviceError(f"{self.name}: no RPLidar answers at {rates} baud; name the scanner's port")
 
-    def _begin(self, model: int) -> None:
+    def _start(self, model: int) -> None:
         """Starts the motor and the scan; raises DeviceError, OSError."""
         health = self._asked(codec.GET_HEALTH)
         if health is not None and health[0] == codec.FAILED:

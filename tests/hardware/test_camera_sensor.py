@@ -9,7 +9,7 @@ import pytest
 from tests.cameras import pinhole
 from tests.vision.rendering import cv2, render
 from tfg_drake.config import RobotCameraConfig
-from tfg_drake.hardware import camera_sensor, frame_reader
+from tfg_drake.hardware import camera_sensor, sensor_reader
 from tfg_drake.hardware.camera_sensor import CameraDriver, known_view
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.mjpeg_stream import MjpegStream
@@ -94,7 +94,7 @@ def video(tmp_path):
 
 @pytest.mark.parametrize("recorded", [folder, video])
 def test_a_recording_plays_as_if_it_came_now_and_begins_again(recorded, tmp_path, camera, monkeypatch):
-    monkeypatch.setattr(frame_reader, "BACK_OFF", 0.05)
+    monkeypatch.setattr(sensor_reader, "BACK_OFF", 0.05)
     source = str(recorded(tmp_path))
     driver = CameraDriver(source, camera)
     is_right(next_of(driver))
@@ -103,7 +103,7 @@ def test_a_recording_plays_as_if_it_came_now_and_begins_again(recorded, tmp_path
     is_right(next_of(driver))
     driver.close()
     name = f"camera:{source}"
-    assert said[:2] == [f"{name}: no more images; they begin again", f"{name}: images come again"]
+    assert said[:2] == [f"{name}: no more images; they begin again", f"{name}: connected again"]
 
 
 def test_a_stream_in_a_process_of_its_own(stream, camera):
@@ -121,7 +121,7 @@ def test_a_stream_in_a_process_of_its_own(stream, camera):
 
 
 def test_a_stream_that_stops_and_comes_back(stream, camera, monkeypatch):
-    monkeypatch.setattr(frame_reader, "BACK_OFF", 0.05)
+    monkeypatch.setattr(sensor_reader, "BACK_OFF", 0.05)
     driver, said = CameraDriver(stream.url, camera), []
     is_right(next_of(driver))
     stream.stop()
@@ -135,7 +135,7 @@ def test_a_stream_that_stops_and_comes_back(stream, camera, monkeypatch):
     is_right(again)
     assert again.stamp > stopped
     name = f"camera:{stream.url}"
-    assert said == [f"{name}: no more images: is it plugged in? It is looked for", f"{name}: images come again"]
+    assert said == [f"{name}: no more images: is it plugged in? It is looked for", f"{name}: connected again"]
 
 
 def test_stamps_are_older_than_the_arrival_by_the_latency(stream, camera):
@@ -158,7 +158,7 @@ def test_the_mount(stream, camera):
 
 def test_frames_of_a_camera_that_stands_tell_little_until_it_moves(stream, camera):
     driver = CameraDriver(stream.url, camera)
-    first, again = next_of(driver), next_of(driver)
+    (first, *_), again = driver.take(), next_of(driver)
     stream.pictures.append(image((7, -0.32, 1.5), (9, 0.28, 1.2)))
     taken = []
     until(lambda: taken.extend(driver.take()) or any(one.bearing[0] > BEARINGS[0] + 0.005 for one in taken), driver)

@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from tfg_drake.hardware import sensor_source, socket_sensors
+from tfg_drake.hardware import sensor_reader, sensor_source, socket_sensors
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
 from tfg_drake.hardware.ros.preset import load_preset
@@ -232,7 +232,7 @@ def test_a_machine_that_can_start_no_process_for_a_while(server, monkeypatch):
             raise RuntimeError(f"can't start new thread {threadless.pop(0)}")
         start(thread)
 
-    monkeypatch.setattr(sensor_source, "_LONGEST_BACK_OFF", 0.2)
+    monkeypatch.setattr(sensor_reader, "LONGEST_BACK_OFF", 0.2)
     monkeypatch.setattr(subprocess, "Popen", poor_popen)
     monkeypatch.setattr(threading.Thread, "start", poor_start)
     try:

@@ -117,8 +117,9 @@ def test_a_scanner_that_falls_silent_is_started_again(opened, lidar, monkeypatch
     monkeypatch.setattr(driver, "SILENT", 0.2)
     lidar.stuck = True
     said = []
-    until(lambda: said.extend(opened.remarks()) or len(said) > 1, opened)
+    until(lambda: said.extend(opened.remarks()) or said, opened)
     lidar.stuck = False
+    until(lambda: said.extend(opened.remarks()) or len(said) > 1, opened)
     name = f"rplidar:{lidar.device}"
     assert said[:2] == [f"{name}: says nothing for 0 s: does it turn? It is started again", f"{name}: connected again"]
     exact_scan(opened)
