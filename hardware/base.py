@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.hardware.device import BaseState, DeviceError
-from tfg_drake.hardware.remarks import Watch, watched
+from tfg_drake.hardware.remarks import Spells, watched
 from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
@@ -38,7 +38,7 @@ _log = logging.getLogger("tfg_drake.hardware")
 class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
     waiting: what it waits for, "" for nothing. begun: when it was first looked at, s, since: when it began to
-    wait. watch: of what the operator is told. heard: what was said in the first turn so far, turned: whether
+    wait. told: of what the operator is told. heard: what was said in the first turn so far, turned: whether
     that is over. scans: held against the odometry all along."""
 
     hazards: Hazards
@@ -47,7 +47,7 @@ class _BaseState:
     waiting: str = ""
     begun: float = math.inf
     since: float = 0.0
-    watch: Watch = dataclasses.field(default_factory=Watch)
+    told: Spells = dataclasses.field(default_factory=dict)
     heard: tuple[Message, ...] = ()
     turned: bool = False
     scans: scan_matching.Watch = dataclasses.field(default_factory=scan_matching.Watch)
@@ -118,12 +118,12 @@ class HardwareBase(LeafSystem):
         scans, contradict = scan_matching.watched(now.scans, self._odometry(context), self._inputs(context, "scan"))
         if contradict:
             take_note("contradiction", time, CONTRADICT)
-        watch, lines = watched(now.watch, hazards, self._device.newest(BaseState), time)
+        told, lines = watched(now.told, hazards, self._device.newest(BaseState), time)
         for line in lines:
             _log.warning("%.2f s: %s", time, line)
         for line in self.devices.take_remarks():
             take_note("sensor", time, line)
-        return replace(now, watch=watch, scans=scans)
+        return replace(now, told=told, scans=scans)
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
         """Enables or stops the device where that is wanted, and notices where it stopped by itself."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import enum
 import importlib
 import itertools
 import math
@@ -30,6 +31,14 @@ from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections, message
 
 
+class Button(enum.IntFlag):
+    """Bits of BaseState.buttons: a Kobuki's B0, B1 and B2."""
+
+    B0 = 1
+    B1 = 2
+    B2 = 4
+
+
 @message
 class BaseState:
     """How a base is, where it says so: about every second, and at once where anything lasting changes.
@@ -37,9 +46,9 @@ class BaseState:
     stamp: s. battery: V. charge: share of the battery's charge that is left; both nan where they are not known.
     battery_level: "good" (also where it is not known), "low" or "dangerous". charger: what it hangs on, "dock",
     "adapter" or "charger", "" for nothing. charging: its battery is not full yet. overcurrent: wheels that draw too
-    much current, by the bits of Hazards. buttons: bits of those that are pressed (Kobuki: B0 1, B1 2, B2 4). firmware,
-    hardware: versions such as "1.1.4". unique_id: in hexadecimal. frames: heard since the connection began. bad_frames:
-    beginnings of frames that were garbled on the way, lost_frames: about how many never came, since then.
+    much current, by the bits of Side. buttons: bits of Button of those that are pressed. firmware, hardware: versions
+    such as "1.1.4". unique_id: in hexadecimal. lost: share of its frames that were garbled or never came since the
+    state before.
     """
 
     stamp: float
@@ -53,9 +62,7 @@ class BaseState:
     firmware: str = ""
     hardware: str = ""
     unique_id: str = ""
-    frames: int = 0
-    bad_frames: int = 0
-    lost_frames: int = 0
+    lost: float = 0.0
 
 
 Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState | SaidPose
@@ -174,7 +181,7 @@ OpenDriver = Callable[[], Driver]
 class Device:
     """A robot: its messages, and a velocity that lasts half a second.
 
-    Nothing moves before `enable`. Without a new command the velocity is zero after COMMAND_TIMEOUT. After a clock's
+    Nothing moves before `enable`. Without a new command the velocity is zero after SILENCE. After a clock's
     jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
 
     heard: how often the process has said anything, which it does twice a second at least.

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.hardware.device import Message
-from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, Side, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.table import misfit, take
 
-# A stamp may be so far ahead of the host's clock, and so old when it arrives, s.
+# A stamp may be so far ahead of the host's clock, and so old when it arrives, s. One that is farther ahead, where the
+# other clock is known, tells of its jump.
 AHEAD, OLD = 0.25, 30.0
+# How fast the clocks of a robot and of the host may drift apart, s/s.
+CLOCK_DRIFT = 2e-4
 # How far a base can be from where it was switched on, m.
 FARTHEST = 1e5
 # Of one message: sightings of tags, and rays.
@@ -35,8 +38,7 @@ SIGMA_RANGE, SIGMA_BEARING, SIGMA_RAY = (1e-4, 10.0), (1e-5, 1.0), (1e-4, 1.0)
 SCAN_RANGE, BEYOND = 1000.0, 6.0
 # Angles are in (-pi, pi], but for rounding, rad.
 _HALF_TURN = math.pi + 1e-6
-# All bits of an alarm.
-_ALL_BITS = 7
+_ALL_SIDES = int(Side.RIGHT | Side.CENTRE | Side.LEFT)
 # Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
 _KINDS, _LONGEST = 5, 300
 
@@ -135,8 +137,8 @@ def _hazards(message: Hazards) -> tuple[Hazards, dict[str, str]]:
     reasons = {}
     for name in ("bumper", "cliff", "wheel_drop"):
         bits = getattr(message, name)
-        if not 0 <= bits <= _ALL_BITS:
-            message = replace(message, **{name: _ALL_BITS})
+        if not 0 <= bits <= _ALL_SIDES:
+            message = replace(message, **{name: _ALL_SIDES})
             reasons[name] = f"{name} {bits:g} is no set of bits; it counts as an alarm on every side"
     return message, reasons
 

@@ -9,8 +9,8 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 
-from tfg_drake.hardware.device import BaseState, Device
-from tfg_drake.messages import Hazards, message, replace
+from tfg_drake.hardware.device import BaseState, Button, Device
+from tfg_drake.messages import Hazards, Side
 from tfg_drake.mission.operation import Command
 from tfg_drake.percent import percent
 
@@ -18,11 +18,9 @@ from tfg_drake.percent import percent
 QUIET = 1.0
 # How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
-# Frames are counted over so long at least, s. Where fewer than this share are corrupt or lost, nobody need know.
-COUNTED, SHARE = 1.5, 0.1
-# Of a Kobuki B0, B1 and B2, by their bits.
-BUTTONS: dict[int, Command] = {1: "stop", 2: "pause", 4: "enable"}
-_WHEELS = {1: "the right wheel", 4: "the left wheel", 5: "both wheels"}
+# For so long this share of frames must be lost to be told, s.
+LOSES, SHARE = 1.5, 0.1
+BUTTONS: dict[int, Command] = {Button.B0: "stop", Button.B1: "pause", Button.B2: "enable"}
 _CHARGERS = {
     "dock": "the base stands in its dock: put it on the floor, then enable it",
     "adapter": "the base is charging by its adapter: pull the plug, then enable it",
@@ -69,33 +67,26 @@ def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spel
     return spells, names
 
 
-@message
-class Watch:
-    """Memory between two looks at a base. counted: the state up to which frames were counted, None before
-    there is any. bad, lost: shares of frames that were corrupt and that never came, in the last two counts."""
-
-    spells: Spells = dataclasses.field(default_factory=dict)
-    counted: BaseState | None = None
-    bad: tuple[float, float] = (0.0, 0.0)
-    lost: tuple[float, float] = (0.0, 0.0)
-
-
-def watched(before: Watch, hazards: Sequence[Hazards], state: BaseState | None, now: float) -> tuple[Watch, list[str]]:
+def watched(
+    before: Spells, hazards: Sequence[Hazards], state: BaseState | None, now: float
+) -> tuple[Spells, list[str]]:
     """A look at a base at `now`, s, and the lines to be told.
 
     hazards: all since the last look. state: the newest, None of a base that says nothing of itself.
     """
-    watch = _counted(before, state)
-    holds = _hazards(hazards) | _frames(watch)
+    holds = _hazards(hazards)
     if state is not None:
         holds |= battery(state)
-    spells, names = begun(watch.spells, holds, now)
-    return replace(watch, spells=spells), [holds[name].line for name in names]
+        if state.lost >= SHARE:
+            line = f"{percent(state.lost, 0):.0f} % of the base's frames are lost; the robot drives on; check the cable"
+            holds["frames"] = Remark(line, LOSES)
+    spells, names = begun(before, holds, now)
+    return spells, [holds[name].line for name in names]
 
 
 def where(bits: int) -> str:
-    """The sides that bits of Hazards stand for, "none" for 0."""
-    return ", ".join(name for bit, name in ((4, "left"), (2, "centre"), (1, "right")) if bits & bit) or "none"
+    """The sides that bits of Side stand for, "none" for 0."""
+    return ", ".join(side.name.lower() for side in (Side.LEFT, Side.CENTRE, Side.RIGHT) if bits & side) or "none"
 
 
 def charge_left(state: BaseState) -> str:
@@ -106,7 +97,9 @@ def charge_left(state: BaseState) -> str:
 def alarms(state: BaseState) -> dict[str, str]:
     """Why a base must not drive, by what it says of itself: by the field that tells so."""
     reasons = {}
-    if wheels := _WHEELS.get(state.overcurrent):
+    if state.overcurrent:
+        sides = where(state.overcurrent)
+        wheels = "both wheels" if "," in sides else f"the {sides} wheel"
         reasons["overcurrent"] = f"overcurrent of {wheels}: see what blocks the wheels, then enable the base"
     if state.charger:
         reasons["charger"] = _CHARGERS[state.charger]
@@ -138,31 +131,6 @@ def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
         if bits:
             remarks[name] = Remark(f"{name} {where(bits)}: {reaction}")
     return remarks
-
-
-def _counted(before: Watch, state: BaseState | None) -> Watch:
-    """The frames counted once more, where COUNTED has passed since the last time."""
-    last = before.counted
-    if state is None or state is last:
-        return before
-    if last is None or state.frames < last.frames:  # a new connection
-        return replace(before, counted=state, bad=(0.0, 0.0), lost=(0.0, 0.0))
-    if state.stamp - last.stamp < COUNTED:
-        return before
-    good, bad, lost = (
-        max(0, getattr(state, name) - getattr(last, name)) for name in ("frames", "bad_frames", "lost_frames")
-    )
-    all_of = max(1, good + bad + lost)
-    return replace(before, counted=state, bad=(before.bad[1], bad / all_of), lost=(before.lost[1], lost / all_of))
-
-
-def _frames(watch: Watch) -> dict[str, Remark]:
-    counts = (("arrive corrupt", watch.bad), ("are lost", watch.lost))
-    return {
-        what: Remark(f"{percent(shares[1], 0):.0f} % of the base's frames {what}; the robot drives on; check the cable")
-        for what, shares in counts
-        if min(shares) >= SHARE
-    }
 
 
 class RobotButtons:

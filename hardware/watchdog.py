@@ -13,10 +13,9 @@ from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
-# Without a command younger than this the velocity is zero, s. With a tick and the way there the robot has it in 0.6 s.
-COMMAND_TIMEOUT = 0.5
-# Without odometry younger than this the velocity is zero until it is enabled anew, s.
-ODOMETRY_TIMEOUT = 0.5
+# Without a command younger than this the velocity is zero, and without odometry it is so until it is enabled anew, s.
+# With a tick and the way there the robot has it in 0.6 s.
+SILENCE = 0.5
 # What a base says of itself must last so long before it stops it, s: a wheel that starts and one garbled frame are no
 # alarm.
 LASTING = 0.2
@@ -24,7 +23,7 @@ LASTING = 0.2
 TICK = 0.02
 # Reasons that say less than any other.
 _NOT_ENABLED = "not enabled yet"
-_NO_ODOMETRY = f"no odometry for more than {ODOMETRY_TIMEOUT} s"
+_NO_ODOMETRY = f"no odometry for more than {SILENCE} s"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,11 +99,11 @@ class Watchdog:
         How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
         """
         # Who was held up for so long has not watched: how the robot moved meanwhile is not known.
-        if ODOMETRY_TIMEOUT < now - self._when < math.inf:
+        if SILENCE < now - self._when < math.inf:
             self._heard = -math.inf
         self._check(now)
         dt, self._when = min(max(0.0, now - self._when), 2.0 * TICK), now
-        if self._locked is not None or not now - self._sent <= COMMAND_TIMEOUT:
+        if self._locked is not None or not now - self._sent <= SILENCE:
             self._velocity = (0.0, 0.0)
         else:
             (v, w), limits = self._velocity, self._limits
@@ -117,7 +116,7 @@ class Watchdog:
         for why, since in (self._alarms or {}).values():
             if now - since >= LASTING:
                 self.lock(why)
-        if not now - self._heard <= ODOMETRY_TIMEOUT:
+        if not now - self._heard <= SILENCE:
             self._locked = self._locked or _NO_ODOMETRY
 
 

@@ -13,18 +13,17 @@ import time
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.hardware.device import Button
 from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
 from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors, sensor_fault
 from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
-from tfg_drake.messages import FloatArray
+from tfg_drake.messages import FloatArray, Side
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.world.world import World, bare_world
 
-# Time between two feedback frames, s.
-PERIOD = 0.02
 # The base's own limits of speed, m/s, and turn rate, rad/s.
 MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
 # A full battery, 0.1 V.
@@ -37,9 +36,7 @@ _REMEMBERED = 1000
 # How late a late frame is, s.
 DELAY = 0.2
 # Bits of CoreSensors. A wheel without a side is both.
-_SIDES = {"left": 4, "centre": 2, "right": 1}
 _WHEELS = {"left": 2, "right": 1, "": 3}
-_BUTTONS = {"0": 1, "1": 2, "2": 4}
 _OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
 # Of the charger: in the dock, charging.
 DOCKED = 6
@@ -96,14 +93,14 @@ class EmulatedBase(EmulatedBody):
                 self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
 
     def step(self) -> None:
-        """Moves on by one PERIOD."""
-        self.move(self._command, PERIOD)
+        """Moves on by the time of one frame."""
+        self.move(self._command, p.PERIOD)
         speed, turn_rate = float(self.state[drive.SPEED]), float(self.state[drive.TURN_RATE])
         if "encoders" not in self.stuck:
-            self._wheels[0] += PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
-            self._wheels[1] += PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
+            self._wheels[0] += p.PERIOD * (speed - 0.5 * WHEEL_BASE * turn_rate)
+            self._wheels[1] += p.PERIOD * (speed + 0.5 * WHEEL_BASE * turn_rate)
         if "gyro" not in self.stuck:
-            self.turned += PERIOD * turn_rate
+            self.turned += p.PERIOD * turn_rate
             self._turn_rate = turn_rate
 
     def feedback(self) -> list[p.SubPayload]:
@@ -195,7 +192,7 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         self._socket.close()
 
     def _run(self) -> None:
-        while not self._stop.wait(max(0.0, self._begin + self.base.time + PERIOD - time.monotonic())):
+        while not self._stop.wait(max(0.0, self._begin + self.base.time + p.PERIOD - time.monotonic())):
             with self._lock:
                 before = self.base.time
                 if self._line is not None:
@@ -258,11 +255,11 @@ def order(emulator: Emulator, line: str) -> str | None:
             case ["plug"]:
                 emulator.plug()
             case ["press" | "release" as verb, "bumper", side]:
-                base.bumper = _changed(base.bumper, _SIDES[side], verb == "press")
+                base.bumper = _changed(base.bumper, Side[side.upper()], verb == "press")
             case ["press" | "release" as verb, "button", button]:
-                base.buttons = _changed(base.buttons, _BUTTONS[button], verb == "press")
+                base.buttons = _changed(base.buttons, Button[f"B{button}"], verb == "press")
             case ["open" | "close" as verb, "cliff", side]:
-                base.cliff = _changed(base.cliff, _SIDES[side], verb == "open")
+                base.cliff = _changed(base.cliff, Side[side.upper()], verb == "open")
             case ["drop" | "raise" as verb, "wheel", *side]:
                 base.wheel_drop = _changed(base.wheel_drop, _WHEELS[" ".join(side)], verb == "drop")
             case ["battery", volts] if 0.0 <= float(volts) <= 25.5:
@@ -287,4 +284,4 @@ def order(emulator: Emulator, line: str) -> str | None:
 
 
 def _changed(bits: int, which: int, on: bool) -> int:
-    return bits | which if on else bits & ~which
+    return int(bits | which if on else bits & ~which)

@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 BAUD_RATE = 115200
+# Time between two frames of feedback, s.
+PERIOD = 0.02
 HEADER = b"\xaa\x55"
 # Least and greatest length of a payload: one sub-payload with a byte of data; what the length's byte can say.
 MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
@@ -25,8 +27,9 @@ MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
 
 @dataclasses.dataclass(frozen=True)
 class SubPayload:
-    """One sub-payload of a frame; each kind is a frozen dataclass. DATA: how its fields stand in bytes."""
+    """Sub-payload of a frame; each kind is a frozen dataclass. ID: its number. DATA: how its fields stand in bytes."""
 
+    ID: ClassVar[int]
     DATA: ClassVar[struct.Struct]
 
 
@@ -45,15 +48,17 @@ class Other(SubPayload):
 class BaseControl(SubPayload):
     """How to drive. speed: of the outer wheel, mm/s. radius: of the arc, mm; 0 straight ahead, 1 turn in place."""
 
+    ID = 1
     DATA = struct.Struct("<hh")
-    speed: int
-    radius: int
+    speed: int = 0
+    radius: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class SoundSequence(SubPayload):
     """A tune. number: 0 on, 1 off, 2 recharge, 3 button, 4 error, 5 cleaning starts, 6 cleaning ends."""
 
+    ID = 4
     DATA = struct.Struct("<B")
     number: int
 
@@ -62,6 +67,7 @@ class SoundSequence(SubPayload):
 class RequestExtra(SubPayload):
     """Asks for what is not in every frame. flags: 1 hardware version, 2 firmware version, 8 unique id."""
 
+    ID = 9
     DATA = struct.Struct("<H")
     flags: int
 
@@ -71,6 +77,7 @@ class GeneralOutput(SubPayload):
     """All outputs at once. bits: 0x000F digital, 0x00F0 power (3.3 V, 5 V, 12 V 5 A, 12 V 1.5 A), 0x0F00 the LEDs' (red
     1, green 1, red 2, green 2). Power bits of 0 cut the power of sensors that hang on them."""
 
+    ID = 12
     DATA = struct.Struct("<H")
     bits: int
 
@@ -88,6 +95,7 @@ class CoreSensors(SubPayload):
     0.1 V. overcurrent: bits 1 left, 2 right.
     """
 
+    ID = 1
     DATA = struct.Struct("<HBBBHHbbBBBB")
     stamp: int
     bumper: int
@@ -107,6 +115,7 @@ class CoreSensors(SubPayload):
 class Inertia(SubPayload):
     """The gyro about the vertical axis. angle: 0.01 degrees, integrated by the base. rate: 0.01 degrees/s."""
 
+    ID = 4
     DATA = struct.Struct("<hh3x")
     angle: int
     rate: int
@@ -128,15 +137,20 @@ class Version(SubPayload):
 class HardwareVersion(Version):
     """Version of the board."""
 
+    ID = 10
+
 
 class FirmwareVersion(Version):
     """Version of the firmware."""
+
+    ID = 11
 
 
 @dataclasses.dataclass(frozen=True)
 class UniqueId(SubPayload):
     """Three words that no other base has."""
 
+    ID = 19
     DATA = struct.Struct("<III")
     a: int
     b: int
@@ -145,20 +159,8 @@ class UniqueId(SubPayload):
 
 # Kinds by id.
 Kinds = Mapping[int, type[SubPayload]]
-COMMANDS: Kinds = {
-    1: BaseControl,
-    4: SoundSequence,
-    9: RequestExtra,
-    12: GeneralOutput,
-}
-FEEDBACK: Kinds = {
-    1: CoreSensors,
-    4: Inertia,
-    10: HardwareVersion,
-    11: FirmwareVersion,
-    19: UniqueId,
-}
-_ID = {kind: number for kinds in (COMMANDS, FEEDBACK) for number, kind in kinds.items()}
+COMMANDS: Kinds = {kind.ID: kind for kind in (BaseControl, SoundSequence, RequestExtra, GeneralOutput)}
+FEEDBACK: Kinds = {kind.ID: kind for kind in (CoreSensors, Inertia, HardwareVersion, FirmwareVersion, UniqueId)}
 
 # Versions that old firmware writes in two bytes, as (patch, minor, major).
 _OLD_VERSIONS: dict[type[SubPayload], dict[int, tuple[int, int, int]]] = {
@@ -185,7 +187,7 @@ def _numbered(part: SubPayload) -> tuple[int, bytes]:
     if isinstance(part, Other):
         return part.number, part.content
     try:
-        return _ID[type(part)], part.DATA.pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
+        return part.ID, part.DATA.pack(*(getattr(part, field.name) for field in dataclasses.fields(part)))
     except struct.error as error:
         raise ValueError(f"{part}: {error}") from None
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
-from tfg_drake.hardware.kobuki.base_state import base_state
 from tfg_drake.hardware.sensor_reader import Inbox
 from tfg_drake.messages import replace
 
@@ -18,10 +17,8 @@ if TYPE_CHECKING:
 
 # A base that has not been heard for so long is no longer connected, and has so long to say its versions, s.
 LOST_AFTER, VERSION_WITHIN = 1.0, 2.0
-# Between two messages of the base's state that tell nothing new but battery and counts of frames, s.
+# Between two messages of the base's state that tell nothing new but battery and lost frames, s.
 _STATE_EVERY = 1.0
-# Frames a second that the base sends.
-_FRAME_RATE = 50.0
 # The major number of the firmware whose protocol this is.
 _MAJOR = "1"
 
@@ -41,8 +38,8 @@ class Connection(Inbox):
         self._opened = self._heard = now
         self._said_anything = False
         self._state: BaseState | None = None
-        # Frames so far, and when the first one came, s.
-        self._frames, self._begun = 0, now
+        # Frames since the state was last said.
+        self._frames = 0
         self.core: p.CoreSensors | None = None
         self.reckoning, self.driven = before, False
         self.firmware = self.hardware = self.unique_id = ""
@@ -105,8 +102,6 @@ class Connection(Inbox):
             self.reckoning = odometry.advanced(before, core, inertia, now, self.driven)
         if self.reckoning is not before:
             self._fault = self.reckoning.fault or self._fault
-        if self.core is None:
-            self._begun = self.reckoning.stamp
         self._frames += 1
         self.core, self._heard = core, now
         # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.
@@ -117,20 +112,18 @@ class Connection(Inbox):
             self._say_state(core, self.reckoning.stamp)
 
     def _say_state(self, core: p.CoreSensors, stamp: float) -> None:
-        bad, due = self._deframer.bad, 1.0 + _FRAME_RATE * (stamp - self._begun)
+        before = self._state
+        due = 1.0 if before is None else (stamp - before.stamp) / p.PERIOD
         state = replace(
-            base_state(core, stamp),
+            odometry.base_state(core, stamp),
             firmware=self.firmware,
             hardware=self.hardware,
             unique_id=self.unique_id,
-            frames=self._frames,
-            bad_frames=bad,
-            lost_frames=max(0, round(due) - self._frames - bad),
+            lost=max(0.0, 1.0 - self._frames / max(due, 1.0)),
         )
-        before = self._state
         if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
             self._messages.append(state)
-            self._state = state
+            self._state, self._frames = state, 0
 
     def say(self, *parts: p.SubPayload) -> None:
         """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""

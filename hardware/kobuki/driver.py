@@ -7,20 +7,17 @@ import math
 import time
 from multiprocessing.connection import wait
 
-from tfg_drake.hardware.device import BaseState, Device, DeviceError, Driver, Message
+from tfg_drake.hardware.device import BaseState, Button, Device, DeviceError, Driver, Message
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.guardian import Guardian
+from tfg_drake.hardware.sensor_reader import BACK_OFF
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 from tfg_drake.hardware.watchdog import TICK, Limits
 from tfg_drake.messages import Hazards, Odometry
 
 KOBUKI = SerialDevice("the base", "0403:6001")
-# Between two attempts to connect, s: until then a base whose cable was pulled drives on.
-RETRY = 0.5
-# Between two requests of the versions, s.
-_ASK_EVERY = 0.2
 _VERSIONS = p.RequestExtra(0x0B)
 # Every power rail on, and the first LED: orange (red and green) while it may not move, green while it may.
 _POWER, _ORANGE, _GREEN = 0x00F0, 0x0300, 0x0200
@@ -28,9 +25,7 @@ _TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
 # Told to move at least so fast, m/s or rad/s, for so long, s, without a tick: the wheels are blocked or their encoders
 # stuck.
 _MOVES, _TURNS, _WITHOUT_TICK = 0.05, 0.3, 0.4
-# B0, among the bits of CoreSensors.
-STOP_BUTTON = 1
-_STOP = p.BaseControl(0, 0)
+_STOP = p.BaseControl()
 
 
 def connect(port: str = "/dev/kobuki", limits: Limits | None = None) -> Device:
@@ -86,7 +81,7 @@ class KobukiDriver(Driver):
             self._lose(trouble)
         elif self._guardian is None and self._connection.ready:
             self._begin(self._connection)
-        elif self._guardian is None and self._connection.core is not None and now - self._asked > _ASK_EVERY:
+        elif self._guardian is None and self._connection.core is not None and now - self._asked > BACK_OFF:
             # Before its first frame nothing is said: who knows what is there.
             self._asked = now
             self._connection.say(_VERSIONS)
@@ -111,9 +106,9 @@ class KobukiDriver(Driver):
         self._retry(f"{self._path}: {why}")
 
     def _retry(self, trouble: str) -> None:
-        """Later is soon enough to try again."""
+        """Later is soon enough to try again, but until then a base whose cable was pulled drives on."""
         self._trouble = trouble
-        self._retry_at = time.monotonic() + RETRY
+        self._retry_at = time.monotonic() + BACK_OFF
 
     def _disconnect(self, *last: p.SubPayload) -> None:
         if self._connection is None:
@@ -136,7 +131,7 @@ class KobukiDriver(Driver):
         if self._trouble or connection is None or connection.core is None:
             return self._trouble or None
         fault = connection.fault() or self._standstill(connection)
-        return "stopped by the button B0" if connection.core.buttons & STOP_BUTTON else fault
+        return "stopped by the button B0" if connection.core.buttons & Button.B0 else fault
 
     def _standstill(self, connection: Connection) -> str | None:
         reckoning = connection.reckoning

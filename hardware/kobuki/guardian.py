@@ -75,7 +75,7 @@ class Guardian:
 def guard(port: int) -> None:
     """Until standard input ends. Whoever does not read the answers holds up nothing."""
     os.set_blocking(sys.stdout.fileno(), False)
-    stop, there = encode(BaseControl(0, 0)), True
+    stop, there = encode(BaseControl()), True
     while there:
         heard = bool(select.select([sys.stdin], [], [], SILENCE)[0])
         if heard:

@@ -1,4 +1,4 @@
-"""From the Kobuki's units to SI and back: dead reckoning, hazards, and the command that a velocity becomes.
+"""From the Kobuki's units to SI and back: dead reckoning, alarms, state, and the command of a velocity.
 
 Source: the vendor's driver kobuki_core 1.4.0 (diff_drive.cpp, kobuki.cpp); its numbers in whole ticks, millimetres and
 hundredths of a degree are converted here and nowhere else. Plain arithmetic: the driver's process, which watches over
@@ -12,7 +12,9 @@ import math
 
 import numpy as np
 
+from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.kobuki.codec import BaseControl, CoreSensors, Inertia
+from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.messages import Hazards, Odometry
 
 # Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.
@@ -26,16 +28,12 @@ _FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
 _LONGEST_GAP = 1.0
 # Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
 _REST = 0.1
-# How fast the clocks of base and host may drift apart, s/s.
-_CLOCK_DRIFT = 2e-4
-# A frame stamped so far ahead of the host's clock tells of a jump of the base's, s.
-_AHEAD = 0.25
-# The wheels have turned the base so far, rad, while the gyro's angle has not changed by a unit: the gyro is stuck.
-_UNNOTICED = 0.15
 # Gyro and wheels may disagree by this share of the wheels' turn, as wheels slip, and at this rate, rad/s, as they are
 # not quite alike. What is more adds up; at _APART, rad, gyro or wheels are wrong. What no slip explains, as where the
 # gyro tells more turn than the wheels, adds up at _PUSHED, rad/s, at the most: a push turns a base far, not for long.
 _SLIP, _UNLIKE, _APART, _PUSHED = 0.3, 0.05, 0.5, 0.15
+# Below these the vendor calls the battery low, and dangerously so, V.
+LOW, DANGEROUS = 14.0, 13.2
 # Why its clock may jump.
 _RESTARTED = "it was started anew, or frames arrive out of order"
 
@@ -46,9 +44,8 @@ class Reckoning:
 
     core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
     base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
-    of the host's clock, never decreasing. moved: stamp of the last tick, s. unnoticed: how far the wheels have turned
-    the base since the gyro's angle last changed, rad. apart: by how much gyro and wheels disagree, rad, see _apart.
-    fault: why the base must stand now, None where all is well.
+    of the host's clock, never decreasing. moved: stamp of the last tick, s. apart: by how much gyro and wheels
+    disagree, rad, see _apart. fault: why the base must stand now, None where all is well.
     """
 
     core: CoreSensors
@@ -59,7 +56,6 @@ class Reckoning:
     V_B: tuple[float, float]
     stamp: float
     moved: float
-    unnoticed: float = 0.0
     apart: float = 0.0
     fault: str | None = None
 
@@ -87,7 +83,7 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
     duration = 1e-3 * _signed(core.stamp - state.core.stamp)
     if duration < 0.0:
         return _anew(state, core, inertia, received, f"clock went back by {-duration:.2f} s: {_RESTARTED}")
-    if (ahead := state.base_time + duration + state.offset - received) > _AHEAD:
+    if (ahead := state.base_time + duration + state.offset - received) > AHEAD:
         return _anew(state, core, inertia, received, f"clock is {ahead:.2f} s ahead of this machine's: {_RESTARTED}")
     if duration > _LONGEST_GAP:
         return first(core, inertia, received, state)
@@ -111,18 +107,17 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
         math.pi - (math.pi - theta - turn) % (2.0 * math.pi),
     )
     base_time = state.base_time + duration
-    offset = min(state.offset + _CLOCK_DRIFT * duration, received - base_time)
+    offset = min(state.offset + CLOCK_DRIFT * duration, received - base_time)
     stamp = max(state.stamp, base_time + offset)
     moved = stamp if left or right else state.moved
     speed = (distance / duration, GYRO_UNIT * inertia.rate)
-    unnoticed, apart, fault = state.unnoticed, state.apart, None
+    apart, fault = state.apart, None
     if driven:
-        by_wheels = (right - left) / WHEEL_BASE
-        unnoticed, apart = 0.0 if turn else unnoticed + by_wheels, _apart(apart, turn, by_wheels, duration)
-    if abs(unnoticed) > _UNNOTICED or apart > _APART:
-        unnoticed = apart = 0.0
+        apart = _apart(apart, turn, (right - left) / WHEEL_BASE, duration)
+    if apart > _APART:
+        apart = 0.0
         fault = "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
-    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, unnoticed, apart, fault)
+    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, apart, fault)
 
 
 def _apart(before: float, turn: float, by_wheels: float, duration: float) -> float:
@@ -157,6 +152,26 @@ def hazards_message(core: CoreSensors, stamp: float) -> Hazards:
     """The base's alarms at stamp (s of the host's clock). The left wheel's bit of a drop moves from 2 to 4."""
     drop = (core.wheel_drop & 1) | (core.wheel_drop & 2) << 1
     return Hazards(stamp, core.bumper & 7, core.cliff & 7, drop)
+
+
+def base_state(core: CoreSensors, stamp: float) -> BaseState:
+    """The state at stamp, s of the host's clock, as far as every frame tells it: battery, charger, wheels' current and
+    buttons.
+
+    Overcurrent has the bits of Side, 1 right and 4 left; the base has 2 and 1.
+    """
+    volts, level = 0.1 * core.battery, "good"  # also while it is charged, or where the base does not say its voltage
+    if core.battery and not core.charger and volts <= LOW + 1e-9:
+        level = "low" if volts > DANGEROUS + 1e-9 else "dangerous"
+    return BaseState(
+        stamp=stamp,
+        battery=round(volts, 1) if core.battery else math.nan,
+        battery_level=level,
+        charger="" if not core.charger else "adapter" if core.charger & 16 else "dock",
+        charging=core.charger & 4 != 0,
+        overcurrent=(core.overcurrent & 2) >> 1 | (core.overcurrent & 1) << 2,
+        buttons=core.buttons & 7,
+    )
 
 
 def base_control(speed: float, turn_rate: float) -> BaseControl:

@@ -20,11 +20,11 @@ import numpy as np
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
-from tfg_drake.hardware.plausible import FARTHEST, MOST_RAYS, MOST_TAGS, SCAN_RANGE
+from tfg_drake.hardware.plausible import FARTHEST, IDS, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPose, TagDetections, replace
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPose, Side, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
-from tfg_drake.vision.calibration import CameraCalibration
+from tfg_drake.vision.calibration import WIDEST_IMAGE, CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagNoise, in_plane
 from tfg_drake.vision.tag_position import LEAST_RANGE, tag_positions
@@ -36,18 +36,12 @@ REST, REST_TURN_RATE = 1e-5, 1e-3
 OFF_UNIT, NO_RETURN = 0.05, 1e-3
 # Nobody says better where a robot is, m and rad.
 LEAST_SAID = 0.05
-# The bits of tfg_drake.messages.Hazards.
-RIGHT, CENTRE, LEFT = 1, 2, 4
 # Columns of a plain detections message, see `plain_detections`.
 COLUMNS = ("id", "range", "bearing", "sigma_range", "sigma_bearing")
 # sensor_msgs/PointField: its datatypes 1 to 8 as numpy's.
-_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_DATATYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 # Fields and bytes of a point in a PointCloud2, at most.
 _MOST_FIELDS, _LONGEST_POINT = 100, 4096
-# Greater than the id of any tag, and exact as a float.
-_GREATEST_ID = 2**62
-# No image is wider, nor a focal length longer, pixels.
-_WIDEST_IMAGE = 1e5
 # A battery whose charge is at most such a share is low, or dangerously so. More than the last is told in percent.
 LOW_CHARGE, DANGEROUS_CHARGE, GREATEST_SHARE = 0.15, 0.05, 1.5
 # sensor_msgs/BatteryState.power_supply_status.
@@ -208,10 +202,10 @@ def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) ->
 
 def calibration(camera_info: Any) -> CameraCalibration:
     """sensor_msgs/CameraInfo of either ROS: what its P says of the rectified image."""
-    P = list(_sequence(camera_info, "p" if _has(camera_info, "p") else "P", 12))
+    P = list(_sequence(camera_info, "p" if has(camera_info, "p") else "P", 12))
     if len(P) != 12:
         raise ValueError("camera_info's P does not have twelve numbers")
-    fx, cx, fy, cy = (_bounded(P[i], "camera_info's P", _WIDEST_IMAGE) for i in (0, 2, 5, 6))
+    fx, cx, fy, cy = (_bounded(P[i], "camera_info's P", WIDEST_IMAGE) for i in (0, 2, 5, 6))
     if not (fx >= 1.0 and fy >= 1.0):
         raise ValueError("camera_info holds no calibration (its P is zero)")
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
@@ -237,12 +231,12 @@ def apriltag_detections(message: Any, calibrated: CameraCalibration, stamp: floa
 def families(message: Any) -> set[str]:
     """The families of the tags of an apriltag_msgs/AprilTagDetectionArray that names them."""
     found = _sequence(message, "detections", MOST_TAGS)
-    return {str(field(one, "family"))[:50] for one in found if _has(one, "family")}
+    return {str(field(one, "family"))[:50] for one in found if has(one, "family")}
 
 
 def _tag_id(value: Any) -> int:
     """An id as it is told, -1 for what is no whole number; who judges leaves out what is none of a tag."""
-    return min(max(value, -_GREATEST_ID), _GREATEST_ID) if isinstance(value, int) else -1
+    return min(max(value, -IDS), IDS) if isinstance(value, int) else -1
 
 
 def _corners(detection: Any) -> list[float]:
@@ -250,14 +244,15 @@ def _corners(detection: Any) -> list[float]:
     so that one bad sighting costs no other."""
     corners = []
     for one in _sequence(detection, "corners", 8):
-        point = (field(one, "x"), field(one, "y")) if _has(one, "x") else (one,)
-        corners += [float(v) if isinstance(v, int | float) and abs(v) <= _WIDEST_IMAGE else math.nan for v in point]
+        point = (field(one, "x"), field(one, "y")) if has(one, "x") else (one,)
+        corners += [float(v) if isinstance(v, int | float) and abs(v) <= WIDEST_IMAGE else math.nan for v in point]
     if len(corners) != 8:
         raise ValueError(f"a tag of {len(corners)} coordinates; four corners have 8")
     return corners
 
 
-def _has(message: Any, name: str) -> bool:
+def has(message: Any, name: str) -> bool:
+    """True if a message has a field."""
     return name in message if isinstance(message, Mapping) else hasattr(message, name)
 
 
@@ -272,10 +267,11 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     if missing := [name for name in COLUMNS if name not in formats]:
         raise ValueError(f"detections without the field {missing[0]}; they need {', '.join(COLUMNS)}")
     order = ">" if field(message, "is_bigendian") else "<"
+    kinds = [count(formats[name], "datatype", len(_DATATYPES), 1) for name in COLUMNS]
     layout = np.dtype(
         {
             "names": list(COLUMNS),
-            "formats": [order + _DATATYPES[count(formats[name], "datatype", 8, 1)] for name in COLUMNS],
+            "formats": [order + _DATATYPES[number - 1] for number in kinds],
             "offsets": [count(formats[name], "offset", _LONGEST_POINT) for name in COLUMNS],
             "itemsize": count(message, "point_step", _LONGEST_POINT, 1),
         }
@@ -288,7 +284,7 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     ids = columns.pop("id")
     bearing = columns["bearing"]
     # Who judges leaves out what is no angle, and what is no id.
-    ids = np.where(np.isfinite(ids), np.clip(ids, -_GREATEST_ID, _GREATEST_ID), -1.0)
+    ids = np.where(np.isfinite(ids), np.clip(ids, -IDS, IDS), -1.0)
     turns = np.abs(bearing) <= 2.0 * math.pi
     columns["bearing"] = np.where(turns, wrap_angle(np.where(turns, bearing, 0.0)), bearing)
     return TagDetections(stamp, ids.astype(np.int64), **columns)
@@ -304,10 +300,10 @@ def hazards(kind: str, message: Any, stamp: float, before: Hazards) -> Hazards:
     return HAZARDS[kind](message, replace(before, stamp=stamp))
 
 
-def _kobuki_event(name: str, sensor: str, bits: tuple[int, ...], message: Any, before: Hazards) -> Hazards:
+def _kobuki_event(name: str, sensor: str, bits: tuple[Side, ...], message: Any, before: Hazards) -> Hazards:
     bit = bits[count(message, sensor, len(bits) - 1)]
     old = getattr(before, name)
-    return replace(before, **{name: old | bit if number(message, "state") else old & ~bit})
+    return replace(before, **{name: int(old | bit if number(message, "state") else old & ~bit)})
 
 
 def _turtlebot3(message: Any, before: Hazards) -> Hazards:
@@ -320,17 +316,17 @@ def _create3(message: Any, before: Hazards) -> Hazards:
     for one in _sequence(message, "detections", MOST_TAGS):
         if name := names.get(count(one, "type", 255)):
             frame = str(field(one, "header.frame_id")).rsplit("/", 1)[-1]
-            bits[name] |= LEFT if "left" in frame else RIGHT if "right" in frame else CENTRE
-    return replace(before, **bits)
+            bits[name] |= Side.LEFT if "left" in frame else Side.RIGHT if "right" in frame else Side.CENTRE
+    return replace(before, **{name: int(value) for name, value in bits.items()})
 
 
-_SIDES = (LEFT, CENTRE, RIGHT)
+_SIDES = (Side.LEFT, Side.CENTRE, Side.RIGHT)
 # By the type of the message. BumperEvent.bumper and CliffEvent.sensor: 0 left, 1 centre, 2 right; WheelDropEvent.wheel:
 # 0 left, 1 right.
 HAZARDS: dict[str, Callable[[Any, Hazards], Hazards]] = {
     "kobuki_ros_interfaces/msg/BumperEvent": partial(_kobuki_event, "bumper", "bumper", _SIDES),
     "kobuki_ros_interfaces/msg/CliffEvent": partial(_kobuki_event, "cliff", "sensor", _SIDES),
-    "kobuki_ros_interfaces/msg/WheelDropEvent": partial(_kobuki_event, "wheel_drop", "wheel", (LEFT, RIGHT)),
+    "kobuki_ros_interfaces/msg/WheelDropEvent": partial(_kobuki_event, "wheel_drop", "wheel", (Side.LEFT, Side.RIGHT)),
     "turtlebot3_msgs/msg/SensorState": _turtlebot3,
     "irobot_create_msgs/msg/HazardDetectionVector": _create3,
 }

@@ -12,13 +12,12 @@ from typing import Any, Protocol, TypeVar
 from tfg_drake.hardware.device import Device, DeviceError, Driver, Message, imported
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.conversions import ros_time
-from tfg_drake.hardware.ros.intake import SILENCE, Intake
+from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Topic
-from tfg_drake.hardware.watchdog import TICK
+from tfg_drake.hardware.sensor_reader import PATIENCE
+from tfg_drake.hardware.watchdog import SILENCE, TICK
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
-# How long to look for the topics, and for their first messages, s.
-PATIENCE = 10.0
 Send = Callable[[dict[str, Any]], None]
 D = TypeVar("D", bound="GraphDriver")
 # By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.

@@ -9,8 +9,8 @@ import numpy as np
 
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, Camera
-from tfg_drake.messages import FloatArray, replace
-from tfg_drake.vision.calibration import BROWN, FISHEYE, CameraCalibration
+from tfg_drake.messages import replace
+from tfg_drake.vision.calibration import WIDEST_IMAGE, CameraCalibration, calibration_of
 from tfg_drake.vision.image import Image
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.same_view import no_views, weighed
@@ -27,8 +27,8 @@ ENCODINGS = {
     "rgba8": (4, (0, 1, 2)),
     "bgra8": (4, (2, 1, 0)),
 }
-# No image has more rows or columns, or more bytes in a row; no coefficient of a lens is larger, and no lens has more.
-_WIDEST, _LONGEST_ROW, _GREATEST, _COEFFICIENTS = 10_000, 100_000, 1e6, 14
+# Fields of camera_info in ROS 2 and, in capitals, in ROS 1.
+_LENS = ("width", "height", "distortion_model", "k", "K", "d", "D")
 
 
 class ImageTags:
@@ -55,8 +55,8 @@ class ImageTags:
 
 def plain(message: Any) -> Image:
     """sensor_msgs/Image as an array (h, w) or (h, w, 3)."""
-    height, width = (conversions.count(message, name, _WIDEST, 1) for name in ("height", "width"))
-    step = conversions.count(message, "step", _LONGEST_ROW, 1)
+    height, width = (conversions.count(message, name, WIDEST_IMAGE, 1) for name in ("height", "width"))
+    step = conversions.count(message, "step", 4 * WIDEST_IMAGE, 1)
     encoding = str(conversions.field(message, "encoding"))
     if encoding not in ENCODINGS:
         raise ValueError(f"images are encoded as {encoding[:50]}; known are {', '.join(ENCODINGS)}")
@@ -79,36 +79,14 @@ def decompressed(message: Any) -> Image:
 
 def lens(camera_info: Any, rectified: bool) -> CameraCalibration:
     """sensor_msgs/CameraInfo of either ROS: of the raw image its K and distortion, of the rectified one its P."""
-    width, height = (conversions.count(camera_info, name, _WIDEST, 1) for name in ("width", "height"))
     if rectified:
+        width, height = (conversions.count(camera_info, name, WIDEST_IMAGE, 1) for name in ("width", "height"))
         return replace(conversions.calibration(camera_info), width=width, height=height)
-    K = _numbers(camera_info, "k", 9)
-    if len(K) != 9 or not min(K[0], K[4]) >= 1.0:
-        raise ValueError("camera_info holds no calibration (its K is zero)")
-    model = str(conversions.field(camera_info, "distortion_model")) or BROWN[0]
-    if model not in BROWN + FISHEYE:
-        raise ValueError(f"camera_info has the distortion_model {model[:50]}; known are {', '.join(BROWN + FISHEYE)}")
-    D = _numbers(camera_info, "d", _COEFFICIENTS)
-    model = "equidistant" if model in FISHEYE else "plumb_bob"
-    if len(D) not in ((4,) if model == "equidistant" else (0, 4, 5, 8, 12, 14)):
-        raise ValueError(f"camera_info has {len(D)} coefficients of distortion")
-    return CameraCalibration(width, height, K.reshape(3, 3), model, D)
-
-
-def _numbers(camera_info: Any, name: str, most: int) -> FloatArray:
-    """A list of camera_info, called as in ROS 2 or, in capitals, as in ROS 1."""
-    try:
-        values = conversions.field(camera_info, name)
-    except ValueError:
-        values = conversions.field(camera_info, name.upper())
-    if not hasattr(values, "__len__") or len(values) > most:
-        raise ValueError(f"camera_info's {name.upper()} is no list of up to {most} numbers")
-    numbers = np.array(list(values), dtype=float)
-    if numbers.ndim != 1 or not (np.abs(numbers) <= _GREATEST).all():
-        raise ValueError(f"camera_info's {name.upper()} is not plausible")
-    return numbers
+    found = {name: conversions.field(camera_info, name) for name in _LENS if conversions.has(camera_info, name)}
+    plain_lists = {name: np.asarray(value).tolist() for name, value in found.items()}
+    return calibration_of(plain_lists)
 
 
 def _bytes(message: Any) -> Image:
     """The data of an image (n,)."""
-    return np.frombuffer(conversions.content(message, 2 * _WIDEST * _LONGEST_ROW), dtype=np.uint8)
+    return np.frombuffer(conversions.content(message, WIDEST_IMAGE**2), dtype=np.uint8)

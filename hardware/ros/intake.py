@@ -1,8 +1,8 @@
 """Stamps and converts the messages that either transport receives.
 
 ROS stamps serve for order and age only. The robot's ROS clock is brought to the host's monotonic clock by the least of
-host's arrival minus stamp, of the odometry (the shortest way there is), tracked slowly because two quartzes drift
-apart. Where only sensors are heard it is theirs: their stamps are then late by the least delay of any of them.
+host's arrival minus stamp, of the odometry (the shortest way there is), and as two quartzes drift apart that may grow
+slowly. Where only sensors are heard it is theirs: their stamps are then late by the least delay of any of them.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ import numpy as np
 
 from tfg_drake.hardware.camera_sensor import tell
 from tfg_drake.hardware.device import Message
+from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
 from tfg_drake.hardware.sensor_reader import Inbox
+from tfg_drake.hardware.watchdog import SILENCE
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.slam.odometry_rules import WatchedOdometry, watch
 from tfg_drake.vision.calibration import CameraCalibration
@@ -28,20 +30,15 @@ if TYPE_CHECKING:
 
 
 # The clock is learned from this much odometry before anything is believed, s.
-LEARN = 0.5
-# The least offset is taken over the newest one to two spans of this, s.
-SPAN = 10.0
-# The offset changes no faster than this, s/s, so that stamps keep their order.
+LEARN = SILENCE
+# What was less delayed than all before shortens the offset no faster than this, s/s, so that stamps keep their order.
 SLEW = 1e-3
-# A stamp this far in the future, or before the one before it, is a jump of the clock, s.
-JUMP = 0.25
-# Odometry silent for longer is a new connection: the clock is learned anew, s.
-SILENCE = 0.5
-# The same of sensors alone, which may be slow, s.
-SENSOR_SILENCE = 2.0
-# The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives.
-MAX_SKEW = 0.25
+# The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives. A stamp
+# that is farther in the future, or before the one before it, is a jump of the clock.
+JUMP = MAX_SKEW = AHEAD
 MAX_AGE = 0.5
+# Sensors that are silent for longer are a new connection, s, as odometry is after SILENCE: the clock is learned anew.
+SENSOR_SILENCE = 2.0
 
 
 class ClockJump(Exception):
@@ -62,7 +59,6 @@ class StampClock:
         self._least: dict[str, float] = {}
         self._last: dict[str, float] = {}
         self._began = self._heard = math.nan
-        self._span_began, self._span, self._span_before = math.nan, math.inf, math.inf
 
     @property
     def ready(self) -> bool:
@@ -70,19 +66,13 @@ class StampClock:
         return self._heard - self._began >= LEARN
 
     def _learn(self, stamp: float, arrival: float) -> None:
-        if arrival - self._heard > self._silence:
+        dt, delay = arrival - self._heard, arrival - stamp
+        if not dt <= self._silence:  # nor is it before anything was heard
             self._reset()
-        dt = arrival - self._heard
-        if not math.isfinite(self._began):
-            self._began = self._span_began = arrival
-        if arrival - self._span_began > SPAN:
-            self._span_began, self._span_before, self._span = arrival, self._span, math.inf
-        self._span = min(self._span, arrival - stamp)
-        target = min(self._span, self._span_before)
-        if not self.ready:
-            self._offset = target
-        elif arrival - stamp > self._offset - JUMP:
-            self._offset += min(SLEW * dt, max(-SLEW * dt, target - self._offset))
+            self._began, self._offset = arrival, delay
+        elif delay > self._offset - JUMP:
+            slew = SLEW * dt if self.ready else math.inf
+            self._offset = max(self._offset - slew, min(self._offset + CLOCK_DRIFT * dt, delay))
         self._heard = arrival
 
     def host(self, topic: str, stamp: float, arrival: float) -> float | None:

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tfg_drake.constraints import Angle, Bounds, NotNegative, OneOf, Radians
+from tfg_drake.constraints import Angle, NotNegative, OneOf, Positive, Radians, Signed
 from tfg_drake.hardware.device import DeviceError
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.yaml_text import parse_yaml
@@ -25,11 +25,7 @@ class _NotEmpty:
         return "" if value else "must not be empty"
 
 
-# No number in a preset is greater.
-_MOST = 1e6
 _Name = Annotated[str, _NotEmpty()]
-_Metres = Annotated[float, Bounds(-_MOST, _MOST)]
-_Positive = Annotated[float, Bounds(0.0, _MOST)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,16 +64,16 @@ class Scanner:
     least_range: nothing nearer is seen, m.
     """
 
-    x: _Metres = 0.0
-    y: _Metres = 0.0
+    x: Signed = 0.0
+    y: Signed = 0.0
     yaw: Angle = 0.0
     flip: bool = False
     clockwise: bool = False
     field_of_view: Annotated[float, NotNegative(), Radians()] = 0.0
-    clock_offset: Annotated[float, Bounds(-_MOST, _MOST)] = 0.0
-    sigma: _Positive = 0.015
+    clock_offset: Signed = 0.0
+    sigma: Positive = 0.015
     unanswered: Annotated[str, OneOf(("unknown", "free"))] = "unknown"
-    least_range: Annotated[float, NotNegative(), Bounds(most=_MOST)] = 0.0
+    least_range: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,12 +83,12 @@ class Camera:
     tag_size: side of a tag's black square, m. corner_sigma: standard deviation of a corner, pixels.
     """
 
-    x: _Metres = 0.0
-    y: _Metres = 0.0
+    x: Signed = 0.0
+    y: Signed = 0.0
     yaw: Angle = 0.0
     pitch: Angle = 0.0
-    tag_size: _Positive = 0.16
-    corner_sigma: _Positive = 0.5
+    tag_size: Positive = 0.16
+    corner_sigma: Positive = 0.5
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,14 +13,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tfg_drake.hardware.device import WAITING, DeviceError, imported
+from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, DeviceError, imported
 from tfg_drake.hardware.ros.graph_driver import Graph
 from tfg_drake.hardware.ros.preset import Topic
+from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, PATIENCE
 
-# How long to wait for the server, and for the node rosapi, which lists its topics, s.
-PATIENCE, ROSAPI_PATIENCE = 10.0, 3.0
-# Between two attempts to connect again, s.
-LONGEST_RETRY = 2.0
 # What of a slow connection only the newest is wanted.
 STREAMS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CameraInfo")
 
@@ -39,7 +36,7 @@ class RosbridgeGraph(Graph):
         self._arrived: queue.Queue[tuple[Receive, Any, float]] = queue.Queue(WAITING)
         self._ros = roslibpy.Ros(host, port, transport="asyncio")
         # It would wait longer each time, for up to an hour.
-        self._ros.factory.set_max_delay(LONGEST_RETRY)
+        self._ros.factory.set_max_delay(LONGEST_BACK_OFF)
         try:
             self._ros.run(PATIENCE)
         except TimeoutError:
@@ -86,7 +83,7 @@ class RosbridgeGraph(Graph):
             return None
         topics = self._roslibpy.Service(self._ros, "/rosapi/topics", "rosapi/Topics")
         try:
-            answer = topics.call(self._roslibpy.ServiceRequest(), timeout=ROSAPI_PATIENCE)
+            answer = topics.call(self._roslibpy.ServiceRequest(), timeout=ANSWER_TIMEOUT)
             return list(zip(answer["topics"], answer["types"], strict=True))
         except Exception:  # roslibpy raises its own kinds
             self._rosapi = False

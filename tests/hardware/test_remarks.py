@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hardware.fake_robot import base_state
-from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, TOLD_BEFORE, BatteryWatch, Remark, Watch, begun, watched, where
+from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, TOLD_BEFORE, BatteryWatch, Remark, begun, watched, where
 from tfg_drake.messages import Hazards
 
 
@@ -53,7 +53,7 @@ def test_what_holds_does_not_keep_anything_else_from_being_told(looks):
 
 def lines(looks):
     """What is told in looks at a base: (s, hazards, state)."""
-    watch, all_of = Watch(), []
+    watch, all_of = {}, []
     for now, hazards, state in looks:
         watch, new = watched(watch, hazards, state, now)
         all_of += new
@@ -95,28 +95,16 @@ def test_what_is_left_is_told_as_it_is_known():
     assert lines(looks)[0].startswith("the battery is low, 12 %: ")
 
 
-def frames(*counts):
-    """What is told of frames heard, corrupt and lost, counted every second since the connection began."""
-    looks = [(float(i), [], base_state(float(i), frames=f, bad_frames=b, lost_frames=lost))
-             for i, (f, b, lost) in enumerate(counts)]  # fmt: skip
-    return lines(looks)
+def frames(*lost):
+    """What is told of shares of frames that were lost in each second."""
+    return lines([(float(i), [], base_state(float(i), lost=share)) for i, share in enumerate(lost)])
 
 
-def test_frames_that_arrive_corrupt_or_never_are_told_with_their_share():
-    assert frames(*[(50 * i, 0, 0) for i in range(20)]) == []
-    assert frames(*[(46 * i, 2 * i, 2 * i) for i in range(20)]) == []
-    corrupt = [(35 * i, 15 * i, 0) for i in range(20)]
-    assert frames(*corrupt) == ["30 % of the base's frames arrive corrupt; the robot drives on; check the cable"]
-    once = [(50 * i, 30 * (i > 5), 0) for i in range(20)]
-    assert frames(*once) == []
-    lost = [(20 * i, 0, 30 * i) for i in range(20)]
-    assert frames(*lost) == ["60 % of the base's frames are lost; the robot drives on; check the cable"]
-
-
-def test_after_a_new_connection_frames_are_counted_from_its_beginning():
-    before = [(50 * i, 0, 0) for i in range(10)]
-    assert frames(*before, *before) == []
-    assert len(frames(*before, *[(25 * i, 25 * i, 0) for i in range(6)])) == 1
+def test_frames_that_are_lost_all_along_are_told_with_their_share():
+    assert frames(*[0.0] * 20) == []
+    assert frames(*[0.08] * 20) == []
+    assert frames(*[0.6] * 20) == ["60 % of the base's frames are lost; the robot drives on; check the cable"]
+    assert frames(0.0, 0.6, 0.0, 0.0, 0.6, 0.0) == []
 
 
 class Base:

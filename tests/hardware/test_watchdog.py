@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.remarks import alarms
-from tfg_drake.hardware.watchdog import COMMAND_TIMEOUT, ODOMETRY_TIMEOUT, TICK, Limits, Watchdog
+from tfg_drake.hardware.watchdog import SILENCE, TICK, Limits, Watchdog
 from tfg_drake.messages import Hazards
 
 LIMITS = Limits(speed=0.3, turn_rate=1.5, acceleration=0.5, turn_acceleration=3.5)
@@ -109,7 +109,7 @@ def test_commands_stop(driving):
     driving.command = None
     sent = driving.run(1.0)
     last = max(i for i, velocity in enumerate(sent) if velocity != (0.0, 0.0))
-    assert (last + 1) * TICK <= COMMAND_TIMEOUT + 1e-9
+    assert (last + 1) * TICK <= SILENCE + 1e-9
     assert driving.watchdog.locked is None
     driving.command = (0.3, 0.0)
     assert driving.run(TICK)[0] == pytest.approx((0.5 * TICK, 0.0))  # from rest
@@ -119,7 +119,7 @@ def test_odometry_stops(driving):
     driving.odometry = False
     sent = driving.run(1.0)
     last = max(i for i, velocity in enumerate(sent) if velocity != (0.0, 0.0))
-    assert (last + 1) * TICK <= ODOMETRY_TIMEOUT + 1e-9
+    assert (last + 1) * TICK <= SILENCE + 1e-9
     driving.odometry = True
     assert still(driving.run(1.0))
     assert driving.watchdog.locked == "no odometry for more than 0.5 s"

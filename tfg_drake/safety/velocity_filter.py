@@ -9,7 +9,7 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.geometry.motion import advance
-from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry
+from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry, Side
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
 from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
@@ -20,7 +20,6 @@ from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
 SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED, REFLEXES, BACKED = range(7)
 STATE_SIZE = 7
 
-_RIGHT, _CENTRE, _LEFT = 1, 2, 4
 # A bumper that stays pressed, or is pressed again before the base has driven ahead, makes so many reflexes at most, and
 # they back away no farther than this together, m.
 MOST_REFLEXES, MOST_BACKED = 3, 0.2
@@ -134,7 +133,7 @@ def _towards(value: float, wanted: float, step: float) -> float:
 
 def _reflex(bits: int, safety: SafetyConfig) -> tuple[float, float]:
     """Back away from a bumper, and turn away where only one side was hit."""
-    turn_rate = {_LEFT: -safety.reflex_turn_rate, _RIGHT: safety.reflex_turn_rate}.get(bits, 0.0)
+    turn_rate = {Side.LEFT: -safety.reflex_turn_rate, Side.RIGHT: safety.reflex_turn_rate}.get(bits, 0.0)
     return -safety.reflex_speed, turn_rate
 
 

@@ -25,7 +25,7 @@ _KEYS = {
     "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d", "distortion_coeffs"),
 }
 # A calibration has less than that many bytes; no image is wider nor a coefficient larger, pixels and 1.
-_LONGEST_FILE, _WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
+_LONGEST_FILE, WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
 _ANEW = "calibrate anew with tfg-drake camera calibrate"
 
 
@@ -147,7 +147,7 @@ def _unusable(key: str, expected: str, value: Any) -> CalibrationError:
 
 def _pixels(tree: dict[Any, Any], key: str) -> int:
     value = _value(tree, key)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value <= _WIDEST_IMAGE:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value <= WIDEST_IMAGE:
         raise _unusable(key, "a number of pixels", value)
     return value
 

@@ -98,8 +98,7 @@ def test_what_the_base_says_of_itself(emulator, device):
     state = device.newest(BaseState)
     assert (state.firmware, state.hardware, state.unique_id) == ("1.1.4", "1.0.4", "000000010000000200000003")
     assert (state.battery, state.battery_level, state.charger, state.charging) == (16.5, "good", "", False)
-    assert (state.overcurrent, state.buttons, state.bad_frames) == (0, 0, 0)
-    assert state.frames > 0
+    assert (state.overcurrent, state.buttons, state.lost) == (0, 0, 0.0)
     emulator.base.cliff = 4
     wait_for(lambda: device.newest(Hazards).cliff == 4)
 
@@ -414,7 +413,7 @@ def test_corrupt_frames(emulator, driving):
     emulator.corrupt = 0.05
     begin = drive(driving, 0.2, 0.6, 1.5)
     assert_stops(emulator, begin)
-    wait_for(lambda: driving.newest(BaseState).bad_frames > 0)
+    wait_for(lambda: driving.newest(BaseState).lost > 0.0)
     assert driving.locked in (None, SILENT)
     wait_for(lambda: driving.newest(Odometry).at_rest)
     assert pytest.approx(emulator.base.pose, abs=3e-3) == driving.newest(Odometry).X_OB

@@ -86,11 +86,11 @@ def test_the_lens_of_a_raw_and_of_a_rectified_image():
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"k": [0.0] * 9}, "its K is zero"),
-        ({"distortion_model": "odd"}, "has the distortion_model odd"),
-        ({"d": [0.0] * 3}, "has 3 coefficients"),
-        ({"d": [np.inf] * 5}, "D is not plausible"),
-        ({"width": 0}, "width is 0"),
+        ({"k": [0.0] * 9}, "camera_matrix: is not"),
+        ({"distortion_model": "odd"}, "distortion_model: unknown model odd"),
+        ({"d": [0.0] * 3}, "distortion_coefficients: expected .* numbers"),
+        ({"d": [np.inf] * 5}, "distortion_coefficients: expected .* numbers"),
+        ({"width": 0}, "image_width: expected a number of pixels, found 0"),
     ],
 )
 def test_a_camera_info_that_says_nothing(changes, why):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from tfg_drake.hardware.kobuki.base_state import base_state
 from tfg_drake.hardware.kobuki.codec import CoreSensors
+from tfg_drake.hardware.kobuki.odometry import base_state
 
 
 def core(charger=0, battery=165, overcurrent=0):
