@@ -97,7 +97,7 @@ def main() -> None:
     print(f"{'scans':<14}{'missions':>9}{'complete':>9}{'contacts':>9}{'time s':>8}{'false stops':>13}{'slowed s':>10}")
     for kind in kinds:
         of_kind = [row for row in rows if row["scans"] == kind and row["seed"] < options.seeds]
-        slowed = sum(len(row["slowed"]) for row in of_kind) * safety_filter.PERIOD
+        slowed = sum(len(row["slowed"]) for row in of_kind) * safety_filter.COMMAND_PERIOD
         print(
             f"{kind:<14}{len(of_kind):>9}{sum(row['outcome'] == 'complete' for row in of_kind):>9}"
             f"{sum(row['contacts'] for row in of_kind):>9}{np.mean([row['sim_time_s'] for row in of_kind]):>8.0f}"

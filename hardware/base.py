@@ -9,23 +9,17 @@ import math
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem
 
-from tfg_drake.hardware.device import BaseState, DeviceError
+from tfg_drake.hardware.device import HOPELESS, WAITING, BaseState, DeviceError
 from tfg_drake.hardware.remarks import Spells, watched
 from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
-from tfg_drake.systems.ports import MessageInputs, MessageState, number
+from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-# Of commands, s: the simulated station's.
-COMMAND_PERIOD = 1.0 / 32.0
-# After this long without one there is no more hope, s.
-LOST = 60.0
 # The first turn and a half, rad: so many moves of scans it takes to be sure of what is wrong with them.
 FIRST_TURN = 3.0 * math.pi
-# Of so many messages at most: half a minute's.
-HEARD = 1000
 CONTRADICT = (
     "scans and odometry contradict each other for a while, the map may not hold: see whether the wheels slip, the "
     "scanner is frozen or its mount has moved"
@@ -152,7 +146,7 @@ class HardwareBase(LeafSystem):
             return before
         said: list[Message] = [self._odometry(context), *self._inputs.each(context, "scan", "detections")]
         known = {(type(one), one.stamp) for one in before.heard}
-        heard = (*before.heard, *(one for one in said if (type(one), one.stamp) not in known))[-HEARD:]
+        heard = (*before.heard, *(one for one in said if (type(one), one.stamp) not in known))[-WAITING:]
         heading = np.unwrap([one.X_OB[2] for one in heard if isinstance(one, Odometry)])
         if np.abs(np.diff(heading)).sum() < FIRST_TURN:
             return replace(before, heard=heard)
@@ -179,9 +173,9 @@ class HardwareBase(LeafSystem):
             if before.waiting:
                 _log.info("%.2f s: %s again", now, before.waiting)
             return replace(before, waiting="", since=now) if before.waiting else replace(before, since=now)
-        if now - before.since > LOST:
+        if now - before.since > HOPELESS:
             reason = self._device.locked if stale[0] == "odometry" else None
-            raise DeviceError(f"no {stale[0]} for {LOST:.0f} s: {reason or 'its source is silent'}")
+            raise DeviceError(f"no {stale[0]} for {HOPELESS:.0f} s: {reason or 'its source is silent'}")
         if before.waiting != stale[0]:
             _log.warning("%.2f s: the base stands: no %s for more than %g s", now, stale[0], STALE[stale[0]])
         return replace(before, waiting=stale[0])

@@ -68,15 +68,13 @@ class BaseState:
 Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState | SaidPose
 T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState, SaidPose)
 
-# How long to wait for the process to find its robot, and to answer, s.
-START_TIMEOUT = 60.0
+# How long to wait for an answer of the process, s.
 ANSWER_TIMEOUT = 5.0
-# A process that takes no commands for so long is lost for good, s.
-HELD_UP = 60.0
-# Messages of a kind that wait to be taken, at most: half a minute of the fastest.
+# A process that has not begun or has taken no commands for so long is lost for good, and so is a base without messages,
+# s.
+HOPELESS = 60.0
+# Messages of a kind that wait to be taken or are remembered, at most: half a minute of the fastest.
 WAITING = 2000
-# Odometry that is remembered to look up where the robot was: ten seconds of the fastest.
-REMEMBERED = 500
 _NO_ANSWER = "the robot's process does not answer"
 
 
@@ -193,7 +191,7 @@ class Device:
         self._changed = threading.Condition()
         self._newest: dict[type, Message] = {}
         self._waiting: dict[type, collections.deque[Message]] = {}
-        self._odometry: collections.deque[Odometry] = collections.deque(maxlen=REMEMBERED)
+        self._odometry: collections.deque[Odometry] = collections.deque(maxlen=WAITING)
         self._remarks: list[str] = []
         self.heard = self._answers = 0
         self._open()
@@ -213,8 +211,8 @@ class Device:
             raise DeviceError(self._ended) from None
         self._put(self._open_driver)
         with self._changed:
-            begun = self._changed.wait_for(lambda: self.heard > before, START_TIMEOUT)
-        line = self._ended or ("" if begun else f"the robot's process did not begin in {START_TIMEOUT:.0f} s")
+            begun = self._changed.wait_for(lambda: self.heard > before, HOPELESS)
+        line = self._ended or ("" if begun else f"the robot's process did not begin in {HOPELESS:.0f} s")
         if line:
             self._end()
             raise DeviceError(line)
@@ -355,8 +353,8 @@ class Device:
             if not room.poll(0):
                 now = time.monotonic()
                 self._full = now if self._full is None else self._full
-                if now - self._full > HELD_UP:
-                    raise DeviceError(f"the robot's process has taken no commands for {HELD_UP:.0f} s")
+                if now - self._full > HOPELESS:
+                    raise DeviceError(f"the robot's process has taken no commands for {HOPELESS:.0f} s")
                 return False
             self._connection.send(order)
         except OSError:

@@ -23,15 +23,13 @@ from multiprocessing.connection import Connection
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, BaseState, DeviceError, Driver, Outbox
 from tfg_drake.hardware.plausible import Judge
 from tfg_drake.hardware.remarks import alarms
-from tfg_drake.hardware.watchdog import TICK, Watchdog
+from tfg_drake.hardware.watchdog import SILENCE, TICK, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
 # The last word to the base is said this often, a tick apart: one may be lost.
 _LAST_ZEROS = 5
 # How long orders are taken up before the robot has its turn again, however many there are, s.
 _ORDERS_WITHIN = TICK
-# Between two signs of life, s.
-_ALIVE_EVERY = 0.5
 
 
 def serve(driver: Driver, connection: Connection) -> None:
@@ -80,7 +78,7 @@ def serve(driver: Driver, connection: Connection) -> None:
             if watchdog.locked != told:
                 told = watchdog.locked
                 outbox.put("locked", told)
-            if time.monotonic() - said_alive > _ALIVE_EVERY:
+            if time.monotonic() - said_alive > SILENCE:
                 said_alive = time.monotonic()
                 outbox.put("alive", None)
             driver.show(told is None)

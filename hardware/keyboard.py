@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import queue
+import re
 import sys
 import termios
 import threading
@@ -22,8 +23,8 @@ KEYS: Mapping[str, Command] = {"e": "enable", " ": "stop", "s": "stop", "p": "pa
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
 
 
-# What an arrow key sends: three characters.
-_ESCAPE, _SEQUENCE = "\x1b", 3
+# A key: an arrow sends three characters.
+_KEY = re.compile(r"\x1b.{0,2}|.", re.DOTALL)
 
 _open: weakref.WeakSet[Keyboard[Any]] = weakref.WeakSet()
 
@@ -76,9 +77,7 @@ class Keyboard(Generic[T]):
                 return
             if not keys:
                 return  # the end of a file
-            while keys:
-                size = _SEQUENCE if keys[0] == _ESCAPE else 1
-                key, keys = keys[:size], keys[size:]
+            for key in _KEY.findall(keys):
                 if request := self._keys.get(key, self._keys.get(key.lower())):
                     self._requests.put(request)
 

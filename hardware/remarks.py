@@ -26,8 +26,6 @@ _CHARGERS = {
     "adapter": "the base is charging by its adapter: pull the plug, then enable it",
     "charger": "the base is charging: take it off its dock or its cable, then enable it",
 }
-# The operator is told this long before, s: the reason stands in the log before what the robot does about it.
-TOLD_BEFORE = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,7 +162,8 @@ class BatteryWatch:
         state = self._base.newest(BaseState)
         if state is None:
             return []
-        remarks = {name: Remark(one.line, one.after + TOLD_BEFORE) for name, one in battery(state).items()}
+        # Later than the operator is told: the reason stands in the log before what the robot does about it.
+        remarks = {name: Remark(one.line, one.after + QUIET) for name, one in battery(state).items()}
         self._spells, names = begun(self._spells, remarks, state.stamp)
         self._told |= {name: remarks[name].line for name in names}
         return ["recall"] if "battery low" in names else []

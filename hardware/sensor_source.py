@@ -31,7 +31,6 @@ from tfg_drake.messages import LaserScan, Odometry, TagDetections
 T = TypeVar("T", LaserScan, Sweep, TagDetections)
 # What a source may be asked for, and what that is.
 KINDS = {"tags": TagDetections, "scan": LaserScan}
-ROSBRIDGE_PORT = 9090
 # How often a process is looked at, s, and after how many looks at which it has said nothing it hangs: ten seconds.
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
@@ -129,7 +128,8 @@ def parse_source(text: str) -> SourceSpec:
     except ValueError:
         raise DeviceError(f"{text}: {address} is no HOST:PORT; name the source as {_FORMS}") from None
     if transport == "rosbridge":
-        return SourceSpec(transport, host or "localhost", port or ROSBRIDGE_PORT, _topic(text, slash + topic))
+        usual = urllib.parse.urlsplit(f"//{HardwareConfig().bridge}")
+        return SourceSpec(transport, host or usual.hostname or "", port or usual.port or 0, _topic(text, slash + topic))
     if not host or not port or slash:
         raise DeviceError(f"{text}: {rest} is no HOST:PORT; name the source as socket:HOST:PORT")
     return SourceSpec(transport, host, port)

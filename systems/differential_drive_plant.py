@@ -12,11 +12,9 @@ from tfg_drake.messages import FloatArray, Hazards
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.disturbance import Pushes, displacement, with_pushes
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, declare_message_output
+from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, declare_message_output
 from tfg_drake.systems.surroundings import Surroundings
 from tfg_drake.world.world import World
-
-PERIOD = 1.0 / 32.0
 
 
 class DifferentialDrivePlant(LeafSystem):
@@ -54,7 +52,7 @@ class DifferentialDrivePlant(LeafSystem):
         self._around = Surroundings(self, world)
         self._inputs = MessageInputs(self, pushes=Pushes)
         self.DeclareDiscreteState(drive.initial_state(world.start, world.walls, robot))
-        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Step)
+        self.DeclarePeriodicDiscreteUpdateEvent(COMMAND_PERIOD, 0.0, self._Step)
         state = self.xd_ticket()
         self.DeclareVectorOutputPort("pose", 5, self._CalcPose, {state, self.time_ticket()})
         declare_message_output(self, "hazards", self._Hazards, {state, self.time_ticket()})
@@ -68,8 +66,8 @@ class DifferentialDrivePlant(LeafSystem):
         walls, moved = self._around.world(context).walls, drive.UNMOVED
         disturbances = with_pushes(self._disturbances, self._inputs.optional(context, "pushes"))
         if disturbances:
-            moved = displacement(disturbances, state[drive.TIME], state[drive.TIME] + PERIOD)
-        after = drive.step(state, command, walls, self._robot, PERIOD, moved)
+            moved = displacement(disturbances, state[drive.TIME], state[drive.TIME] + COMMAND_PERIOD)
+        after = drive.step(state, command, walls, self._robot, COMMAND_PERIOD, moved)
         discs = self._around.people(context, after[drive.TIME])
         if discs is not None:
             after = drive.among(state, after, discs, self._robot)

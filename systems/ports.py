@@ -26,6 +26,8 @@ from tfg_drake import messages
 
 # Period of the odometry, s, and of all that listen to it; a power of two, so that they do at the same instants.
 PERIOD = 1.0 / 16.0
+# Period of the base, its commands and the filter before it, s.
+COMMAND_PERIOD = 1.0 / 32.0
 # What the ports carry that systems have in common: whatever is called so is such a message, in and out.
 KINDS: Mapping[str, type] = {
     "odometry": messages.Odometry,

@@ -27,9 +27,8 @@ from tfg_drake.safety.velocity_filter import (
 )
 from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
-from tfg_drake.systems.ports import MessageInputs, MessageState, number
+from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-PERIOD = 1.0 / 32.0
 # Scans in a row before it is said why the base stands that is told to drive: about two seconds.
 _HELD_SCANS = 20
 # What stops the base is no farther from where it is to stop than this, m: noise, and its way while it brakes.
@@ -89,7 +88,7 @@ class SafetyFilter(LeafSystem):
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
         # As often as odometry comes; scans are fewer.
         self._watch = MessageState(self, no_watch(no_scan(scan)), self._Watch)
-        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._Filter)
+        self.DeclarePeriodicDiscreteUpdateEvent(COMMAND_PERIOD, 0.0, self._Filter)
         self.DeclareStateOutputPort("velocity", velocity)
         self.DeclareStateOutputPort("enabled", self._enabled)
         self._watch.declare_outputs(self, scan_believed=lambda now: now.believed)
@@ -100,7 +99,7 @@ class SafetyFilter(LeafSystem):
         spent = self._Spent(context, wanted)
         enabled = wanted not in (0.0, spent)
         before = self._State(context)
-        after = self._Filtered(context) if enabled else stopped(before, self._robot, PERIOD)
+        after = self._Filtered(context) if enabled else stopped(before, self._robot, COMMAND_PERIOD)
         if before[REFLEXES] <= MOST_REFLEXES < after[REFLEXES]:
             _log.warning("%.2f s: the base stands: %s", context.get_time(), PRESSED)
         for group, value in enumerate((after, after[:2], [enabled], [spent])):
@@ -123,7 +122,9 @@ class SafetyFilter(LeafSystem):
         hazards = self._inputs(context, "hazards")
         scan, watch = self._Barred(context), self._watch(context)
         state, now, odometry = self._State(context), context.get_time(), self._inputs(context, "odometry")
-        return filter_command(state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, PERIOD)
+        return filter_command(
+            state, now, command, hazards, scan, watch, odometry, self._robot, self._safety, COMMAND_PERIOD
+        )
 
     def _Barred(self, context: Context) -> LaserScan:
         """The newest scan, as if walls stood round the areas that the base must not enter."""

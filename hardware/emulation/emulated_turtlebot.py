@@ -15,7 +15,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
-from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.device import WAITING, DeviceError
 from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors
 from tfg_drake.hardware.ros import conversions
@@ -25,15 +25,11 @@ from tfg_drake.hardware.ros.ros2 import Ros2Graph
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation import odometry
+from tfg_drake.systems.ports import COMMAND_PERIOD
 from tfg_drake.world.world import World
 
-# A step of it, s; odometry comes with every one, tags and a scan with every third.
-PERIOD = 1.0 / 32.0
+# Odometry comes with every step, tags and a scan with every third.
 SENSE_EVERY = 3
-# The greatest acceleration of a Create 3, m/s^2.
-ACCELERATION = 0.9
-# Commands and poses remembered: ten minutes.
-_REMEMBERED = 20_000
 
 
 class EmulatedTurtlebot(EmulatedSensors):
@@ -60,14 +56,14 @@ class EmulatedTurtlebot(EmulatedSensors):
         super().__init__(world, tags, dataclasses.replace(scanner, field_of_view=2.0 * math.pi), seed)
         self._preset, self._wheels = preset, wheels
         self._run_errors = odometry.run_errors(self._noise(3), wheels)
-        self._body = EmulatedBody(world.walls, world.start, RobotConfig(max_acceleration=ACCELERATION))
+        self._body = EmulatedBody(world.walls, world.start, RobotConfig())
         self._odometry = odometry.initial_state(world.start)
         self._steps = 0
         self._command = (0.0, 0.0)
         self.silent: set[str] = set()
         self.clock = time.time() - time.monotonic()
-        self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=_REMEMBERED)
-        self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=_REMEMBERED)
+        self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=WAITING)
+        self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=WAITING)
         for _ in range(SENSE_EVERY):
             self.step()  # compiles what is to be compiled, before anybody waits for it
 
@@ -80,12 +76,12 @@ class EmulatedTurtlebot(EmulatedSensors):
     def step(self) -> dict[str, Fields]:
         """One period on; the messages to publish, by their key in the preset's topics, and "tf"."""
         now = time.monotonic()
-        self._body.move(self._command, PERIOD)
+        self._body.move(self._command, COMMAND_PERIOD)
         self._steps += 1
         pose, X_WB = self._body.state[drive.X : drive.TURN_RATE + 1], self._body.pose.copy()
         self.poses.append((now, X_WB))
         self._odometry = odometry.integrate(
-            self._odometry, self._steps * PERIOD, pose, self._run_errors, self._noise(2), self._wheels
+            self._odometry, self._steps * COMMAND_PERIOD, pose, self._run_errors, self._noise(2), self._wheels
         )
         frames, mount = self._preset.frames, self._preset.scanner
         stamp = conversions.ros_time(now + self.clock)
@@ -108,7 +104,8 @@ class EmulatedTurtlebot(EmulatedSensors):
         """Steps in real time while go_on(): publish(key, message), and spin(duration, s), which calls `drive`."""
         due = time.monotonic()
         while go_on():
-            due = max(due + PERIOD, time.monotonic() - 5.0 * PERIOD)  # a loaded machine: late, but not for ever
+            # On a loaded machine it is late, but not for ever.
+            due = max(due + COMMAND_PERIOD, time.monotonic() - 5.0 * COMMAND_PERIOD)
             for key, message in self.step().items():
                 publish(key, message)
             spin(max(0.0, due - time.monotonic()))

@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.hardware.device import Button
+from tfg_drake.hardware.device import WAITING, Button
 from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
 from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors, sensor_fault
@@ -31,8 +31,6 @@ FULL = 165
 # What a base says besides in every frame, by ids and lengths of its sub-payloads: dock, cliff sensors' voltages,
 # currents, samples of the gyro, expansion port.
 _BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
-# Commands remembered, some twenty seconds of a driver's.
-_REMEMBERED = 1000
 # How late a late frame is, s.
 DELAY = 0.2
 # Bits of CoreSensors. A wheel without a side is both.
@@ -160,7 +158,7 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         EmulatedSensors.__init__(self, world, tags or TagSensorConfig(), scanner or ScanConfig(), seed)
         self._chance = random.Random(seed)
         self.base = EmulatedBase(world.walls, world.start, robot or RobotConfig())
-        self.commands: collections.deque[tuple[float, p.BaseControl]] = collections.deque(maxlen=_REMEMBERED)
+        self.commands: collections.deque[tuple[float, p.BaseControl]] = collections.deque(maxlen=WAITING)
         self.corrupt = self.lost = self.late = 0.0
         self.silent = False
         # Late frames, and when they are due, s of the base's time.

@@ -10,8 +10,6 @@ import cv2
 
 from tfg_drake.vision.image import Image
 
-# Of JPEG, 0 to 100; what cameras are set to where tags are to be found.
-QUALITY = 92
 _BOUNDARY = b"image"
 
 
@@ -35,7 +33,7 @@ class MjpegStream:
     def show(self, image: Image) -> None:
         """The next image, (h, w) grey or (h, w, 3) RGB."""
         blue_first = image[..., ::-1] if image.ndim == 3 else image
-        _, jpeg = cv2.imencode(".jpg", blue_first, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        _, jpeg = cv2.imencode(".jpg", blue_first)
         with self._changed:
             self._jpeg, self._number = jpeg.tobytes(), self._number + 1
             self._changed.notify_all()

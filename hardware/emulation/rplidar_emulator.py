@@ -21,8 +21,6 @@ from tfg_drake.simulation.laser_scanner import scan
 RAYS, TURNS = 2000.0, 5.5
 # It sends this often, s.
 _STEP = 0.01
-# Rays that are cast from one place: a step's.
-_BLOCK = 20
 
 
 class RplidarEmulator(EmulatedDevice):
@@ -123,7 +121,7 @@ class RplidarEmulator(EmulatedDevice):
         self._last, moved = end, end - begin
         moved[2] = wrap_angle(moved[2])
         ranges = np.empty(count)
-        for block in np.array_split(np.arange(count), math.ceil(count / _BLOCK)):
+        for block in np.array_split(np.arange(count), math.ceil(count / (RAYS * _STEP))):
             angles = -2.0 * math.pi * (turns[block] % 1.0)
             ranges[block] = self._measured(angles, begin + moved * ((block.mean() + 1.0) / count))
         data = b"".join(

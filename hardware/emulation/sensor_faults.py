@@ -16,9 +16,6 @@ from tfg_drake.world.world import World
 # What is sent instead of a message; None for nothing.
 Fault = Callable[[Any], Any]
 
-# "thin" leaves one ray in so many.
-_THINNED = 100
-
 
 def unchanged(message: Any) -> Any:
     """No fault."""
@@ -88,9 +85,16 @@ def _without(scan: LaserScan, which: np.ndarray[Any, np.dtype[np.bool_]]) -> Las
     return replace(scan, ranges=np.where(which, math.nan, scan.ranges))
 
 
-def _rays(which: slice) -> Callable[[], Fault]:
-    """These rays alone."""
-    return lambda: lambda scan: replace(scan, angles=scan.angles[which], ranges=scan.ranges[which])
+def _none() -> Fault:
+    return lambda scan: replace(scan, angles=np.zeros(0), ranges=np.zeros(0))
+
+
+def _thin(number: float = 100.0) -> Fault:
+    """One ray in so many."""
+    step = int(number)
+    if step < 1:
+        raise ValueError(f"no number of rays: {number}")
+    return lambda scan: replace(scan, angles=scan.angles[::step], ranges=scan.ranges[::step])
 
 
 def _frozen() -> Fault:
@@ -148,8 +152,8 @@ FAULTS: dict[str, dict[str, Callable[..., Fault]]] = {
         "empty": _scan_of(math.inf),
         "zero": _scan_of(0.0),
         "near": _scan_of(-math.inf),
-        "none": _rays(slice(0)),
-        "thin": _rays(slice(None, None, _THINNED)),
+        "none": _none,
+        "thin": _thin,
         "frozen": _frozen,
         "drop": _missing,
         "blind": _blind,

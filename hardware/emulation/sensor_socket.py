@@ -8,10 +8,8 @@ import socket
 
 import numpy as np
 
+from tfg_drake.hardware.socket_sensors import LONGEST_LINE
 from tfg_drake.messages import LaserScan, TagDetections
-
-# A client this far behind misses whole lines, bytes.
-_BACKLOG = 200_000
 
 
 def sensor_line(message: TagDetections | LaserScan) -> bytes:
@@ -29,7 +27,9 @@ def _range(distance: float) -> float | None:
 
 
 class SensorSocket:
-    """Sends lines to whoever is connected, and waits for nobody. address: (host, port)."""
+    """Sends lines to whoever is connected, and waits for nobody: who is LONGEST_LINE behind misses whole lines.
+
+    address: (host, port)."""
 
     def __init__(self) -> None:
         """Listens on a free port of 127.0.0.1."""
@@ -49,7 +49,7 @@ class SensorSocket:
         except BlockingIOError:
             pass
         for client, pending in list(self._clients.items()):
-            if len(pending) < _BACKLOG:
+            if len(pending) < LONGEST_LINE:
                 pending += line
             try:
                 del pending[: client.send(pending)]

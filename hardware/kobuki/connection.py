@@ -15,10 +15,8 @@ from tfg_drake.messages import replace
 if TYPE_CHECKING:
     import serial
 
-# A base that has not been heard for so long is no longer connected, and has so long to say its versions, s.
-LOST_AFTER, VERSION_WITHIN = 1.0, 2.0
-# Between two messages of the base's state that tell nothing new but battery and lost frames, s.
-_STATE_EVERY = 1.0
+# A base has so long to say its versions, s.
+VERSION_WITHIN = 2.0
 # The major number of the firmware whose protocol this is.
 _MAJOR = "1"
 
@@ -55,7 +53,7 @@ class Connection(Inbox):
 
     def trouble(self, now: float) -> str | None:
         """Why this connection is none (any longer), and what to do about it; None as long as nothing is wrong."""
-        if now - self._heard > LOST_AFTER:
+        if now - self._heard > odometry.LONGEST_GAP:
             if self.core is not None:
                 return "the base fell silent; switch it on and check the cable"
             if self._said_anything:
@@ -121,7 +119,7 @@ class Connection(Inbox):
             unique_id=self.unique_id,
             lost=max(0.0, 1.0 - self._frames / max(due, 1.0)),
         )
-        if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= _STATE_EVERY:
+        if before is None or _lasting(state) != _lasting(before) or stamp - before.stamp >= odometry.LONGEST_GAP:
             self._messages.append(state)
             self._state, self._frames = state, 0
 

@@ -24,8 +24,9 @@ METRES_PER_TICK = 8.5292090e-5
 GYRO_UNIT = math.radians(0.01)
 # No wheel moves and no base turns faster, m/s and rad/s: twice the base's top speeds, and more than its gyro measures.
 _FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
-# Frames farther apart than this are no longer reckoned between, s.
-_LONGEST_GAP = 1.0
+# Frames farther apart than this are no longer reckoned between, s: the base was not connected. As often it says how it
+# is.
+LONGEST_GAP = 1.0
 # Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
 _REST = 0.1
 # Gyro and wheels may disagree by this share of the wheels' turn, as wheels slip, and at this rate, rad/s, as they are
@@ -85,7 +86,7 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
         return _anew(state, core, inertia, received, f"clock went back by {-duration:.2f} s: {_RESTARTED}")
     if (ahead := state.base_time + duration + state.offset - received) > AHEAD:
         return _anew(state, core, inertia, received, f"clock is {ahead:.2f} s ahead of this machine's: {_RESTARTED}")
-    if duration > _LONGEST_GAP:
+    if duration > LONGEST_GAP:
         return first(core, inertia, received, state)
     left = METRES_PER_TICK * _signed(core.left_encoder - state.core.left_encoder)
     right = METRES_PER_TICK * _signed(core.right_encoder - state.core.right_encoder)

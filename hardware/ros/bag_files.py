@@ -19,6 +19,7 @@ from typing import IO, Any, NamedTuple
 
 import lz4.frame
 import zstandard
+from mcap.opcode import Opcode
 
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.io.yaml_text import parse_yaml
@@ -33,8 +34,7 @@ METADATA = "metadata.yaml"
 LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
 # A record or a message has at most so many bytes: an image is there to be passed over.
 _LARGEST = 256 * 2**20
-# Opcodes of the records that are read, of MCAP and of ROS 1.
-_SCHEMA, _CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _DATA_END = 3, 4, 5, 6, 15
+# Opcodes of the records that are read, of ROS 1.
 _ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 5, 7
 
 
@@ -155,13 +155,13 @@ def _of_mcap(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> 
     channels: dict[int, tuple[str, str, bool]] = {}
     stream.seek(len(_MCAP))
     for opcode, content in _unchunked(stream, unpacked):
-        if opcode == _SCHEMA:
+        if opcode == Opcode.SCHEMA:
             schemas[_number("<H", content)] = _text(content, 2)[0].replace("/msg/", "/")
-        elif opcode == _CHANNEL:
+        elif opcode == Opcode.CHANNEL:
             number, schema = struct.unpack_from("<HH", content)
             topic, after = _text(content, 4)
             channels[number] = topic, schemas.get(schema, ""), _text(content, after)[0] == "ros1"
-        elif opcode == _MCAP_MESSAGE:
+        elif opcode == Opcode.MESSAGE:
             number, _, logged = struct.unpack_from("<HIQ", content)
             topic, kind, ros1 = channels.get(number, ("", "", False))
             if kind in kinds:
@@ -180,11 +180,11 @@ def _unchunked(stream: IO[bytes], unpacked: _Unpacked) -> Iterator[tuple[int, by
             raise ValueError("a record of no kind")
         content = _read(stream, length)
         whole = len(content) == length
-        if opcode == _MCAP_CHUNK:
+        if opcode == Opcode.CHUNK:
             packing, at = _text(content, 28)
             with contextlib.suppress(EOFError):
                 yield from _unchunked(io.BytesIO(unpacked(packing, content[at + 8 :])), unpacked)
-        elif opcode == _DATA_END:
+        elif opcode == Opcode.DATA_END:
             return
         elif whole:
             yield opcode, content

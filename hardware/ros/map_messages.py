@@ -42,6 +42,7 @@ CELL = 0.05
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
 CYLINDER, LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 3, 5, 7, 9, 3
+
 # Few, because every point is an object of its own to ROS.
 ELLIPSE_CORNERS = 16
 

@@ -25,7 +25,7 @@ FAILED = 2
 # The motor's duty, of 1023, at which an A2 or A3 turns ten times a second.
 DUTY = 660
 
-NODE = 5
+_NODE = struct.Struct("<BHH")
 # Nodes that must follow each other well before the first is believed: after bytes were lost, and else, for a node whose
 # last bytes are lost looks well itself.
 _RUN, _NEXT = 6, 2
@@ -82,7 +82,7 @@ def encode(node: Node) -> bytes:
     angle = round(math.degrees(node.angle) * 64.0) & 0x7FFF
     quarters = 0 if math.isnan(node.range) else round(node.range * 4000.0)
     quality = 15 if quarters else 0
-    return struct.pack("<BHH", quality << 2 | (1 if node.begins else 2), angle << 1 | 1, quarters)
+    return _NODE.pack(quality << 2 | (1 if node.begins else 2), angle << 1 | 1, quarters)
 
 
 class NodeDecoder:
@@ -103,14 +103,14 @@ class NodeDecoder:
         self._pending += data
         nodes = []
         at = 0
-        while at + NODE * (run := _RUN if self._angle is None else _NEXT) <= len(self._pending):
+        while at + _NODE.size * (run := _RUN if self._angle is None else _NEXT) <= len(self._pending):
             angle = _angle(self._pending, at, self._angle)
             if angle is not None and self._runs(at, run):
                 self._angle = angle
-                first, _, quarters = struct.unpack_from("<BHH", self._pending, at)
+                first, _, quarters = _NODE.unpack_from(self._pending, at)
                 distance = quarters / 4000.0 if quarters else math.nan
                 nodes.append(Node(bool(first & 1), math.radians(angle), distance))
-                at += NODE
+                at += _NODE.size
             elif self._angle is not None:
                 self._angle = None  # the ray may be good, and what was before it lost
             else:
@@ -122,7 +122,7 @@ class NodeDecoder:
     def _runs(self, at: int, run: int) -> bool:
         angle: float | None = None
         for k in range(run):
-            angle = _angle(self._pending, at + NODE * k, angle)
+            angle = _angle(self._pending, at + _NODE.size * k, angle)
             if angle is None:
                 return False
         return True

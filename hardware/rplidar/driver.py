@@ -21,8 +21,6 @@ from tfg_drake.hardware.watchdog import TICK
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
 # How long to wait for an answer, and for a scanner that was reset, s.
 ANSWER_WITHIN, RESET_WITHIN = 0.5, 1.0
-# Bytes that are read at once, at most: of many turns.
-_MOST = 1 << 16
 
 
 class RplidarDriver(SensorReader):
@@ -98,13 +96,13 @@ class RplidarDriver(SensorReader):
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
         while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
             if wait([self._device.fileno()], left):
-                heard += self._device.read(_MOST)
+                heard += self._device.read(self._device.in_waiting)
         return told
 
     def _receive(self, left: float) -> None:
         try:
             if wait([self._device.fileno()], left):
-                self._take_in(self._device.read(_MOST), time.monotonic())
+                self._take_in(self._device.read(self._device.in_waiting), time.monotonic())
             if time.monotonic() - self._heard > SILENT:
                 self._lose(f"says nothing for {SILENT:.0f} s: does it turn? It is started again")
         except OSError:

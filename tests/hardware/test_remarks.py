@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hardware.fake_robot import base_state
-from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, TOLD_BEFORE, BatteryWatch, Remark, begun, watched, where
+from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, BatteryWatch, Remark, begun, watched, where
 from tfg_drake.messages import Hazards
 
 
@@ -127,7 +127,7 @@ def test_a_low_battery_calls_the_robot_back_once_and_an_empty_one_ends_the_missi
         # It is asked more often than the base says anything.
         asked += [(i, request) for request in watch.requests() + watch.requests()]
         ends.append(watch.empty(recalls))
-    first = int(LOW_LASTS + TOLD_BEFORE)
+    first = int(LOW_LASTS + QUIET)
     assert asked == [(first, "recall")]
     low, empty = "" if recalls else "The battery is low, 13.8 V", "The battery is nearly empty, 13.8 V"
     assert ends == [""] * first + [low] * 16 + [empty] * 8
