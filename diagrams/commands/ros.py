@@ -56,10 +56,10 @@ def emulate(
         threading.Thread(target=_report, args=(robot,), daemon=True).start()
         emulator.run(lambda: True)
     emulator.close()
-    print(json.dumps(robot.truth()), flush=True)
+    print(json.dumps(robot.report()), flush=True)
 
 
 def _report(robot: EmulatedTurtlebot) -> None:
     for line in sys.stdin or ():
         if line.strip() == "report":
-            print(json.dumps(robot.truth()), flush=True)
+            print(json.dumps(robot.report()), flush=True)

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.config import OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.hardware.device import WAITING, DeviceError
-from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
-from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors
+from tfg_drake.hardware.emulation.emulated_robot import EmulatedRobot
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.map_messages import Fields, pose_fields, transform
 from tfg_drake.hardware.ros.preset import Preset, Topic
@@ -32,7 +31,7 @@ from tfg_drake.world.world import World
 SENSE_EVERY = 3
 
 
-class EmulatedTurtlebot(EmulatedSensors):
+class EmulatedTurtlebot(EmulatedRobot):
     """Stepped by whoever owns it; every time is the host's monotonic clock, s.
 
     It has no watchdog of its own: it keeps the velocity it was last told, so a stop is the driver's doing.
@@ -53,10 +52,9 @@ class EmulatedTurtlebot(EmulatedSensors):
     ) -> None:
         """preset: the mount of its scanner, its frames. seed: of the sensors' noise, None for none."""
         # A TurtleBot 4's lidar sees all round; as it is mounted, a narrower field of view would not see ahead.
-        super().__init__(world, tags, dataclasses.replace(scanner, field_of_view=2.0 * math.pi), seed)
+        super().__init__(world, None, tags, dataclasses.replace(scanner, field_of_view=2.0 * math.pi), seed)
         self._preset, self._wheels = preset, wheels
-        self._run_errors = odometry.run_errors(self._noise(3), wheels)
-        self._body = EmulatedBody(world.walls, world.start, RobotConfig())
+        self._run_errors = odometry.run_errors(self.noise(3), wheels)
         self._odometry = odometry.initial_state(world.start)
         self._steps = 0
         self._command = (0.0, 0.0)
@@ -76,12 +74,12 @@ class EmulatedTurtlebot(EmulatedSensors):
     def step(self) -> dict[str, Fields]:
         """One period on; the messages to publish, by their key in the preset's topics, and "tf"."""
         now = time.monotonic()
-        self._body.move(self._command, COMMAND_PERIOD)
+        self.move(self._command, COMMAND_PERIOD)
         self._steps += 1
-        pose, X_WB = self._body.state[drive.X : drive.TURN_RATE + 1], self._body.pose.copy()
+        pose, X_WB = self.state[drive.X : drive.TURN_RATE + 1], self.pose.copy()
         self.poses.append((now, X_WB))
         self._odometry = odometry.integrate(
-            self._odometry, self._steps * COMMAND_PERIOD, pose, self._run_errors, self._noise(2), self._wheels
+            self._odometry, self._steps * COMMAND_PERIOD, pose, self._run_errors, self.noise(2), self._wheels
         )
         frames, mount = self._preset.frames, self._preset.scanner
         stamp = conversions.ros_time(now + self.clock)
@@ -92,9 +90,9 @@ class EmulatedTurtlebot(EmulatedSensors):
         }
         if self._steps % SENSE_EVERY == 0:
             X_WS = se2.compose(X_WB, np.array([mount.x, mount.y, mount.yaw]))
-            if (scan := self._told_scan(X_WS, 0.0)) is not None:
+            if (scan := self.told_scan(X_WS, 0.0)) is not None:
                 messages["scan"] = _scan({"stamp": stamp, "frame_id": "rplidar_link"}, scan)
-            if (found := self._told_tags(X_WB, 0.0)) is not None:
+            if (found := self.told_tags(X_WB, 0.0)) is not None:
                 messages["detections"] = _cloud({"stamp": stamp, "frame_id": frames.base}, found)
         return {key: message for key, message in messages.items() if key not in self.silent}
 
@@ -110,9 +108,9 @@ class EmulatedTurtlebot(EmulatedSensors):
                 publish(key, message)
             spin(max(0.0, due - time.monotonic()))
 
-    def truth(self) -> dict[str, Any]:
-        """The truth, as EmulatedBody has it."""
-        return self._body.truth(self.poses[-1][0])
+    def report(self) -> dict[str, Any]:
+        """The truth, as EmulatedRobot has it."""
+        return self.truth(self.poses[-1][0])
 
 
 def _odometry(header: Fields, base: str, message: Odometry) -> Fields:

@@ -9,18 +9,19 @@ import json
 import math
 import random
 import time
+from typing import Any
 
 import numpy as np
 
 from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.hardware.device import WAITING, Button
-from tfg_drake.hardware.emulation.emulated_body import EmulatedBody
 from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
-from tfg_drake.hardware.emulation.sensor_faults import EmulatedSensors, sensor_fault
+from tfg_drake.hardware.emulation.emulated_robot import EmulatedRobot
+from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
 from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
-from tfg_drake.messages import FloatArray, Side
+from tfg_drake.messages import Side
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.world.world import World, bare_world
 
@@ -40,7 +41,7 @@ _OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
 DOCKED = 6
 
 
-class EmulatedBase(EmulatedBody):
+class EmulatedBase(EmulatedRobot):
     """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
 
     outputs: the newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop,
@@ -50,9 +51,11 @@ class EmulatedBase(EmulatedBody):
     meanwhile is never said. firmware: the version that it says, (major, minor, patch).
     """
 
-    def __init__(self, walls: FloatArray, start: FloatArray, robot: RobotConfig) -> None:
-        """robot: its radius and accelerations count; speeds are the base's."""
-        super().__init__(walls, start, dataclasses.replace(robot, max_speed=MAX_SPEED, max_turn_rate=MAX_TURN_RATE))
+    def __init__(self, world: World, robot: RobotConfig | None = None, *sensors: Any) -> None:
+        """robot: its radius and accelerations count; speeds are the base's. sensors: as of EmulatedRobot."""
+        robot = robot or RobotConfig()
+        own = dataclasses.replace(robot, max_speed=MAX_SPEED, max_turn_rate=MAX_TURN_RATE)
+        super().__init__(world, own, *sensors)
         self.outputs = 0
         self.sounds: list[int] = []
         self.bumper = self.wheel_drop = self.cliff = self.buttons = self.charger = self.overcurrent = 0
@@ -132,15 +135,15 @@ def empty_plane() -> World:
     return bare_world(np.zeros((0, 4)), np.zeros(3))
 
 
-class Emulator(EmulatedSensors, EmulatedDevice):
+class Emulator(EmulatedDevice):
     """The base, switched on from `with` or start() until close(). Without its cable it goes on with what it was told
     last.
 
-    sensors: address (host, port) of the socket with tags and scans. base: the base itself, with the truth. commands:
+    sensors: address (host, port) of the socket with tags and scans. base: the base itself, with the truth, and what is
+    wrong with its tags and scans. commands:
     what a driver told the wheels, newest last: (time, p.BaseControl), the time when it was read, s of time.monotonic().
     corrupt, lost, late: shares of frames that leave with a byte changed, not at all, or DELAY late with their old
-    stamp. silent: it says nothing, but obeys. faults: what is wrong with "tags" or "scan" on the socket, see
-    sensor_faults.
+    stamp. silent: it says nothing, but obeys.
 
     Stamps of tags and scans are s of time.monotonic(), too. There are no stamps of frames but the base's own.
     """
@@ -154,10 +157,8 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         seed: int = 0,
     ) -> None:
         """world: an empty plane where there is none. seed: of the sensors' noise and of the corrupted bytes."""
-        world = world or empty_plane()
-        EmulatedSensors.__init__(self, world, tags or TagSensorConfig(), scanner or ScanConfig(), seed)
         self._chance = random.Random(seed)
-        self.base = EmulatedBase(world.walls, world.start, robot or RobotConfig())
+        self.base = EmulatedBase(world or empty_plane(), robot, tags, scanner, seed)
         self.commands: collections.deque[tuple[float, p.BaseControl]] = collections.deque(maxlen=WAITING)
         self.corrupt = self.lost = self.late = 0.0
         self.silent = False
@@ -167,7 +168,7 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         self._begin = 0.0
         self._socket = SensorSocket()
         self.sensors = self._socket.address
-        EmulatedDevice.__init__(self, "kobuki")
+        super().__init__("kobuki")
 
     def _switch_on(self) -> None:
         self.base.step()
@@ -180,7 +181,7 @@ class Emulator(EmulatedSensors, EmulatedDevice):
         self._deframer = p.Deframer()
 
     def report(self) -> dict[str, object]:
-        """The truth, as EmulatedBody has it."""
+        """The truth, as EmulatedRobot has it."""
         with self._lock:
             return self.base.truth(self._begin + self.base.time)
 
@@ -221,10 +222,10 @@ class Emulator(EmulatedSensors, EmulatedDevice):
 
     def _sense(self, begin: float, before: float) -> None:
         """Tags and a scan, each when another of its periods is over since `before`, s."""
-        now, pose = self.base.time, self.base.pose
-        for sensor, told in ((self._tags, self._told_tags), (self._scanner, self._told_scan)):
+        base, now = self.base, self.base.time
+        for sensor, told in ((base.tags, base.told_tags), (base.scanner, base.told_scan)):
             due = _count(now, sensor.rate) > _count(before, sensor.rate)
-            if due and (message := told(pose, begin + now)) is not None:
+            if due and (message := told(base.pose, begin + now)) is not None:
                 self._socket.send(sensor_line(message))
 
 
@@ -243,9 +244,9 @@ def order(emulator: Emulator, line: str) -> str | None:
             case ["silent", "on" | "off" as state]:
                 emulator.silent = state == "on"
             case ["tags" | "scan" as sensor, "well"]:
-                emulator.faults.pop(sensor, None)
+                base.faults.pop(sensor, None)
             case ["tags" | "scan" as sensor, name, *numbers] if all(math.isfinite(float(one)) for one in numbers):
-                emulator.faults[sensor] = sensor_fault(sensor, name, [float(one) for one in numbers])
+                base.faults[sensor] = sensor_fault(sensor, name, [float(one) for one in numbers])
             case ["corrupt" | "lost" | "late" as what, share] if 0.0 <= float(share) <= 1.0:
                 setattr(emulator, what, float(share))
             case ["unplug"]:

@@ -1,4 +1,4 @@
-"""An emulated robot's scans and tags, and their faults: functions that change a message before it is sent."""
+"""Faults of an emulated robot's scans and tags: functions that change a message before it is sent."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.config import ScanConfig, TagSensorConfig
 from tfg_drake.messages import FloatArray, LaserScan, TagDetections, replace
-from tfg_drake.simulation import laser_scanner, tag_sensor
-from tfg_drake.world.world import World
 
 # What is sent instead of a message; None for nothing.
 Fault = Callable[[Any], Any]
@@ -20,34 +17,6 @@ Fault = Callable[[Any], Any]
 def unchanged(message: Any) -> Any:
     """No fault."""
     return message
-
-
-class EmulatedSensors:
-    """Base of an emulated robot: its tags and scans, as they are told.
-
-    faults: of "tags" or "scan", see sensor_fault.
-    """
-
-    def __init__(self, world: World, tags: TagSensorConfig, scanner: ScanConfig, seed: int | None) -> None:
-        """seed: of the noise, None for none."""
-        self._world, self._tags, self._scanner = world, tags, scanner
-        self._angles = laser_scanner.ray_angles(scanner)
-        self._random = None if seed is None else np.random.default_rng(seed)
-        self.faults: dict[str, Fault] = {}
-
-    def _noise(self, *shape: int) -> FloatArray:
-        return np.zeros(shape) if self._random is None else self._random.normal(size=shape)
-
-    def _told_scan(self, X_WS: FloatArray, stamp: float) -> Any:
-        """The scan from a pose X_WS (3,) after its fault; None where none is sent."""
-        noise = self._noise(len(self._angles))
-        scan = laser_scanner.scan(self._world.walls, X_WS, stamp, self._angles, noise, self._scanner)
-        return self.faults.get("scan", unchanged)(scan)
-
-    def _told_tags(self, X_WB: FloatArray, stamp: float) -> Any:
-        """Detections from a pose X_WB (3,) after their fault; None where none are sent."""
-        noise = self._noise(len(self._world.tag_ids), tag_sensor.NOISE_PER_TAG)
-        return self.faults.get("tags", unchanged)(tag_sensor.detect(self._world, X_WB, stamp, noise, self._tags))
 
 
 def sensor_fault(sensor: str, name: str, numbers: Sequence[float] = ()) -> Fault:

@@ -137,7 +137,7 @@ def test_an_emulated_robot_is_well_until_something_is_wrong_with_it():
         devices = open_devices(config, scenario.robot)
         try:
             refuse(check(devices))
-            emulator.faults = {
+            emulator.base.faults = {
                 "scan": lambda scan: replace(scan, stamp=scan.stamp - 0.7),
                 "tags": lambda tags: replace(tags, range=3.0 * tags.range),
             }

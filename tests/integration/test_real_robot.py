@@ -151,7 +151,7 @@ def _mirrored(scan):
 @pytest.mark.slow
 def test_a_mirrored_scan_stops_it_until_it_is_enabled_anew_and_an_empty_battery_ends_it(tmp_path):
     with Emulator(WORLD) as emulator:
-        emulator.faults = {"scan": _mirrored}
+        emulator.base.faults = {"scan": _mirrored}
         explorer = Explorer(emulator, tmp_path, 300.0)
         explorer.wait_for("answer, none is pressed")
         _drives(emulator, explorer)
@@ -172,7 +172,7 @@ def test_a_mirrored_scan_stops_it_until_it_is_enabled_anew_and_an_empty_battery_
 @pytest.mark.slow
 def test_what_is_checked_can_be_left_out_and_that_is_told(tmp_path):
     with Emulator(WORLD) as emulator:
-        emulator.faults, emulator.base.bumper = {"scan": _mirrored}, 4
+        emulator.base.faults, emulator.base.bumper = {"scan": _mirrored}, 4
         refused = Explorer(emulator, tmp_path / "refused", 300.0)
         refused.wait_for("bumper left  FAILS: see what presses it")
         refused.wait_for("tfg-drake: checks that failed: bumper, cliff; mend that, or leave all out by --skip-checks")

@@ -138,7 +138,7 @@ def test_what_goes_wrong_while_it_drives(mission, name):
     elif isinstance(fault.wrong[0], signal.Signals):
         send(explorer, *fault.wrong)
     else:
-        emulator.faults[fault.wrong[0]] = sensor_fault(fault.wrong[0], fault.wrong[1], fault.wrong[2:])
+        emulator.base.faults[fault.wrong[0]] = sensor_fault(fault.wrong[0], fault.wrong[1], fault.wrong[2:])
     if fault.stands:
         wait_until(lambda: time.monotonic() > begin + 1.0 and stood(emulator, fault.stands), "it does not stand")
     else:
@@ -150,7 +150,7 @@ def test_what_goes_wrong_while_it_drives(mission, name):
         with contextlib.suppress(IndexError):
             send(explorer, signal.SIGCONT, fault.wrong[1])
     else:
-        del emulator.faults[fault.wrong[0]]
+        del emulator.base.faults[fault.wrong[0]]
     if fault.anew:
         time.sleep(QUIET)
         assert all(abs(v) <= 1e-3 and abs(w) <= 1e-3 for v, w in told_velocities(emulator, mended))

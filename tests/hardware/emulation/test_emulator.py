@@ -9,20 +9,19 @@ import time
 import numpy as np
 import pytest
 
-from tfg_drake.config import RobotConfig
 from tfg_drake.hardware.emulation.emulator import DELAY, EmulatedBase, Emulator, empty_plane
 from tfg_drake.hardware.emulation.sensor_faults import sensor_fault
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry as o
 from tfg_drake.hardware.kobuki.codec import FEEDBACK, Deframer, decode, encode
-from tfg_drake.world.world import World
+from tfg_drake.world.world import World, bare_world
 
 WALL = np.array([[1.0, -1.0, 1.0, 1.0]])
 
 
 @pytest.fixture
 def base():
-    return EmulatedBase(np.zeros((0, 4)), np.zeros(3), RobotConfig())
+    return EmulatedBase(empty_plane())
 
 
 def run(base, steps):
@@ -63,7 +62,7 @@ def test_it_has_the_bases_top_speed(base):
 
 
 def test_a_wall_presses_the_bumper():
-    base = EmulatedBase(WALL, np.array([0.6, 0.0, 0.0]), RobotConfig())
+    base = EmulatedBase(bare_world(WALL, np.array([0.6, 0.0, 0.0])))
     assert base.feedback()[0].bumper == 0
     base.obey(p.BaseControl(200, 0))
     run(base, 200)
@@ -193,7 +192,7 @@ def test_the_socket_says_what_the_sensors_see():
 
 def test_the_socket_says_what_is_left_of_it():
     with Emulator() as emulator:
-        emulator.faults = {"scan": sensor_fault("scan", "none"), "tags": sensor_fault("tags", "silent")}
+        emulator.base.faults = {"scan": sensor_fault("scan", "none"), "tags": sensor_fault("tags", "silent")}
         seen = lines(emulator, 3)
     # The first may have been on its way.
     assert [(line["type"], line["ranges"]) for line in seen[2:]] == [("scan", [])]

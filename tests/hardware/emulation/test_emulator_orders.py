@@ -43,14 +43,14 @@ def test_silence_and_what_happens_to_frames(emulator):
 def test_faults_of_the_sensors(emulator):
     seen = LaserScan(1.0, np.zeros(1), np.ones(1), 10.0, 0.015)
     order(emulator, "scan silent")
-    assert emulator.faults["scan"](seen) is None
+    assert emulator.base.faults["scan"](seen) is None
     order(emulator, "scan drop 1")
-    assert np.isnan(emulator.faults["scan"](seen).ranges).all()
+    assert np.isnan(emulator.base.faults["scan"](seen).ranges).all()
     order(emulator, "tags range 1e200")
-    assert set(emulator.faults) == {"scan", "tags"}
+    assert set(emulator.base.faults) == {"scan", "tags"}
     order(emulator, "scan well")
     order(emulator, "scan well")
-    assert set(emulator.faults) == {"tags"}
+    assert set(emulator.base.faults) == {"tags"}
 
 
 def test_the_bases_power_and_clock(emulator):
