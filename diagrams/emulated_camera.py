@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import subprocess
 import sys
 import threading
 import time
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
+from tfg_drake.hardware import process
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.world.world import World, WorldError
@@ -39,14 +39,8 @@ class EmulatedCamera:
         """pose: the robot's true X_WB (3,) now. Raises WorldError where the world cannot be drawn."""
         self._pose = pose
         self._connection, theirs = Pipe()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.diagrams.emulated_camera", str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        theirs.close()
+        with theirs:
+            self._process = process.start("tfg_drake.diagrams.emulated_camera", theirs.fileno())
         self._connection.send(world)
         told = self._connection.recv()
         if isinstance(told, WorldError):

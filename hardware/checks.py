@@ -16,14 +16,13 @@ import numpy as np
 
 from tfg_drake.hardware.device import BaseState, Device, DeviceError
 from tfg_drake.hardware.plausible import made_up
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.remarks import battery, charge_left, where
 from tfg_drake.hardware.robot_devices import STALE, RobotDevices
+from tfg_drake.hardware.sensor_reader import SILENT
 from tfg_drake.hardware.sensor_source import Source
-from tfg_drake.hardware.watchdog import TICK
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 
-# How long is listened, s.
-LISTENS = 2.0
 # A ray so near to a sighting's bearing, rad, shows what stands there.
 BESIDE = 0.02
 # So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
@@ -48,7 +47,7 @@ class Check:
 
 @dataclasses.dataclass(frozen=True)
 class Heard:
-    """The messages of a kind that came in LISTENS, and the least age of any of them when it was there, s."""
+    """The messages of a kind that came in SILENT, s, and the least age of any of them when it was there, s."""
 
     messages: Sequence[Any] = ()
     age: float = math.inf
@@ -61,7 +60,7 @@ def check(devices: RobotDevices) -> list[Check]:
         sources[TagDetections] = devices.tags
     for kind, source in sources.items():
         source.take(kind, time.monotonic())  # What has been waiting.
-    heard, end = dict.fromkeys(sources, Heard()), time.monotonic() + LISTENS
+    heard, end = dict.fromkeys(sources, Heard()), time.monotonic() + SILENT
     while (now := time.monotonic()) < end:
         for kind, source in sources.items():
             new, before = source.take(kind, now), heard[kind]
@@ -117,9 +116,9 @@ def _hazards(said: Sequence[Hazards], on_ros: bool) -> Check:
 def _arrives(name: str, heard: Heard, mend: str) -> Check:
     """How often messages of a kind come and how old even the fastest of them are."""
     if not heard.messages:
-        return Check(name, f"none in {LISTENS:g} s", f"{mend}, and whether its clock is this computer's")
+        return Check(name, f"none in {SILENT:g} s", f"{mend}, and whether its clock is this computer's")
     late = "" if heard.age <= STALE[name] else f"its clock is behind this computer's, or it is slow: {mend}"
-    return Check(name, f"{len(heard.messages) / LISTENS:.0f} a second, {heard.age:.2f} s old", late)
+    return Check(name, f"{len(heard.messages) / SILENT:.0f} a second, {heard.age:.2f} s old", late)
 
 
 def _rays(scans: Sequence[LaserScan]) -> Check:

@@ -14,7 +14,6 @@ import itertools
 import math
 import select
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -26,6 +25,7 @@ import numpy as np
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.sweep import Sweep
+from tfg_drake.hardware import process
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.io.extras import pip_install
 from tfg_drake.messages import Hazards, LaserScan, Odometry, SaidPose, TagDetections, message
@@ -225,15 +225,7 @@ class Device:
             announced, announcing = Pipe(duplex=False)
             with theirs, announced:
                 given = theirs.fileno(), announced.fileno()
-                # In a session of its own: an interrupt from the keyboard is for this process, which stops the robot by
-                # ending.
-                self._process = subprocess.Popen(
-                    [sys.executable, "-m", "tfg_drake.hardware.driver_process", *map(str, given)],
-                    pass_fds=given,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    start_new_session=True,
-                )
+                self._process = process.start("tfg_drake.hardware.driver_process", *given)
             self._announcements = Outbox(announcing)
             undo.callback(self._announcements.close)
             self._reader.start()
@@ -269,11 +261,6 @@ class Device:
         with self._changed:
             nearest = min(self._odometry, key=lambda one: abs(one.stamp - stamp), default=None)
         return nearest if nearest is not None and abs(nearest.stamp - stamp) < 1.0 else None
-
-    @property
-    def process_id(self) -> int:
-        """PID of the process."""
-        return self._process.pid
 
     @property
     def locked(self) -> str | None:

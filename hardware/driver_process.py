@@ -22,12 +22,11 @@ from multiprocessing.connection import Connection
 
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, WAITING, BaseState, DeviceError, Driver, Outbox
 from tfg_drake.hardware.plausible import Judge
+from tfg_drake.hardware.process import LAST_WORDS, TICK
 from tfg_drake.hardware.remarks import alarms
-from tfg_drake.hardware.watchdog import SILENCE, TICK, Watchdog
+from tfg_drake.hardware.watchdog import SILENCE, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
-# The last word to the base is said this often, a tick apart: one may be lost.
-_LAST_ZEROS = 5
 # How long orders are taken up before the robot has its turn again, however many there are, s.
 _ORDERS_WITHIN = TICK
 
@@ -85,7 +84,7 @@ def serve(driver: Driver, connection: Connection) -> None:
     except (EOFError, OSError):
         pass  # the other end is gone
     finally:
-        for _ in range(_LAST_ZEROS if moved else 0):
+        for _ in range(LAST_WORDS if moved else 0):
             with contextlib.suppress(Exception):  # whatever has happened, the next one may arrive
                 driver.send(0.0, 0.0)
                 driver.spin(TICK)

@@ -33,8 +33,8 @@ PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtleb
 # The newest message of each may be so old, s. A camera's frames are few where a slow computer looks for tags in them,
 # and nobody is run over for want of one.
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
-# How near a scanner sees, by its transport, m. What serves a socket says itself where nothing is known.
-NEAREST = {"rplidar": LEAST_RANGE, "realsense": LEAST_DEPTH, "socket": 0.0}
+# How near a scanner of our own sees, by its transport, m. What serves a socket says itself where nothing is known.
+NEAREST = {"rplidar": LEAST_RANGE, "realsense": LEAST_DEPTH}
 # As a source of tags: the robot has none, whatever its preset says.
 NO_TAGS = "none"
 # Cameras of our own that tags come from: each as a source, and its configuration.
@@ -161,7 +161,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         opened,
         sources.get("base"),
         preset.frames if on_ros else None,
-        NEAREST.get(scanner, preset.scanner.least_range),
+        NEAREST.get(scanner, 0.0 if scanner == "socket" else preset.scanner.least_range),
         view,
     )
 

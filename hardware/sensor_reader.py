@@ -10,16 +10,16 @@ from typing import Any
 
 from tfg_drake.hardware.device import DeviceError, Driver, Message
 from tfg_drake.hardware.plausible import Refusals
-from tfg_drake.hardware.watchdog import TICK
+from tfg_drake.hardware.process import TICK
 
 # How long to wait for a device's first message, s.
 PATIENCE = 10.0
-# A device that says nothing for so long is opened again, s.
+# A device that says nothing for so long is opened again, or is a new connection, s.
 SILENT = 2.0
 # Between two attempts to connect again, s: the first and the last.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
-# A device's own stamp is believed where it is that much older than the message's arrival, s.
-_OLDEST = 1.0
+# What a sensor says may be this old when it arrives, s; a stamp that is older is of another clock.
+OLDEST = 1.0
 
 
 def delays() -> Iterator[float]:
@@ -32,7 +32,7 @@ def delays() -> Iterator[float]:
 
 def stamped(stamp: float, arrival: float, otherwise: float) -> float:
     """A device's own stamp of what has just arrived, s, or another one where that cannot be of this clock."""
-    return stamp if arrival - _OLDEST < stamp <= arrival else otherwise
+    return stamp if arrival - OLDEST < stamp <= arrival else otherwise
 
 
 class Inbox:
@@ -84,7 +84,7 @@ class SensorReader(Inbox, Driver, abc.ABC):
 
     @abc.abstractmethod
     def _missing(self) -> str:
-        """What has not arrived in PATIENCE, and how to mend that; "" where it has."""
+        """The complaint about what has not arrived in PATIENCE, "" where all has."""
 
     def _begin(self) -> None:
         """Connects, and waits until nothing is missing; raises OSError, DeviceError."""

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from tfg_drake.constraints import Bounds, Positive
+from tfg_drake.hardware.process import TICK
 from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
@@ -19,8 +20,6 @@ SILENCE = 0.5
 # What a base says of itself must last so long before it stops it, s: a wheel that starts and one garbled frame are no
 # alarm.
 LASTING = 0.2
-# The velocity is sent this often, s.
-TICK = 0.02
 # Reasons that say less than any other.
 _NOT_ENABLED = "not enabled yet"
 _NO_ODOMETRY = f"no odometry for more than {SILENCE} s"

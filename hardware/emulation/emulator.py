@@ -34,11 +34,6 @@ FULL = 165
 _BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
 # How late a late frame is, s.
 DELAY = 0.2
-# Bits of CoreSensors. A wheel without a side is both.
-_WHEELS = {"left": 2, "right": 1, "": 3}
-_OVERCURRENT = {"none": 0, "left": 1, "right": 2, "both": 3}
-# Of the charger: in the dock, charging.
-DOCKED = 6
 
 
 class EmulatedBase(EmulatedRobot):
@@ -87,9 +82,9 @@ class EmulatedBase(EmulatedRobot):
             case p.RequestExtra():
                 major, minor, patch = self.firmware
                 answers: dict[int, p.SubPayload] = {
-                    1: p.HardwareVersion(4, 0, 1),
-                    2: p.FirmwareVersion(patch, minor, major),
-                    8: p.UniqueId(1, 2, 3),
+                    p.Extra.HARDWARE: p.HardwareVersion(4, 0, 1),
+                    p.Extra.FIRMWARE: p.FirmwareVersion(patch, minor, major),
+                    p.Extra.UNIQUE_ID: p.UniqueId(1, 2, 3),
                 }
                 self._answers += [answer for flag, answer in answers.items() if part.flags & flag]
 
@@ -260,13 +255,18 @@ def order(emulator: Emulator, line: str) -> str | None:
             case ["open" | "close" as verb, "cliff", side]:
                 base.cliff = _changed(base.cliff, Side[side.upper()], verb == "open")
             case ["drop" | "raise" as verb, "wheel", *side]:
-                base.wheel_drop = _changed(base.wheel_drop, _WHEELS[" ".join(side)], verb == "drop")
+                wheels = p.Wheel[" ".join(side).upper()] if side else p.Wheel.LEFT | p.Wheel.RIGHT
+                base.wheel_drop = _changed(base.wheel_drop, wheels, verb == "drop")
             case ["battery", volts] if 0.0 <= float(volts) <= 25.5:
                 base.battery = round(10.0 * float(volts))
             case ["dock" | "undock" as verb]:
-                base.charger = DOCKED if verb == "dock" else 0
+                base.charger = p.Charger.CONNECTED | p.Charger.CHARGING if verb == "dock" else 0
+            case ["overcurrent", "none"]:
+                base.overcurrent = 0
+            case ["overcurrent", "both"]:
+                base.overcurrent = p.Motor.LEFT | p.Motor.RIGHT
             case ["overcurrent", wheel]:
-                base.overcurrent = _OVERCURRENT[wheel]
+                base.overcurrent = p.Motor[wheel.upper()]
             case ["clock", ahead] if math.isfinite(float(ahead)):
                 base.clock += float(ahead)
             case ["stick", "gyro" | "encoders" as sensor]:

@@ -12,15 +12,14 @@ import numpy as np
 from tfg_drake.config import ScanConfig
 from tfg_drake.geometry.se2 import compose, wrap_angle
 from tfg_drake.hardware.emulation.emulated_device import EmulatedDevice, PseudoTerminal
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.rplidar import codec
-from tfg_drake.hardware.rplidar.codec import Node
+from tfg_drake.hardware.rplidar.codec import Command, Health, Node
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.laser_scanner import scan
 
 # Rays a second, and revolutions, as an A1 has them.
 RAYS, TURNS = 2000.0, 5.5
-# It sends this often, s.
-_STEP = 0.01
 
 
 class RplidarEmulator(EmulatedDevice):
@@ -66,7 +65,7 @@ class RplidarEmulator(EmulatedDevice):
 
     def _run(self) -> None:
         begin, sent = time.monotonic(), 0
-        while not self._stop.wait(_STEP):
+        while not self._stop.wait(TICK):
             due = int((time.monotonic() - begin) * RAYS)
             with self._lock:
                 if self._line is not None:
@@ -93,20 +92,20 @@ class RplidarEmulator(EmulatedDevice):
             line.write(self._answer(command, payload))
 
     def _answer(self, command: int, payload: bytes) -> bytes:
-        if command == codec.GET_INFO:
+        if command == Command.GET_INFO:
             return codec.descriptor(command) + bytes((self.model << 4 | 8, 29, 1, 7)) + bytes(16)
-        if command == codec.GET_HEALTH:
+        if command == Command.GET_HEALTH:
             failed = self.health != "good"
-            return codec.descriptor(command) + bytes((codec.FAILED if failed else 0, 1 if failed else 0, 0))
-        if command == codec.RESET:
+            return codec.descriptor(command) + bytes((Health.FAILED if failed else Health.GOOD, 1 if failed else 0, 0))
+        if command == Command.RESET:
             self.scanning = False
             self.health = "good" if self.health == "hung" else self.health
             return b"RP LIDAR System.\r\n"
-        if command == codec.STOP:
+        if command == Command.STOP:
             self.scanning = False
-        elif command == codec.MOTOR:
+        elif command == Command.MOTOR:
             self.duty = int.from_bytes(payload, "little")
-        elif command == codec.SCAN and self.health == "good":
+        elif command == Command.SCAN and self.health == "good":
             self.scanning = True
             return codec.descriptor(command)
         return b""
@@ -121,7 +120,8 @@ class RplidarEmulator(EmulatedDevice):
         self._last, moved = end, end - begin
         moved[2] = wrap_angle(moved[2])
         ranges = np.empty(count)
-        for block in np.array_split(np.arange(count), math.ceil(count / (RAYS * _STEP))):
+        # Half a tick's rays are cast from one place.
+        for block in np.array_split(np.arange(count), math.ceil(count / (0.5 * RAYS * TICK))):
             angles = -2.0 * math.pi * (turns[block] % 1.0)
             ranges[block] = self._measured(angles, begin + moved * ((block.mean() + 1.0) / count))
         data = b"".join(

@@ -11,6 +11,7 @@ its expansion port, nobody here reads.
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 import operator
 import struct
@@ -41,6 +42,51 @@ class Other(SubPayload):
     content: bytes
 
 
+class Tune(enum.IntEnum):
+    """Some of a SoundSequence's."""
+
+    ON = 0
+    OFF = 1
+
+
+class Extra(enum.IntFlag):
+    """Flags of RequestExtra."""
+
+    HARDWARE = 1
+    FIRMWARE = 2
+    UNIQUE_ID = 8
+
+
+class Output(enum.IntFlag):
+    """Bits of GeneralOutput: all power rails, the first LED."""
+
+    POWER = 0x00F0
+    RED = 0x0100
+    GREEN = 0x0200
+
+
+class Wheel(enum.IntFlag):
+    """Bits of CoreSensors.wheel_drop."""
+
+    RIGHT = 1
+    LEFT = 2
+
+
+class Motor(enum.IntFlag):
+    """Bits of CoreSensors.overcurrent."""
+
+    LEFT = 1
+    RIGHT = 2
+
+
+class Charger(enum.IntFlag):
+    """Bits of CoreSensors.charger; where ADAPTER is not set it hangs in its dock."""
+
+    CONNECTED = 2
+    CHARGING = 4
+    ADAPTER = 16
+
+
 # --- Host to base ---
 
 
@@ -65,7 +111,7 @@ class SoundSequence(SubPayload):
 
 @dataclasses.dataclass(frozen=True)
 class RequestExtra(SubPayload):
-    """Asks for what is not in every frame. flags: 1 hardware version, 2 firmware version, 8 unique id."""
+    """Asks for what is not in every frame. flags: bits of Extra."""
 
     ID = 9
     DATA = struct.Struct("<H")
@@ -89,10 +135,10 @@ class GeneralOutput(SubPayload):
 class CoreSensors(SubPayload):
     """Core sensor data, in every frame.
 
-    stamp: ms, wraps at 65536. bumper: bits 1 right, 2 centre, 4 left. wheel_drop: bits 1 right, 2 left. cliff: bits as
+    stamp: ms, wraps at 65536. bumper: bits 1 right, 2 centre, 4 left. wheel_drop: bits of Wheel. cliff: bits as
     the bumper's. left_encoder, right_encoder: ticks, wrap at 65536. left_pwm, right_pwm: as the motors get it. buttons:
-    bits 1, 2, 4. charger: 0 discharging, 2 full and 6 charging in the dock, 18 and 22 the same by the adapter. battery:
-    0.1 V. overcurrent: bits 1 left, 2 right.
+    bits 1, 2, 4. charger: bits of Charger. battery:
+    0.1 V. overcurrent: bits of Motor.
     """
 
     ID = 1

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
-from tfg_drake.hardware.sensor_reader import Inbox
+from tfg_drake.hardware.sensor_reader import SILENT, Inbox
 from tfg_drake.messages import replace
 
 if TYPE_CHECKING:
     import serial
 
-# A base has so long to say its versions, s.
-VERSION_WITHIN = 2.0
 # The major number of the firmware whose protocol this is.
 _MAJOR = "1"
 
@@ -59,7 +57,7 @@ class Connection(Inbox):
             if self._said_anything:
                 return "what answers there is no Kobuki at 115200 baud; name the base's port"
             return "no answer at 115200 baud; switch the base on, or name its port"
-        if not self.firmware and now - self._opened > VERSION_WITHIN:
+        if not self.firmware and now - self._opened > SILENT:
             return "the base does not say its firmware's version; switch it off and on again"
         if self.firmware and self.firmware.split(".")[0] != _MAJOR:
             return f"firmware {self.firmware} is not supported; flash the base with a version {_MAJOR}.x"

@@ -12,16 +12,17 @@ from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
 from tfg_drake.hardware.kobuki.connection import Connection
 from tfg_drake.hardware.kobuki.guardian import Guardian
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.sensor_reader import BACK_OFF
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
-from tfg_drake.hardware.watchdog import TICK, Limits
+from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.messages import Hazards, Odometry
 
 KOBUKI = SerialDevice("the base", "0403:6001")
-_VERSIONS = p.RequestExtra(0x0B)
-# Every power rail on, and the first LED: orange (red and green) while it may not move, green while it may.
-_POWER, _ORANGE, _GREEN = 0x00F0, 0x0300, 0x0200
-_TUNE_ON, _TUNE_OFF = p.SoundSequence(0), p.SoundSequence(1)
+_VERSIONS = p.RequestExtra(p.Extra.HARDWARE | p.Extra.FIRMWARE | p.Extra.UNIQUE_ID)
+# The first LED is orange while it may not move, green while it may.
+_ORANGE, _GREEN = p.Output.RED | p.Output.GREEN, p.Output.GREEN
+_TUNE_ON, _TUNE_OFF = p.SoundSequence(p.Tune.ON), p.SoundSequence(p.Tune.OFF)
 # Told to move at least so fast, m/s or rad/s, for so long, s, without a tick: the wheels are blocked or their encoders
 # stuck.
 _MOVES, _TURNS, _WITHOUT_TICK = 0.05, 0.3, 0.4
@@ -99,7 +100,7 @@ class KobukiDriver(Driver):
             self._lose(f"no process can be started to stop it in an emergency: {error.strerror}; end other programs")
             return
         self._trouble = ""
-        connection.say(_STOP, _TUNE_ON, p.GeneralOutput(_POWER | self._lights))
+        connection.say(_STOP, _TUNE_ON, p.GeneralOutput(p.Output.POWER | self._lights))
 
     def _lose(self, why: str) -> None:
         self._disconnect(_STOP)
@@ -155,9 +156,9 @@ class KobukiDriver(Driver):
         """The first LED: green while the base may move, orange while it may not."""
         lights = _GREEN if enabled else _ORANGE
         if lights != self._lights and self._connection is not None and self._guardian is not None:
-            self._connection.say(p.GeneralOutput(_POWER | lights))
+            self._connection.say(p.GeneralOutput(p.Output.POWER | lights))
         self._lights = lights
 
     def close(self) -> None:
         """Stops the base, says good-bye and closes the port."""
-        self._disconnect(_STOP, _TUNE_OFF, p.GeneralOutput(_POWER))
+        self._disconnect(_STOP, _TUNE_OFF, p.GeneralOutput(p.Output.POWER))

@@ -15,14 +15,13 @@ import subprocess
 import sys
 import time
 
+from tfg_drake.hardware import process
 from tfg_drake.hardware.kobuki.codec import BaseControl, encode
 
 # After so long without a sign of life the base is told to stop, s.
 SILENCE = 0.3
 # It has so long to answer, and to answer for the first time, while its process starts, s.
 ANSWERS_WITHIN, STARTS_WITHIN = 0.4, 10.0
-# How often it is told so when there is nobody left to say anything else, and how far apart, s: one may be lost.
-_LAST_STOPS, _APART = 5, 0.02
 
 
 class Guardian:
@@ -30,13 +29,8 @@ class Guardian:
 
     def __init__(self, port: int) -> None:
         """port: its file descriptor."""
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tfg_drake.hardware.kobuki.guardian", str(port)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=[port],
-            start_new_session=True,
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = process.start("tfg_drake.hardware.kobuki.guardian", port, **pipes)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._pipe, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
@@ -83,9 +77,9 @@ def guard(port: int) -> None:
             _write(sys.stdout.fileno(), b".")
         else:
             _write(port, stop)
-    for _ in range(_LAST_STOPS):
+    for _ in range(process.LAST_WORDS):
         _write(port, stop)
-        time.sleep(_APART)
+        time.sleep(process.TICK)
 
 
 def _write(descriptor: int, data: bytes) -> None:

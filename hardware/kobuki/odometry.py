@@ -13,9 +13,9 @@ import math
 import numpy as np
 
 from tfg_drake.hardware.device import BaseState
-from tfg_drake.hardware.kobuki.codec import BaseControl, CoreSensors, Inertia
+from tfg_drake.hardware.kobuki.codec import BaseControl, Charger, CoreSensors, Inertia, Motor, Wheel
 from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
-from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.messages import Hazards, Odometry, Side
 
 # Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.
 WHEEL_BASE = 0.230
@@ -150,17 +150,14 @@ def odometry_message(state: Reckoning) -> Odometry:
 
 
 def hazards_message(core: CoreSensors, stamp: float) -> Hazards:
-    """The base's alarms at stamp (s of the host's clock). The left wheel's bit of a drop moves from 2 to 4."""
-    drop = (core.wheel_drop & 1) | (core.wheel_drop & 2) << 1
+    """The base's alarms at stamp (s of the host's clock)."""
+    drop = _sides(core.wheel_drop & Wheel.RIGHT, core.wheel_drop & Wheel.LEFT)
     return Hazards(stamp, core.bumper & 7, core.cliff & 7, drop)
 
 
 def base_state(core: CoreSensors, stamp: float) -> BaseState:
     """The state at stamp, s of the host's clock, as far as every frame tells it: battery, charger, wheels' current and
-    buttons.
-
-    Overcurrent has the bits of Side, 1 right and 4 left; the base has 2 and 1.
-    """
+    buttons."""
     volts, level = 0.1 * core.battery, "good"  # also while it is charged, or where the base does not say its voltage
     if core.battery and not core.charger and volts <= LOW + 1e-9:
         level = "low" if volts > DANGEROUS + 1e-9 else "dangerous"
@@ -168,11 +165,16 @@ def base_state(core: CoreSensors, stamp: float) -> BaseState:
         stamp=stamp,
         battery=round(volts, 1) if core.battery else math.nan,
         battery_level=level,
-        charger="" if not core.charger else "adapter" if core.charger & 16 else "dock",
-        charging=core.charger & 4 != 0,
-        overcurrent=(core.overcurrent & 2) >> 1 | (core.overcurrent & 1) << 2,
+        charger="" if not core.charger else "adapter" if core.charger & Charger.ADAPTER else "dock",
+        charging=bool(core.charger & Charger.CHARGING),
+        overcurrent=_sides(core.overcurrent & Motor.RIGHT, core.overcurrent & Motor.LEFT),
         buttons=core.buttons & 7,
     )
+
+
+def _sides(right: int, left: int) -> int:
+    """The bits of Side of what is not 0 there."""
+    return (Side.RIGHT if right else 0) | (Side.LEFT if left else 0)
 
 
 def base_control(speed: float, turn_rate: float) -> BaseControl:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import enum
 import io
 import re
 import sqlite3
@@ -34,8 +35,14 @@ METADATA = "metadata.yaml"
 LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
 # A record or a message has at most so many bytes: an image is there to be passed over.
 _LARGEST = 256 * 2**20
-# Opcodes of the records that are read, of ROS 1.
-_ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 5, 7
+
+
+class _Ros1(enum.IntEnum):
+    """Opcodes of the records of ROS 1 that are read."""
+
+    MESSAGE = 2
+    CHUNK = 5
+    CONNECTION = 7
 
 
 class Logged(NamedTuple):
@@ -203,14 +210,14 @@ def _of_ros1(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> 
             length = _number("<I", _whole(part, 4))
             data = _read(part, length)
             opcode = of_record[b"op"][0]
-            if opcode == _ROS1_CHUNK:
+            if opcode == _Ros1.CHUNK:
                 yield from records(io.BytesIO(unpacked(of_record[b"compression"].decode(), data)))
             if len(data) < length:
                 raise EOFError
-            if opcode == _ROS1_CONNECTION:
+            if opcode == _Ros1.CONNECTION:
                 kind = _ros1_fields(data)[b"type"].decode()
                 topics[_number("<I", of_record[b"conn"])] = of_record[b"topic"].decode(), kind
-            elif opcode == _ROS1_MESSAGE:
+            elif opcode == _Ros1.MESSAGE:
                 topic, kind = topics.get(_number("<I", of_record[b"conn"]), ("", ""))
                 seconds, nanoseconds = struct.unpack("<II", of_record[b"time"])
                 if kind in kinds:

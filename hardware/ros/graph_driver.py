@@ -10,12 +10,13 @@ from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from tfg_drake.hardware.device import Device, DeviceError, Driver, Message, imported
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.conversions import ros_time
 from tfg_drake.hardware.ros.intake import Intake
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, PUBLISHED, TYPES, Preset, Topic
 from tfg_drake.hardware.sensor_reader import PATIENCE
-from tfg_drake.hardware.watchdog import SILENCE, TICK
+from tfg_drake.hardware.watchdog import SILENCE
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 Send = Callable[[dict[str, Any]], None]

@@ -19,7 +19,7 @@ from tfg_drake.hardware.device import Message
 from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
-from tfg_drake.hardware.sensor_reader import Inbox
+from tfg_drake.hardware.sensor_reader import OLDEST, SILENT, Inbox
 from tfg_drake.hardware.watchdog import SILENCE
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.slam.odometry_rules import WatchedOdometry, watch
@@ -33,12 +33,9 @@ if TYPE_CHECKING:
 LEARN = SILENCE
 # What was less delayed than all before shortens the offset no faster than this, s/s, so that stamps keep their order.
 SLEW = 1e-3
-# The robot's clock may differ from the host's by this, s; what a camera sees may be this old when it arrives. A stamp
+# The robot's clock may differ from the host's by this, s; what a camera sees may be OLDEST when it arrives. A stamp
 # that is farther in the future, or before the one before it, is a jump of the clock.
 JUMP = MAX_SKEW = AHEAD
-MAX_AGE = 0.5
-# Sensors that are silent for longer are a new connection, s, as odometry is after SILENCE: the clock is learned anew.
-SENSOR_SILENCE = 2.0
 
 
 class ClockJump(Exception):
@@ -52,7 +49,8 @@ class StampClock:
         """source: the topic that it is learned from, whose messages arrive at once; None where it is learned from them
         all, which may be slow."""
         self.source, self._offset = source, 0.0
-        self._silence = SENSOR_SILENCE if source is None else SILENCE
+        # What is silent for longer is a new connection, s: the clock is learned anew.
+        self._silence = SILENT if source is None else SILENCE
         self._reset()
 
     def _reset(self) -> None:
@@ -97,7 +95,7 @@ class StampClock:
         wall = time.time() - time.monotonic()
         for topic, least in self._least.items():
             behind = wall + least
-            allowed = MAX_SKEW if behind < 0.0 or topic == self.source else MAX_AGE
+            allowed = MAX_SKEW if behind < 0.0 or topic == self.source else OLDEST
             if abs(behind) > allowed:
                 side = "behind" if behind > 0.0 else "ahead of"
                 return (

@@ -19,6 +19,7 @@ from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
 from tfg_drake.grid.frontier import classify
 from tfg_drake.hardware.ros.preset import Frames
+from tfg_drake.mapfile.occupancy_grid import CELL
 from tfg_drake.messages import (
     FloatArray,
     GoalChoice,
@@ -36,8 +37,6 @@ from tfg_drake.pictures.palette import LIGHT, Colour, gain_colours
 Fields = dict[str, Any]
 Cells = NDArray[np.int8]
 
-# Side of a cell of /map, m.
-CELL = 0.05
 # nav_msgs/OccupancyGrid.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
@@ -46,7 +45,6 @@ CYLINDER, LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 3, 5, 7, 9, 3
 # Few, because every point is an object of its own to ROS.
 ELLIPSE_CORNERS = 16
 
-GOAL: Colour = (0.84, 0.15, 0.16)
 # The surfaces' names and colours, by TfgMap.segment_kind.
 _SURFACES = (("edges", LIGHT.edge), ("wall ends", LIGHT.wall_end), ("surfaces without landmark", LIGHT.bare_surface))
 
@@ -132,7 +130,7 @@ def markers(
         places = _points(roadmap.points[goal.candidates])
         add("candidates", SPHERE_LIST, 0.12, LIGHT.frontier, points=places, colors=colours)
     if goal is not None and goal.node >= 0:
-        add("goal", CYLINDER, 0.25, GOAL, pose=pose_fields(np.array([*goal.p_MG, 0.0])))
+        add("goal", CYLINDER, 0.25, LIGHT.path, pose=pose_fields(np.array([*goal.p_MG, 0.0])))
     return {"markers": found}
 
 

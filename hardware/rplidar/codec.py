@@ -8,6 +8,7 @@ little-endian. Source: Slamtec, RPLIDAR S and A series interface protocol 2.8.
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 import math
 import operator
@@ -16,12 +17,28 @@ import struct
 # Of the A1 and most of the A2, and of the A2M7, A2M12 and A3.
 BAUD_RATES = (115200, 256000)
 
-# Commands.
-STOP, RESET, SCAN, GET_INFO, GET_HEALTH, MOTOR = 0x25, 0x40, 0x20, 0x50, 0x52, 0xF0
+
+class Command(enum.IntEnum):
+    """Requests to a scanner."""
+
+    STOP = 0x25
+    RESET = 0x40
+    SCAN = 0x20
+    GET_INFO = 0x50
+    GET_HEALTH = 0x52
+    MOTOR = 0xF0
+
+
+class Health(enum.IntEnum):
+    """Answers to GET_HEALTH; FAILED of a scanner that has stopped itself."""
+
+    GOOD = 0
+    WARNING = 1
+    FAILED = 2
+
+
 # By command: the type of its answer and its length, and whether answers go on.
-ANSWERS = {GET_INFO: (0x04, 20, False), GET_HEALTH: (0x06, 3, False), SCAN: (0x81, 5, True)}
-# What GET_HEALTH says of a scanner that has stopped itself.
-FAILED = 2
+ANSWERS = {Command.GET_INFO: (0x04, 20, False), Command.GET_HEALTH: (0x06, 3, False), Command.SCAN: (0x81, 5, True)}
 # The motor's duty, of 1023, at which an A2 or A3 turns ten times a second.
 DUTY = 660
 
@@ -43,7 +60,7 @@ def request(command: int, payload: bytes = b"") -> bytes:
 
 def motor(duty: int) -> bytes:
     """The request that sets the motor's duty, 0 to 1023."""
-    return request(MOTOR, struct.pack("<H", duty))
+    return request(Command.MOTOR, struct.pack("<H", duty))
 
 
 def descriptor(command: int) -> bytes:

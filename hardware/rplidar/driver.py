@@ -11,12 +11,12 @@ from multiprocessing.connection import wait
 from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.device import DeviceError
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.rplidar import codec
-from tfg_drake.hardware.rplidar.codec import NodeDecoder
+from tfg_drake.hardware.rplidar.codec import Command, Health, NodeDecoder
 from tfg_drake.hardware.rplidar.sweeps import SweepMaker
 from tfg_drake.hardware.sensor_reader import PATIENCE, SILENT, SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
-from tfg_drake.hardware.watchdog import TICK
 
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
 # How long to wait for an answer, and for a scanner that was reset, s.
@@ -46,10 +46,10 @@ class RplidarDriver(SensorReader):
         for baud_rate in codec.BAUD_RATES:
             self._device = open_port(self._path, baud_rate, RPLIDAR)
             try:
-                self._say(codec.request(codec.STOP))
+                self._say(codec.request(Command.STOP))
                 time.sleep(TICK)
                 self._device.reset_input_buffer()
-                told = self._asked(codec.GET_INFO)
+                told = self._asked(Command.GET_INFO)
                 if told is not None:
                     self._start(codec.model(told))
                     return
@@ -65,13 +65,13 @@ class RplidarDriver(SensorReader):
 
     def _start(self, model: int) -> None:
         """Starts the motor and the scan; raises DeviceError, OSError."""
-        health = self._asked(codec.GET_HEALTH)
-        if health is not None and health[0] == codec.FAILED:
-            self._say(codec.request(codec.RESET))
+        health = self._asked(Command.GET_HEALTH)
+        if health is not None and health[0] == Health.FAILED:
+            self._say(codec.request(Command.RESET))
             time.sleep(RESET_WITHIN)
             self._device.reset_input_buffer()
-            health = self._asked(codec.GET_HEALTH)
-        if health is None or health[0] == codec.FAILED:
+            health = self._asked(Command.GET_HEALTH)
+        if health is None or health[0] == Health.FAILED:
             code = "nothing" if health is None else f"error {int.from_bytes(health[1:3], 'little')}"
             raise DeviceError(
                 f"{self.name}: the scanner says {code} of its health; unplug it, and see that it turns freely"
@@ -80,7 +80,7 @@ class RplidarDriver(SensorReader):
             self._device.dtr = False  # the wire that lets the motor turn
         if model >= 2:
             self._say(codec.motor(codec.DUTY))
-        self._say(codec.request(codec.SCAN))
+        self._say(codec.request(Command.SCAN))
         self._model, self._decoder = model, NodeDecoder()
         self._maker = SweepMaker(self._mount, model)
         self._heard = time.monotonic()
@@ -111,8 +111,8 @@ class RplidarDriver(SensorReader):
     def _take_in(self, data: bytes, now: float) -> None:
         if self._preamble is not None:
             self._preamble += data
-            data = codec.answer(self._preamble, codec.SCAN) or b""
-            self._preamble = None if data else self._preamble[-len(codec.descriptor(codec.SCAN)) :]
+            data = codec.answer(self._preamble, Command.SCAN) or b""
+            self._preamble = None if data else self._preamble[-len(codec.descriptor(Command.SCAN)) :]
         before = self._decoder.lost
         nodes = self._decoder.feed(data)
         if nodes:
@@ -125,7 +125,7 @@ class RplidarDriver(SensorReader):
         """Stops the motor and lets go of the port."""
         if self._device is not None:
             with contextlib.suppress(OSError):
-                self._say(codec.request(codec.STOP))
+                self._say(codec.request(Command.STOP))
                 if self._model >= 2:
                     self._say(codec.motor(0))
                 self._device.dtr = True

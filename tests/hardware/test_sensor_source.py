@@ -236,7 +236,7 @@ def test_a_machine_that_can_start_no_process_for_a_while(server, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", poor_popen)
     monkeypatch.setattr(threading.Thread, "start", poor_start)
     try:
-        os.kill(source.process_id, signal.SIGKILL)
+        os.kill(source._process.pid, signal.SIGKILL)
         said = []
         until(lambda: said.extend(source.take_remarks()) or any("is back" in line for line in said))
         assert not lacking
@@ -345,12 +345,12 @@ def test_a_process_that_ends_or_hangs_is_started_again(server, monkeypatch):
     (source,) = open_sources({"tags": name.removeprefix("tags of ")}, PRESET).values()
     try:
         for number, what in ((signal.SIGKILL, "has ended"), (signal.SIGSTOP, "hangs")):
-            before, said = source.process_id, []
+            before, said = source._process.pid, []
             os.kill(before, number)
             until(lambda said=said: said.extend(source.take_remarks()) or len(said) >= 2)
             process = f"the process that reads {name}"
             assert said == [f"{process} {what}; it is started again", f"{process} is back"]
-            assert source.process_id != before
+            assert source._process.pid != before
             now = time.monotonic()
             until(lambda now=now: any(one.stamp > now for one in source.take(TagDetections, math.inf)))
     finally:

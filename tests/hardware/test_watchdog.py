@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tfg_drake.hardware.device import BaseState
+from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.remarks import alarms
-from tfg_drake.hardware.watchdog import SILENCE, TICK, Limits, Watchdog
+from tfg_drake.hardware.watchdog import SILENCE, Limits, Watchdog
 from tfg_drake.messages import Hazards
 
 LIMITS = Limits(speed=0.3, turn_rate=1.5, acceleration=0.5, turn_acceleration=3.5)

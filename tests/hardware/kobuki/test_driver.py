@@ -301,7 +301,7 @@ ENDS = [signal.SIGTERM, *(pytest.param(one, marks=pytest.mark.slow) for one in (
 @pytest.mark.parametrize("how", [*ENDS, signal.SIGKILL])
 def test_it_stops_when_its_process_ends(emulator, driving, how):
     begin = time.monotonic()
-    os.kill(driving.process_id, how)
+    os.kill(driving._process.pid, how)
     assert_stops(emulator, begin)
     wait_for(lambda: driving.locked == "the robot's process has ended")
     with pytest.raises(DeviceError, match="process has ended"):
@@ -316,22 +316,22 @@ def test_it_stops_when_its_process_freezes(emulator, driving):
     while not took or (took[-1] >= WITHIN + MARGIN and len(took) < 10):
         go(emulator, driving)
         begin = time.monotonic()
-        os.kill(driving.process_id, signal.SIGSTOP)
+        os.kill(driving._process.pid, signal.SIGSTOP)
         try:
             took.append(assert_stops(emulator, begin))
         finally:
-            os.kill(driving.process_id, signal.SIGCONT)
+            os.kill(driving._process.pid, signal.SIGCONT)
     assert took[-1] < WITHIN + MARGIN
 
 
 def test_a_frozen_process_ends_nothing_and_moves_nothing_when_it_runs_again(emulator, driving):
-    os.kill(driving.process_id, signal.SIGSTOP)
+    os.kill(driving._process.pid, signal.SIGSTOP)
     drive(driving, 0.2, 0.0, 4.0)  # more commands than its pipe holds
     assert driving.locked == "the robot's process does not answer"
     with pytest.raises(DeviceError, match=r"^the robot is not enabled: the robot's process does not answer$"):
         driving.enable()
     begin = time.monotonic()
-    os.kill(driving.process_id, signal.SIGCONT)
+    os.kill(driving._process.pid, signal.SIGCONT)
     drive(driving, 0.2, 0.0, 1.0)
     assert told_since(emulator, begin) == {STOP}
     assert driving.locked
@@ -340,7 +340,7 @@ def test_a_frozen_process_ends_nothing_and_moves_nothing_when_it_runs_again(emul
 
 @pytest.mark.parametrize(("how", "what"), [(signal.SIGKILL, "has ended"), (signal.SIGSTOP, "does not answer")])
 def test_it_stops_without_its_guardian(emulator, driving, how, what):
-    children = f"/proc/{driving.process_id}/task/{driving.process_id}/children"
+    children = f"/proc/{driving._process.pid}/task/{driving._process.pid}/children"
     with open(children) as file:
         (guardian,) = file.read().split()
     begin = time.monotonic()

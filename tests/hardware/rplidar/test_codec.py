@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from tfg_drake.hardware.rplidar import codec
-from tfg_drake.hardware.rplidar.codec import Node, NodeDecoder
+from tfg_drake.hardware.rplidar.codec import Command, Node, NodeDecoder
 
 
 def test_requests_and_descriptors():
     """As in the protocol's own examples."""
-    assert codec.request(codec.SCAN) == bytes.fromhex("a520")
-    assert codec.request(codec.GET_INFO) == bytes.fromhex("a550")
+    assert codec.request(Command.SCAN) == bytes.fromhex("a520")
+    assert codec.request(Command.GET_INFO) == bytes.fromhex("a550")
     assert codec.motor(660) == bytes.fromhex("a5f002940 2c1".replace(" ", ""))
-    assert codec.descriptor(codec.SCAN) == bytes.fromhex("a55a0500004081")
-    assert codec.descriptor(codec.GET_INFO) == bytes.fromhex("a55a1400000004")
-    assert codec.descriptor(codec.GET_HEALTH) == bytes.fromhex("a55a0300000006")
+    assert codec.descriptor(Command.SCAN) == bytes.fromhex("a55a0500004081")
+    assert codec.descriptor(Command.GET_INFO) == bytes.fromhex("a55a1400000004")
+    assert codec.descriptor(Command.GET_HEALTH) == bytes.fromhex("a55a0300000006")
 
 
 def test_an_answer_among_other_bytes():
-    whole = b"RP LIDAR System.\r\n" + codec.descriptor(codec.GET_INFO) + bytes([0x18, 29, 1, 7]) + bytes(16)
-    assert codec.answer(whole[:-1], codec.GET_INFO) is None
-    told = codec.answer(whole + b"more", codec.GET_INFO)
+    whole = b"RP LIDAR System.\r\n" + codec.descriptor(Command.GET_INFO) + bytes([0x18, 29, 1, 7]) + bytes(16)
+    assert codec.answer(whole[:-1], Command.GET_INFO) is None
+    told = codec.answer(whole + b"more", Command.GET_INFO)
     assert len(told) == 20
     assert codec.model(told) == 1
 

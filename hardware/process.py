@@ -1,0 +1,25 @@
+"""Starting processes of our own; and the times of those that drive a base. Imports nothing that takes time to load."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+# Between two velocities that are sent, s.
+TICK = 0.02
+# The last word to a base is said this often, a tick apart: one may be lost.
+LAST_WORDS = 5
+
+
+def start(module: str, *descriptors: int, **streams: Any) -> subprocess.Popen[bytes]:
+    """Starts a module with file descriptors, whose numbers are its arguments; streams: as of Popen, none by default.
+
+    Its session is its own: an interrupt from the keyboard is for who has started it, and ends it.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-m", module, *map(str, descriptors)],
+        pass_fds=descriptors,
+        start_new_session=True,
+        **({"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL} | streams),
+    )
