@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import Any
 
 # Between two velocities that are sent, s.
 TICK = 0.02
@@ -12,14 +11,12 @@ TICK = 0.02
 LAST_WORDS = 5
 
 
-def start(module: str, *descriptors: int, **streams: Any) -> subprocess.Popen[bytes]:
-    """Starts a module with file descriptors, whose numbers are its arguments; streams: as of Popen, none by default.
+def start(
+    module: str, *descriptors: int, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL
+) -> subprocess.Popen[bytes]:
+    """Starts a module with file descriptors, whose numbers are its arguments; its streams as Popen has them.
 
     Its session is its own: an interrupt from the keyboard is for who has started it, and ends it.
     """
-    return subprocess.Popen(
-        [sys.executable, "-m", module, *map(str, descriptors)],
-        pass_fds=descriptors,
-        start_new_session=True,
-        **({"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL} | streams),
-    )
+    command = [sys.executable, "-m", module, *map(str, descriptors)]
+    return subprocess.Popen(command, pass_fds=descriptors, start_new_session=True, stdin=stdin, stdout=stdout)

@@ -84,7 +84,7 @@ def watched(
 
 def where(bits: int) -> str:
     """The sides that bits of Side stand for, "none" for 0."""
-    return ", ".join(side.name.lower() for side in (Side.LEFT, Side.CENTRE, Side.RIGHT) if bits & side) or "none"
+    return ", ".join(str(side.name).lower() for side in (Side.LEFT, Side.CENTRE, Side.RIGHT) if bits & side) or "none"
 
 
 def charge_left(state: BaseState) -> str:
@@ -131,42 +131,29 @@ def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
     return remarks
 
 
-class RobotButtons:
-    """Requests by the robot's buttons; a robot that reports no buttons has none."""
+class RobotRequests:
+    """Requests of the robot itself: by its buttons, and where its battery is low; it knows when that is nearly empty. A
+    robot that reports neither has none."""
 
     def __init__(self, base: Device) -> None:
         self._base = base
         self._pressed = 0
-
-    def requests(self) -> list[Command]:
-        """The requests since the last call."""
-        requests = []
-        for state in self._base.take(BaseState, math.inf):
-            pressed, self._pressed = state.buttons & ~self._pressed, state.buttons
-            requests += [request for bit, request in BUTTONS.items() if pressed & bit]
-        return requests
-
-
-class BatteryWatch:
-    """Calls the robot back where its battery is low, and knows when it is nearly empty; a robot that says nothing of
-    its battery asks for nothing."""
-
-    def __init__(self, base: Device) -> None:
-        self._base = base
         self._spells: Spells = {}
         # What of the battery was told so far, by the name of the remark.
         self._told: dict[str, str] = {}
 
     def requests(self) -> list[Command]:
         """The requests since the last call."""
-        state = self._base.newest(BaseState)
-        if state is None:
-            return []
-        # Later than the operator is told: the reason stands in the log before what the robot does about it.
-        remarks = {name: Remark(one.line, one.after + QUIET) for name, one in battery(state).items()}
-        self._spells, names = begun(self._spells, remarks, state.stamp)
-        self._told |= {name: remarks[name].line for name in names}
-        return ["recall"] if "battery low" in names else []
+        requests: list[Command] = []
+        for state in self._base.take(BaseState, math.inf):
+            pressed, self._pressed = state.buttons & ~self._pressed, state.buttons
+            requests += [request for bit, request in BUTTONS.items() if pressed & bit]
+            # Later than the operator is told: the reason stands in the log before what the robot does about it.
+            remarks = {name: Remark(one.line, one.after + QUIET) for name, one in battery(state).items()}
+            self._spells, names = begun(self._spells, remarks, state.stamp)
+            self._told |= {name: remarks[name].line for name in names}
+            requests += ["recall"] if "battery low" in names else []
+        return requests
 
     def empty(self, recalls: bool) -> str:
         """Why the battery ends the mission, "" as long as it does not. recalls: the mission knows what a recall is, so

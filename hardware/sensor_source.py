@@ -21,7 +21,7 @@ from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.camera_sensor import CameraDriver
 from tfg_drake.hardware.device import ANSWER_TIMEOUT, Device, DeviceError, OpenDriver
 from tfg_drake.hardware.realsense_sensor import RealsenseDriver
-from tfg_drake.hardware.ros.graph_driver import SensorDriver, opened
+from tfg_drake.hardware.ros.graph_driver import KEYS, SensorDriver, opened
 from tfg_drake.hardware.ros.preset import Preset, Topic
 from tfg_drake.hardware.rplidar.driver import RplidarDriver
 from tfg_drake.hardware.sensor_reader import delays
@@ -29,8 +29,6 @@ from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 
 T = TypeVar("T", LaserScan, Sweep, TagDetections)
-# What a source may be asked for, and what that is.
-KINDS = {"tags": TagDetections, "scan": LaserScan}
 # How often a process is looked at, s, and after how many looks at which it has said nothing it hangs: ten seconds.
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
@@ -251,5 +249,5 @@ def _opening(
         driver = RplidarDriver if spec.transport == "rplidar" else RealsenseDriver
         return functools.partial(driver, spec.device, own.scanner)
     if spec.transport == "socket":
-        return functools.partial(SocketDriver, spec.host, spec.port, tuple(KINDS[use] for use, _ in topics))
+        return functools.partial(SocketDriver, spec.host, spec.port, tuple(KEYS[use][1] for use, _ in topics))
     return functools.partial(opened, SensorDriver, spec.host, spec.port, preset, tuple(topics), base)

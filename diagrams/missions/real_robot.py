@@ -20,7 +20,7 @@ from tfg_drake.diagrams.scenario import LoadScenario, Scenario
 from tfg_drake.hardware.base import HardwareBase
 from tfg_drake.hardware.checks import check, refuse
 from tfg_drake.hardware.keyboard import HELP, KEYS, Keyboard
-from tfg_drake.hardware.remarks import BatteryWatch, RobotButtons
+from tfg_drake.hardware.remarks import RobotRequests
 from tfg_drake.hardware.robot_devices import RobotDevices, open_devices
 from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.messages import SaidPose
@@ -66,7 +66,7 @@ def RobotOf(
 ) -> Robot:
     """The robot of open devices, operated by its own buttons, too, and told on ROS where it is. MakeStation: makes its
     station, where that is not MakeHardwareStation's. enabled: its base may move from the beginning."""
-    watch, publisher, frames = BatteryWatch(devices.base), devices.publisher, devices.frames
+    own, publisher, frames = RobotRequests(devices.base), devices.publisher, devices.frames
     said = [] if publisher is None else [lambda: publisher.take(SaidPose, math.inf)]
 
     def Announce(builder: DiagramBuilder, station: System, explorer: System) -> None:
@@ -79,8 +79,8 @@ def RobotOf(
         world_known=False,
         real=True,
         enabled=enabled,
-        operated=[*operated, *said, RobotButtons(devices.base).requests, watch.requests],
-        empty=watch.empty,
+        operated=[*operated, *said, own.requests],
+        empty=own.empty,
         Announce=Announce,
         close=devices.close,
     )

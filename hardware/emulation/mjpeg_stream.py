@@ -23,8 +23,6 @@ class MjpegStream:
         self._server: ThreadingHTTPServer | None = None
         self._changed = threading.Condition()
         self._jpeg, self._number = b"", 0
-        # Which start it is that is served.
-        self._start = 0
         self.watched = 0
         self._port = 0
         self.start()
@@ -58,26 +56,25 @@ class MjpegStream:
     def stop(self) -> None:
         """Lets go of all who look, and listens no more."""
         if self._server is not None:
+            server, self._server = self._server, None
             with self._changed:
-                self._start += 1
                 self._changed.notify_all()
-            self._server.shutdown()
-            self._server.server_close()
-        self._server = None
+            server.shutdown()
+            server.server_close()
 
     def _serve(self, request: BaseHTTPRequestHandler) -> None:
         request.send_response(200)
         request.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY.decode()}")
         request.end_headers()
-        begun, sent = self._start, 0
+        begun, sent = self._server, 0
         with self._changed:
             self.watched += 1
         with contextlib.suppress(OSError):
             while True:
                 with self._changed:
-                    while self._number == sent and self._start == begun:
+                    while self._number == sent and self._server is begun:
                         self._changed.wait()
-                    if self._start != begun:
+                    if self._server is not begun:
                         break
                     jpeg, sent = self._jpeg, self._number
                 head = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % (_BOUNDARY, len(jpeg))

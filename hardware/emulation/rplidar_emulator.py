@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import time
 from collections.abc import Callable
 
@@ -20,6 +21,10 @@ from tfg_drake.simulation.laser_scanner import scan
 
 # Rays a second, and revolutions, as an A1 has them.
 RAYS, TURNS = 2000.0, 5.5
+
+
+# A request: a command, or one with a payload of two bytes, as the motor's.
+_REQUEST = re.compile(rb"\xa5(?:([\x00-\x7f])|([\x80-\xff])\x02(..).)", re.DOTALL)
 
 
 class RplidarEmulator(EmulatedDevice):
@@ -47,7 +52,6 @@ class RplidarEmulator(EmulatedDevice):
         self.stuck, self.scanning, self.lost, self.duty = False, False, 0.0, 0
         self.health = "good"
         self._noise, self._chance = np.random.default_rng(0), random.Random(0)
-        self._heard = bytearray()
         # Rays so far.
         self._rays = 0
         # Where the robot was with the last of them.
@@ -77,19 +81,8 @@ class RplidarEmulator(EmulatedDevice):
             sent = due
 
     def _obey(self, line: PseudoTerminal) -> None:
-        self._heard += line.read()
-        while len(self._heard) >= 2:
-            if self._heard[0] != 0xA5:
-                del self._heard[0]
-                continue
-            command, length = self._heard[1], 2
-            if command & 0x80:  # with a payload
-                if len(self._heard) < 3 or len(self._heard) < self._heard[2] + 4:
-                    return
-                length = self._heard[2] + 4
-            payload = bytes(self._heard[3 : length - 1])
-            del self._heard[:length]
-            line.write(self._answer(command, payload))
+        for plain, other, payload in _REQUEST.findall(line.read()):
+            line.write(self._answer((plain or other)[0], payload))
 
     def _answer(self, command: int, payload: bytes) -> bytes:
         if command == Command.GET_INFO:

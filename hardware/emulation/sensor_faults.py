@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.messages import FloatArray, LaserScan, TagDetections, replace
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, TagDetections, replace
 
 # What is sent instead of a message; None for nothing.
 Fault = Callable[[Any], Any]
@@ -28,13 +28,29 @@ def sensor_fault(sensor: str, name: str, numbers: Sequence[float] = ()) -> Fault
     return fault
 
 
-def _silent() -> Fault:
-    return lambda _: None
+def _every(scan: LaserScan, value: float) -> LaserScan:
+    return replace(scan, ranges=np.full(len(scan.ranges), value))
 
 
-def _scan_of(value: float) -> Callable[[], Fault]:
-    """Every range is this."""
-    return lambda: lambda scan: replace(scan, ranges=np.full(len(scan.ranges), value))
+def _without(scan: LaserScan, which: BoolArray) -> LaserScan:
+    return replace(scan, ranges=np.where(which, math.nan, scan.ranges))
+
+
+def _some(scan: LaserScan, which: slice) -> LaserScan:
+    return replace(scan, angles=scan.angles[which], ranges=scan.ranges[which])
+
+
+def _first(values: FloatArray | IntArray, value: float) -> Any:
+    changed = values.copy()
+    changed[:1] = int(value) if changed.dtype == np.int64 else value
+    return changed
+
+
+def _thin(number: float = 100.0) -> Fault:
+    """One ray in so many."""
+    if number < 1.0:
+        raise ValueError(f"no number of rays: {number}")
+    return lambda scan: _some(scan, slice(None, None, int(number)))
 
 
 def _missing(share: float) -> Fault:
@@ -45,61 +61,16 @@ def _missing(share: float) -> Fault:
     return lambda scan: _without(scan, chance.random(len(scan.ranges)) < share)
 
 
-def _blind(least: float) -> Fault:
-    """Loses ranges below `least`, m."""
-    return lambda scan: _without(scan, scan.ranges < least)
-
-
-def _without(scan: LaserScan, which: np.ndarray[Any, np.dtype[np.bool_]]) -> LaserScan:
-    return replace(scan, ranges=np.where(which, math.nan, scan.ranges))
-
-
-def _none() -> Fault:
-    return lambda scan: replace(scan, angles=np.zeros(0), ranges=np.zeros(0))
-
-
-def _thin(number: float = 100.0) -> Fault:
-    """One ray in so many."""
-    step = int(number)
-    if step < 1:
-        raise ValueError(f"no number of rays: {number}")
-    return lambda scan: replace(scan, angles=scan.angles[::step], ranges=scan.ranges[::step])
-
-
 def _frozen() -> Fault:
     """The first message for ever, with new stamps."""
-    first: list[LaserScan] = []
+    said: list[LaserScan] = []
 
     def say(scan: LaserScan) -> LaserScan:
-        if not first:
-            first.append(scan)
-        return replace(first[0], stamp=scan.stamp)
+        said.append(scan)
+        del said[1:]
+        return replace(said[0], stamp=scan.stamp)
 
     return say
-
-
-def _range_max(value: float) -> Fault:
-    return lambda scan: replace(scan, range_max=value)
-
-
-def _tag_range(value: float) -> Fault:
-    """The first tag is so far away, m."""
-    return lambda tags: replace(tags, range=_first(tags.range, value))
-
-
-def _tag_sigma(value: float) -> Fault:
-    """Every tag is as certain as this, m and rad."""
-
-    def say(tags: TagDetections) -> TagDetections:
-        certain = np.full(len(tags.ids), value)
-        return replace(tags, sigma_range=certain, sigma_bearing=certain)
-
-    return say
-
-
-def _tag_id(number: float) -> Fault:
-    """The first tag has this id."""
-    return lambda tags: replace(tags, ids=_first(tags.ids, int(number)))
 
 
 def _random_ids() -> Fault:
@@ -107,32 +78,31 @@ def _random_ids() -> Fault:
     return lambda tags: replace(tags, ids=chance.integers(0, 2**31, len(tags.ids)))
 
 
-def _first(values: FloatArray, value: float) -> FloatArray:
-    changed = values.copy()
-    changed[:1] = value
-    return changed
+def _certain(tags: TagDetections, value: float) -> TagDetections:
+    sigma = np.full(len(tags.ids), value)
+    return replace(tags, sigma_range=sigma, sigma_bearing=sigma)
 
 
 # By sensor and name: what makes the fault of its numbers.
 FAULTS: dict[str, dict[str, Callable[..., Fault]]] = {
     "scan": {
-        "silent": _silent,
-        "nan": _scan_of(math.nan),
-        "empty": _scan_of(math.inf),
-        "zero": _scan_of(0.0),
-        "near": _scan_of(-math.inf),
-        "none": _none,
+        "silent": lambda: lambda _: None,
+        "nan": lambda: lambda scan: _every(scan, math.nan),
+        "empty": lambda: lambda scan: _every(scan, math.inf),
+        "zero": lambda: lambda scan: _every(scan, 0.0),
+        "near": lambda: lambda scan: _every(scan, -math.inf),
+        "none": lambda: lambda scan: _some(scan, slice(0)),
         "thin": _thin,
         "frozen": _frozen,
         "drop": _missing,
-        "blind": _blind,
-        "range_max": _range_max,
+        "blind": lambda least: lambda scan: _without(scan, scan.ranges < least),
+        "range_max": lambda value: lambda scan: replace(scan, range_max=value),
     },
     "tags": {
-        "silent": _silent,
-        "range": _tag_range,
-        "sigma": _tag_sigma,
-        "id": _tag_id,
+        "silent": lambda: lambda _: None,
+        "range": lambda value: lambda tags: replace(tags, range=_first(tags.range, value)),
+        "sigma": lambda value: lambda tags: _certain(tags, value),
+        "id": lambda number: lambda tags: replace(tags, ids=_first(tags.ids, number)),
         "random": _random_ids,
     },
 }

@@ -29,8 +29,8 @@ class Guardian:
 
     def __init__(self, port: int) -> None:
         """port: its file descriptor."""
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._process = process.start("tfg_drake.hardware.kobuki.guardian", port, **pipes)
+        pipe = subprocess.PIPE
+        self._process = process.start("tfg_drake.hardware.kobuki.guardian", port, stdin=pipe, stdout=pipe)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._pipe, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()

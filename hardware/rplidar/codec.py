@@ -63,13 +63,13 @@ def motor(duty: int) -> bytes:
     return request(Command.MOTOR, struct.pack("<H", duty))
 
 
-def descriptor(command: int) -> bytes:
+def descriptor(command: Command) -> bytes:
     """The descriptor of a command's answer."""
     kind, length, goes_on = ANSWERS[command]
     return b"\xa5\x5a" + struct.pack("<I", length | (int(goes_on) << 30)) + bytes((kind,))
 
 
-def answer(data: bytes, command: int) -> bytes | None:
+def answer(data: bytes, command: Command) -> bytes | None:
     """The data after the descriptor of a command's answer; None while it is missing or not whole.
     Of an answer that goes on: all that follows."""
     _, length, goes_on = ANSWERS[command]

@@ -90,7 +90,7 @@ class RplidarDriver(SensorReader):
     def _say(self, data: bytes) -> None:
         os.write(self._device.fileno(), data)
 
-    def _asked(self, command: int) -> bytes | None:
+    def _asked(self, command: Command) -> bytes | None:
         """The answer to a command; raises OSError."""
         self._say(codec.request(command))
         heard, end = b"", time.monotonic() + ANSWER_WITHIN

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hardware.fake_robot import base_state
-from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, BatteryWatch, Remark, begun, watched, where
+from tfg_drake.hardware.remarks import LOW_LASTS, QUIET, Remark, RobotRequests, begun, watched, where
 from tfg_drake.messages import Hazards
 
 
@@ -111,19 +111,20 @@ class Base:
     """A base that says what it is told to say of itself."""
 
     def __init__(self):
-        self.state = None
+        self.states = []
 
-    def newest(self, kind):
-        return self.state
+    def take(self, kind, until):
+        taken, self.states = self.states, []
+        return taken
 
 
 @pytest.mark.parametrize("recalls", [True, False])
 def test_a_low_battery_calls_the_robot_back_once_and_an_empty_one_ends_the_mission(recalls):
     base, asked, ends = Base(), [], []
-    watch = BatteryWatch(base)
+    watch = RobotRequests(base)
     assert watch.requests() == []
     for i in range(30):
-        base.state = base_state(float(i), battery_level="low" if i < 20 else "dangerous")
+        base.states = [base_state(float(i), battery_level="low" if i < 20 else "dangerous")]
         # It is asked more often than the base says anything.
         asked += [(i, request) for request in watch.requests() + watch.requests()]
         ends.append(watch.empty(recalls))

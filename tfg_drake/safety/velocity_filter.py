@@ -133,8 +133,8 @@ def _towards(value: float, wanted: float, step: float) -> float:
 
 def _reflex(bits: int, safety: SafetyConfig) -> tuple[float, float]:
     """Back away from a bumper, and turn away where only one side was hit."""
-    turn_rate = {Side.LEFT: -safety.reflex_turn_rate, Side.RIGHT: safety.reflex_turn_rate}.get(bits, 0.0)
-    return -safety.reflex_speed, turn_rate
+    turn_rates: dict[int, float] = {Side.LEFT: -safety.reflex_turn_rate, Side.RIGHT: safety.reflex_turn_rate}
+    return -safety.reflex_speed, turn_rates.get(bits, 0.0)
 
 
 def stopped(state: FloatArray, robot: RobotConfig, period: float) -> FloatArray:
