@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tfg_drake.config import RobotCameraConfig
-from tfg_drake.hardware.device import DeviceError, imported
-from tfg_drake.hardware.plausible import Refusals
+from tfg_drake.hardware.device import DeviceError, Refusals, imported
 from tfg_drake.hardware.remarks import Remark, Spells, begun
 from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import TagDetections

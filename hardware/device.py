@@ -75,6 +75,8 @@ ANSWER_TIMEOUT = 5.0
 HOPELESS = 60.0
 # Messages of a kind that wait to be taken or are remembered, at most: half a minute of the fastest.
 WAITING = 2000
+# Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
+_KINDS, _LONGEST = 5, 300
 _NO_ANSWER = "the robot's process does not answer"
 
 
@@ -90,7 +92,57 @@ def imported(name: str, package: str, extra: str) -> Any:
         raise DeviceError(f"{name}: {package} is not installed: {pip_install(extra)}") from None
 
 
-class Driver:
+class Refusals:
+    """Lines for the operator; counts refusals. counts: by source and kind of reason."""
+
+    def __init__(self) -> None:
+        self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
+        self._lines: collections.deque[str] = collections.deque()
+
+    def add(self, source: str, kind: str, why: str) -> None:
+        """Counts what was refused of a source, and tells the first of its kind: why, in words."""
+        known = (source, kind) in self.counts
+        if not known and sum(name == source for name, _ in self.counts) >= _KINDS:
+            kind = "other"
+            known = True
+        self.counts[source, kind] += 1
+        if not known:
+            self.tell(" ".join(f"{source}: {why}".split())[:_LONGEST])
+
+    def tell(self, line: str) -> None:
+        """Tells something else, every time; from any thread."""
+        self._lines.append(line)
+
+    def take(self) -> list[str]:
+        """The lines since the last call."""
+        return [self._lines.popleft() for _ in range(len(self._lines))]
+
+
+class Inbox:
+    """Messages, lines for the operator and a fault until they are taken. refusals: the lines, of what cannot be used,
+    too."""
+
+    def __init__(self) -> None:
+        self.refusals = Refusals()
+        self._messages: list[Message] = []
+        self._fault: str | None = None
+
+    def remarks(self) -> list[str]:
+        """Lines for the operator since the last call: what was refused, lost or found again."""
+        return self.refusals.take()
+
+    def take(self) -> list[Message]:
+        """The messages since the last call, those of a kind in the order they arrived."""
+        taken, self._messages = self._messages, []
+        return taken
+
+    def fault(self) -> str | None:
+        """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
+        fault, self._fault = self._fault, None
+        return fault
+
+
+class Driver(Inbox):
     """A robot's driver, used by one thread; a method that has nothing to do may be left out.
 
     sources: name of each kind of message in a remark, such as "scan of /scan".
@@ -102,23 +154,11 @@ class Driver:
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
 
-    def take(self) -> list[Message]:
-        """The messages since the last call, those of a kind in the order they arrived."""
-        return []
-
-    def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
-        return None
-
     def send(self, speed: float, turn_rate: float) -> None:
         """Sends a velocity, m/s and rad/s, to the base."""
 
     def show(self, enabled: bool) -> None:
         """Shows on the robot, if it can, whether it may move; said every tick."""
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call: what was refused, lost or found again."""
-        return []
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
         """Tells others what the explorer knows, as a dictionary of a message's fields, from a thread of its own; a
@@ -182,7 +222,8 @@ class Device:
     Nothing moves before `enable`. Without a new command the velocity is zero after SILENCE. After a clock's
     jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
 
-    heard: how often the process has said anything, which it does twice a second at least.
+    heard: how often the process has said anything, which it does twice a second at least. ended: why there is no
+    process any more; None as long as there is one.
     """
 
     def __init__(self, open_driver: OpenDriver) -> None:
@@ -201,20 +242,20 @@ class Device:
         self._locked: str | None = "not enabled yet"
         # Since when the process takes no orders, s; None while it does.
         self._full: float | None = None
-        self._ended: str | None = None
+        self.ended: str | None = None
         before = self.heard
         self._reader = threading.Thread(target=self._read, daemon=True)
         try:
             self._start()
         except (OSError, RuntimeError) as error:  # RuntimeError is what a thread raises that cannot be started
-            self._ended = f"no process for it can be started: {error.args[-1]}; end other programs"
-            raise DeviceError(self._ended) from None
+            self.ended = f"no process for it can be started: {error.args[-1]}; end other programs"
+            raise DeviceError(self.ended) from None
         self._put(self._open_driver)
         with self._changed:
             begun = self._changed.wait_for(lambda: self.heard > before, HOPELESS)
-        line = self._ended or ("" if begun else f"the robot's process did not begin in {HOPELESS:.0f} s")
+        line = self.ended or ("" if begun else f"the robot's process did not begin in {HOPELESS:.0f} s")
         if line:
-            self._end()
+            Device.close(self)
             raise DeviceError(line)
 
     def _start(self) -> None:
@@ -239,10 +280,10 @@ class Device:
     def first(self, kind: type[T]) -> T:
         """The newest message of a kind, waited for where none has arrived yet; raises DeviceError where none comes."""
         with self._changed:
-            self._changed.wait_for(lambda: kind in self._newest or self._ended is not None, ANSWER_TIMEOUT)
+            self._changed.wait_for(lambda: kind in self._newest or self.ended is not None, ANSWER_TIMEOUT)
         message = self.newest(kind)
         if message is None:
-            raise DeviceError(self._ended or f"no {kind.__name__} in {ANSWER_TIMEOUT:.0f} s: is the robot switched on?")
+            raise DeviceError(self.ended or f"no {kind.__name__} in {ANSWER_TIMEOUT:.0f} s: is the robot switched on?")
         return message
 
     def take(self, kind: type[T], until: float) -> list[T]:
@@ -265,12 +306,7 @@ class Device:
     @property
     def locked(self) -> str | None:
         """Why the robot may not move; None when it may."""
-        return self._ended or (self._locked if self._full is None else _NO_ANSWER)
-
-    @property
-    def ended(self) -> str | None:
-        """Why there is no process any more; None as long as there is one."""
-        return self._ended
+        return self.ended or (self._locked if self._full is None else _NO_ANSWER)
 
     def take_remarks(self) -> list[str]:
         """The process's lines for the operator since the last call, each line once."""
@@ -300,19 +336,16 @@ class Device:
         with self._changed:
             before = self._answers
             answered = self._put(("enable", time.monotonic())) and self._changed.wait_for(
-                lambda: self._answers > before or bool(self._ended), ANSWER_TIMEOUT
+                lambda: self._answers > before or bool(self.ended), ANSWER_TIMEOUT
             )
         if not answered or self.locked is not None:
             raise DeviceError(f"the robot is not enabled: {self.locked if answered else _NO_ANSWER}")
 
     def close(self) -> None:
         """Stops the robot and ends the process."""
-        self._end()
-
-    def _end(self) -> None:
         with contextlib.suppress(DeviceError):
             self._put(("close",))
-        self._ended = self._ended or "closed"
+        self.ended = self.ended or "closed"
         try:
             self._process.wait(ANSWER_TIMEOUT)
         except subprocess.TimeoutExpired:
@@ -331,8 +364,8 @@ class Device:
 
     def _put(self, order: Any) -> bool:
         """Returns True if the order went out: a held-up process has a full pipe."""
-        if self._ended is not None:
-            raise DeviceError(self._ended)
+        if self.ended is not None:
+            raise DeviceError(self.ended)
         try:
             # Unlike select, which fails where the process has more than 1024 descriptors.
             room = select.poll()
@@ -372,7 +405,7 @@ class Device:
                 elif kind == "answer":
                     self._answers, self._locked = self._answers + 1, content
                 elif kind == "ended":
-                    self._ended = self._ended or content
+                    self.ended = self.ended or content
                 self._changed.notify_all()
             if kind == "ended":
                 return

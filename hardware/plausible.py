@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tfg_drake.hardware.device import Message
+from tfg_drake.hardware.device import Message, Refusals
 from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, Side, TagDetections, replace
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.table import misfit, take
@@ -39,34 +39,6 @@ SCAN_RANGE, BEYOND = 1000.0, 6.0
 # Angles are in (-pi, pi], but for rounding, rad.
 _HALF_TURN = math.pi + 1e-6
 _ALL_SIDES = int(Side.RIGHT | Side.CENTRE | Side.LEFT)
-# Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
-_KINDS, _LONGEST = 5, 300
-
-
-class Refusals:
-    """Lines for the operator; counts refusals. counts: by source and kind of reason."""
-
-    def __init__(self) -> None:
-        self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
-        self._lines: collections.deque[str] = collections.deque()
-
-    def add(self, source: str, kind: str, why: str) -> None:
-        """Counts what was refused of a source, and tells the first of its kind: why, in words."""
-        known = (source, kind) in self.counts
-        if not known and sum(name == source for name, _ in self.counts) >= _KINDS:
-            kind = "other"
-            known = True
-        self.counts[source, kind] += 1
-        if not known:
-            self.tell(" ".join(f"{source}: {why}".split())[:_LONGEST])
-
-    def tell(self, line: str) -> None:
-        """Tells something else, every time; from any thread."""
-        self._lines.append(line)
-
-    def take(self) -> list[str]:
-        """The lines since the last call."""
-        return [self._lines.popleft() for _ in range(len(self._lines))]
 
 
 class Judge:

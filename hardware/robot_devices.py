@@ -105,9 +105,9 @@ def check_devices(config: HardwareConfig) -> None:
         check_port(config.port, kobuki.KOBUKI)
 
 
-def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, SourceSpec], dict[str, str], _Cameras, SourceSpec | None]:
-    """The preset, of tags and scan the source, parsed and as text, our own cameras, and the graph that the base is on;
-    raises DeviceError."""
+def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, str], _Cameras, SourceSpec | None]:
+    """The preset, the sources of tags and scan, our own cameras, and the graph that the base is on; raises
+    DeviceError."""
     preset = load_preset(config.preset or PRESET_OF[config.robot])
     cameras = _cameras(config)
     specs = {use: spec for use, spec in (("tags", config.tags), ("scan", config.scan)) if spec}
@@ -116,11 +116,12 @@ def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, SourceSpec], dict[s
         preset = dataclasses.replace(preset, topics=dataclasses.replace(preset.topics, detections=None))
     if cameras:
         specs["tags"] = cameras[0][0]
-    parsed = {use: parse_source(spec) for use, spec in specs.items()}
+    for spec in specs.values():
+        parse_source(spec)
     if config.robot == "kobuki" and "scan" not in specs:
         give = "--scan rplidar:DEVICE, realsense:, socket:HOST:PORT or ros2:/TOPIC"
         raise DeviceError(f"{config.robot}: no source of scan, without which no robot drives; give {give}")
-    return preset, parsed, specs, cameras, _graph(config)
+    return preset, specs, cameras, _graph(config)
 
 
 def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
@@ -128,7 +129,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
 
     robot: its limits bound what is sent to the base, as those of a preset do.
     """
-    preset, parsed, specs, cameras, graph = _plan(config)
+    preset, specs, cameras, graph = _plan(config)
     speed = min(robot.max_speed, config.max_speed)
     limits = Limits(speed, robot.max_turn_rate, robot.max_acceleration, robot.max_turn_acceleration)
     on_ros = graph is not None
@@ -151,7 +152,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
         for one in opened:
             one.close()
         raise
-    scanner = parsed["scan"].transport if "scan" in parsed else ""
+    scanner = config.scan.partition(":")[0]
     scan: Source = sources["scan"]
     return RobotDevices(
         base,

@@ -8,8 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from tfg_drake.hardware.device import DeviceError, Driver, Message
-from tfg_drake.hardware.plausible import Refusals
+from tfg_drake.hardware.device import DeviceError, Driver
 from tfg_drake.hardware.process import TICK
 
 # How long to wait for a device's first message, s.
@@ -35,31 +34,7 @@ def stamped(stamp: float, arrival: float, otherwise: float) -> float:
     return stamp if arrival - OLDEST < stamp <= arrival else otherwise
 
 
-class Inbox:
-    """Messages, lines for the operator and a fault until they are taken. refusals: the lines, of what cannot be used,
-    too."""
-
-    def __init__(self) -> None:
-        self.refusals = Refusals()
-        self._messages: list[Message] = []
-        self._fault: str | None = None
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        return self.refusals.take()
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        taken, self._messages = self._messages, []
-        return taken
-
-    def fault(self) -> str | None:
-        """Why the robot must stop, once."""
-        fault, self._fault = self._fault, None
-        return fault
-
-
-class SensorReader(Inbox, Driver, abc.ABC):
+class SensorReader(Driver, abc.ABC):
     """A driver that drives nothing. It opens a device and reads it, and opens it again where it was lost; a subclass
     connects and receives.
 

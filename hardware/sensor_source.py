@@ -178,7 +178,7 @@ class SensorSource(Device):
                 heard, silent = -1, 0
 
     def _start_again(self) -> None:
-        self._end()
+        super().close()
         told = ""
         for delay in delays():
             if self._closed.wait(delay):

@@ -1,4 +1,4 @@
-"""The client of a sensor socket: tags and scans as lines of JSON, see docs/sensor_socket.md."""
+"""Tags and scans as lines of JSON, and the client of a sensor socket, see docs/sensor_socket.md."""
 
 from __future__ import annotations
 
@@ -54,6 +54,16 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
         values["ranges"][values["ranges"] == 0.0] = math.nan
         values["ranges"][free] = math.inf
     return kind(**values)
+
+
+def sensor_line(message: TagDetections | LaserScan) -> bytes:
+    """The line that says a message, with its newline."""
+    fields = {name: np.asarray(value).tolist() for name, value in vars(message).items()}
+    if isinstance(message, LaserScan):
+        # JSON has neither inf, nothing was met, nor nan, nothing is known.
+        told = {math.inf: None, -math.inf: 0.0}
+        fields["ranges"] = [0.0 if math.isnan(one) else told.get(one, one) for one in fields["ranges"]]
+    return json.dumps({"type": _NAMES[type(message)], **fields}, allow_nan=False).encode() + b"\n"
 
 
 def _value(value: Any, name: str, hint: Any) -> Any:

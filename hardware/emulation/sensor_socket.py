@@ -2,28 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import math
 import socket
 
-import numpy as np
-
 from tfg_drake.hardware.socket_sensors import LONGEST_LINE
-from tfg_drake.messages import LaserScan, TagDetections
-
-
-def sensor_line(message: TagDetections | LaserScan) -> bytes:
-    """The line that says a message, with its newline."""
-    fields = {name: np.asarray(value).tolist() for name, value in vars(message).items()}
-    if isinstance(message, LaserScan):
-        fields["ranges"] = [_range(distance) for distance in fields["ranges"]]
-    kind = "scan" if isinstance(message, LaserScan) else "detections"
-    return json.dumps({"type": kind, **fields}, allow_nan=False).encode() + b"\n"
-
-
-def _range(distance: float) -> float | None:
-    """JSON has neither inf, nothing was met, nor nan, nothing is known."""
-    return distance if math.isfinite(distance) else None if distance > 0.0 else 0.0
 
 
 class SensorSocket:

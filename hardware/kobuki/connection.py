@@ -6,10 +6,10 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
-from tfg_drake.hardware.device import BaseState
+from tfg_drake.hardware.device import BaseState, Inbox
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki import odometry
-from tfg_drake.hardware.sensor_reader import SILENT, Inbox
+from tfg_drake.hardware.sensor_reader import SILENT
 from tfg_drake.messages import replace
 
 if TYPE_CHECKING:

@@ -43,6 +43,7 @@ class KobukiDriver(Driver):
 
     def __init__(self, path: str, limits: Limits) -> None:
         """Waits until the base answers; raises DeviceError. path: of the serial port."""
+        super().__init__()
         self.limits = limits
         self.sources = {Odometry: f"odometry of {path}", Hazards: f"alarms of {path}", BaseState: f"state of {path}"}
         self._path = path

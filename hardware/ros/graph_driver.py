@@ -86,6 +86,7 @@ class GraphDriver(Driver):
 
     def __init__(self, graph: Graph, preset: Preset, *_wanted: Any) -> None:
         """preset: of the robot that the graph is about, or whose mounts hold."""
+        super().__init__()
         self._graph, self._preset = graph, preset
 
     def _find(self, topic: Topic, listened: bool = False) -> None:

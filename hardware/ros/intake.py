@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tfg_drake.hardware.camera_sensor import tell
-from tfg_drake.hardware.device import Message
+from tfg_drake.hardware.device import Inbox, Message
 from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
-from tfg_drake.hardware.sensor_reader import OLDEST, SILENT, Inbox
+from tfg_drake.hardware.sensor_reader import OLDEST, SILENT
 from tfg_drake.hardware.watchdog import SILENCE
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.slam.odometry_rules import WatchedOdometry, watch

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from tfg_drake.hardware.plausible import AHEAD, OLD, Judge, Refusals, judged
+from tfg_drake.hardware.device import Refusals
+from tfg_drake.hardware.plausible import AHEAD, OLD, Judge, judged
 from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections, replace
 
 NOW = 1000.0

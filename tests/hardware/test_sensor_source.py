@@ -15,10 +15,10 @@ import pytest
 
 from tfg_drake.hardware import sensor_reader, sensor_source, socket_sensors
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.emulation.sensor_socket import SensorSocket, sensor_line
+from tfg_drake.hardware.emulation.sensor_socket import SensorSocket
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import SourceSpec, open_sources, parse_source
-from tfg_drake.hardware.socket_sensors import SocketDriver, message_of
+from tfg_drake.hardware.socket_sensors import SocketDriver, message_of, sensor_line
 from tfg_drake.messages import LaserScan, TagDetections
 
 PRESET = load_preset("turtlebot2")
