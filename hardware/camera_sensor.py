@@ -43,15 +43,13 @@ class CameraDriver(SensorReader):
         self._source, self._latency, self._family = source, camera.latency, camera.family
         self._calibration = known_calibration(self.name, camera)
         from tfg_drake.vision.mount import CameraMount
-        from tfg_drake.vision.same_view import no_views
-        from tfg_drake.vision.sighting import TagSizes
-        from tfg_drake.vision.tag_detector import DetectorConfig, TagDetector
+        from tfg_drake.vision.tag_detector import DetectorConfig
+        from tfg_drake.vision.tag_eyes import TagEyes
 
-        self._sizes = TagSizes(camera.tag_size)
-        self._mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch, camera.roll)
-        self._views = no_views()
+        mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch, camera.roll)
+        config = DetectorConfig((camera.family,), camera.threads, camera.decimation)
         try:
-            self._detector = TagDetector(DetectorConfig((camera.family,), camera.threads, camera.decimation))
+            self._eyes = TagEyes(camera.tag_size, mount, config=config)
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
@@ -91,9 +89,6 @@ class CameraDriver(SensorReader):
             self._remark(holds[name].line)
 
     def _look_at(self, frame: Frame, now: float) -> None:
-        from tfg_drake.vision.same_view import weighed
-        from tfg_drake.vision.sighting import sighted
-
         (height, width), calibrated = frame.image.shape[:2], self._calibration
         if (width, height) != (calibrated.width, calibrated.height):
             self.close()
@@ -101,14 +96,12 @@ class CameraDriver(SensorReader):
                 f"{self.name}: images of {width} x {height} pixels, the calibration is of {calibrated.width} x "
                 f"{calibrated.height}; calibrate the camera as it is used"
             )
-        tags = self._detector.detect(frame.image)
-        seen = sighted(tags, frame.stamp, calibrated, self._sizes, self._mount)
-        detections, self._views = weighed(seen.detections, tags, self._views)
-        self._messages.append(detections)
+        seen = self._eyes.look(frame.image, frame.stamp, calibrated)
+        self._messages.append(seen.detections)
         tell(self.refusals, self.name, seen.remarks)
         self._looked.append(now)
         self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
-        self._tag_seen = bool(len(detections.ids))
+        self._tag_seen = bool(len(seen.detections.ids))
 
     def _holding(self, now: float) -> dict[str, Remark]:
         rate = len(self._looked) / COUNTED

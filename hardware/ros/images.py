@@ -13,9 +13,8 @@ from tfg_drake.messages import replace
 from tfg_drake.vision.calibration import WIDEST_IMAGE, CameraCalibration, calibration_of
 from tfg_drake.vision.image import Image
 from tfg_drake.vision.mount import CameraMount
-from tfg_drake.vision.same_view import no_views, weighed
-from tfg_drake.vision.sighting import Sighting, TagNoise, TagSizes, sighted
-from tfg_drake.vision.tag_detector import TagDetector
+from tfg_drake.vision.sighting import Sighting, TagNoise
+from tfg_drake.vision.tag_eyes import TagEyes
 
 # By an image's encoding: bytes a pixel, and where in them red, green and blue are; one byte is grey.
 ENCODINGS = {
@@ -38,19 +37,13 @@ class ImageTags:
         """kind, name: of the topic. camera: where it is, and its tags. A topic of rectified images is called so, as
         image_proc does it."""
         self._compressed, self._rectified = kind == COMPRESSED_IMAGE, "rect" in name
-        self._detector = TagDetector()
         mount = CameraMount(camera.x, camera.y, 0.0, camera.yaw, camera.pitch)
-        self._sheet = TagSizes(camera.tag_size), mount, TagNoise(pixels=camera.corner_sigma)
-        self._views = no_views()
+        self._eyes = TagEyes(camera.tag_size, mount, TagNoise(pixels=camera.corner_sigma))
 
     def sighting(self, message: Any, camera_info: Any, stamp: float) -> Sighting:
         """The tags in an image; raises ValueError if it cannot be read. stamp: s."""
         image = decompressed(message) if self._compressed else plain(message)
-        calibration = lens(camera_info, self._rectified)
-        tags = self._detector.detect(image)
-        seen = sighted(tags, stamp, calibration, *self._sheet)
-        detections, self._views = weighed(seen.detections, tags, self._views)
-        return Sighting(detections, seen.remarks)
+        return self._eyes.look(image, stamp, lens(camera_info, self._rectified))
 
 
 def plain(message: Any) -> Image:

@@ -1,4 +1,4 @@
-"""What the data sheets of a camera's tags and of its depth say, for the explorer to believe."""
+"""Data sheets of a camera's tags and of its depth, for the explorer to believe."""
 
 from __future__ import annotations
 

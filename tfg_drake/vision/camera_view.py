@@ -1,4 +1,4 @@
-"""What of its surroundings a camera sees, as the planner needs it."""
+"""View of a camera: the part of its surroundings that it sees, as the planner needs it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def camera_view(calibration: CameraCalibration, tag_size: float) -> CameraView:
 
 
 def joint_view(cameras: Sequence[tuple[float, CameraView]]) -> CameraView:
-    """What cameras see together, each with its yaw on the robot, rad: to as much on either side of straight ahead, as
-    far as the one that sees least far. Of one camera alone its own view, wherever it looks."""
+    """The view of cameras together, each with its yaw on the robot, rad: to as much on either side of straight ahead,
+    as far as the one that sees least far. One camera alone has its own view, wherever it looks."""
     if len(cameras) == 1:
         return cameras[0][1]
     reach = [0.0, 0.0]

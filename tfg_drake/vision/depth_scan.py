@@ -23,7 +23,7 @@ _WINDOW = 5
 
 @dataclasses.dataclass(frozen=True)
 class DepthScanConfig:
-    """Of a depth camera and its scan.
+    """Parameters of a depth camera and its scan.
 
     low, high: the band of heights above the floor, m: what the robot could run into. least_depth, most_depth: along the
     optical axis, m; nearer or farther the camera measures nothing. range_max: of the scan, m. sigma: of a range, m.
@@ -51,7 +51,7 @@ class DepthScanConfig:
 
 @message
 class DepthRays:
-    """What of a depth camera does not change, pixels sorted by their direction.
+    """Directions of a depth camera's pixels, sorted, which do not change.
 
     shape: of its images, (h, w). order: (h w,) pixels, row by row; begins: (m,) first of each direction; angles: (m,)
     rad in the body frame, as seen from the camera, increasing. along, up: (h w,) m forward in the plane and upward, a

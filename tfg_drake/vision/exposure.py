@@ -1,4 +1,4 @@
-"""What an exposure makes of a perfect image: blur by the robot's turn, too little light or too much, noise."""
+"""Effects of an exposure on a perfect image: blur by the robot's turn, too little light or too much, noise."""
 
 from __future__ import annotations
 

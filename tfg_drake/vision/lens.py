@@ -1,4 +1,4 @@
-"""What the lens does, undone: pixels to directions."""
+"""Undoing the lens: pixels to directions."""
 
 from __future__ import annotations
 

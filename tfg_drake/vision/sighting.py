@@ -54,7 +54,7 @@ class TagNoise:
 
 @message
 class Sighting:
-    """What one image showed. remarks: a line for each thing that was left out and why."""
+    """The tags that one image showed. remarks: a line for each thing that was left out and why."""
 
     detections: TagDetections
     remarks: tuple[str, ...]
@@ -119,7 +119,7 @@ def sighted(
 
 
 def nothing_sighted() -> Sighting:
-    """What a camera shows before its first image, stamped -inf."""
+    """The sighting before a camera's first image, stamped -inf."""
     return Sighting(empty(TagDetections, stamp=-np.inf), ())
 
 

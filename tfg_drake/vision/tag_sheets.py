@@ -29,7 +29,7 @@ class SheetError(ValueError):
 
 
 def parse_ids(text: str) -> list[int]:
-    """What "0-99" or "3,5,10-12" names, each once and in order; raises SheetError."""
+    """The ids that "0-99" or "3,5,10-12" names, each once and in order; raises SheetError."""
     ids: dict[int, None] = {}
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
