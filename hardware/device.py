@@ -70,8 +70,7 @@ T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState, 
 
 # How long to wait for an answer of the process, s.
 ANSWER_TIMEOUT = 5.0
-# A process that has not begun or has taken no commands for so long is lost for good, and so is a base without messages,
-# s.
+# A process that has not begun in this time is lost for good, and so is a base that says nothing for so long, s.
 HOPELESS = 60.0
 # Messages of a kind that wait to be taken or are remembered, at most: half a minute of the fastest.
 WAITING = 2000
@@ -240,8 +239,8 @@ class Device:
     def _open(self) -> None:
         """Does so, anew where there was a process that has ended."""
         self._locked: str | None = "not enabled yet"
-        # Since when the process takes no orders, s; None while it does.
-        self._full: float | None = None
+        # Whether the process takes no orders.
+        self._full = False
         self.ended: str | None = None
         before = self.heard
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -306,7 +305,7 @@ class Device:
     @property
     def locked(self) -> str | None:
         """Why the robot may not move; None when it may."""
-        return self.ended or (self._locked if self._full is None else _NO_ANSWER)
+        return self.ended or (_NO_ANSWER if self._full else self._locked)
 
     def take_remarks(self) -> list[str]:
         """The process's lines for the operator since the last call, each line once."""
@@ -318,8 +317,7 @@ class Device:
         """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more.
 
         due: when it was to be given, s, by default now: one that is late is not obeyed for longer. Where the process is
-        held up the command is lost: it stands by itself when it runs again. Raises DeviceError where it has ended or
-        was held up for a minute.
+        held up the command is lost: it stands by itself when it runs again. Raises DeviceError where it has ended.
         """
         self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
 
@@ -370,17 +368,12 @@ class Device:
             # Unlike select, which fails where the process has more than 1024 descriptors.
             room = select.poll()
             room.register(self._connection, select.POLLOUT)
-            if not room.poll(0):
-                now = time.monotonic()
-                self._full = now if self._full is None else self._full
-                if now - self._full > HOPELESS:
-                    raise DeviceError(f"the robot's process has taken no commands for {HOPELESS:.0f} s")
-                return False
-            self._connection.send(order)
+            self._full = not room.poll(0)
+            if not self._full:
+                self._connection.send(order)
         except OSError:
             raise DeviceError("the robot's process has ended") from None
-        self._full = None
-        return True
+        return not self._full
 
     def _read(self) -> None:
         while True:

@@ -64,13 +64,20 @@ class Graph(Protocol):
 def opened(kind: type[D], host: str, port: int, preset: Preset, *wanted: Any) -> D:
     """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, none for ROS 2. wanted: as the
     kind of driver has it."""
-    if not host:
+    graph: Graph
+    if host:
+        from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
+
+        graph = RosbridgeGraph(host, port)
+    else:
         from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-        return kind(Ros2Graph(kind.node, preset.discovery), preset, *wanted)
-    from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
-
-    return kind(RosbridgeGraph(host, port), preset, *wanted)
+        graph = Ros2Graph(kind.node, preset.discovery)
+    try:
+        return kind(graph, preset, *wanted)
+    except DeviceError:
+        graph.close()
+        raise
 
 
 def connect(preset: Preset, host: str = "", port: int = 0) -> Device:
@@ -184,19 +191,15 @@ class GraphBaseDriver(GraphDriver):
         self.sources = {Odometry: f"odometry of {topics.odometry.name}", Hazards: f"alarms of {alarms}"}
         # It may be missing: a robot of the same kind whose battery nobody publishes can be driven all the same.
         battery = [("battery", topics.battery)] if topics.battery is not None else []
-        try:
-            heard = [("odometry", topics.odometry), *(("hazards", topic) for topic in topics.hazards)]
-            for _, topic in heard:
-                graph.require(topic)
-            for _, topic in heard:
-                self._find(topic)
-            self._find(command, listened=True)
-            self._listen([*heard, *battery])
-            self._send = graph.publisher(command)
-            self._wait({topics.odometry.name})
-        except DeviceError:
-            self.close()
-            raise
+        heard = [("odometry", topics.odometry), *(("hazards", topic) for topic in topics.hazards)]
+        for _, topic in heard:
+            graph.require(topic)
+        for _, topic in heard:
+            self._find(topic)
+        self._find(command, listened=True)
+        self._listen([*heard, *battery])
+        self._send = graph.publisher(command)
+        self._wait({topics.odometry.name})
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
@@ -234,33 +237,27 @@ class SensorDriver(GraphDriver):
         # Held by who publishes, and by who leaves the graph.
         self._lock, self._left = threading.Lock(), False
         self.sources: dict[type, str] = {}
-        try:
-            needed = []
-            for use, named in topics:
-                (key, kind), topic = KEYS[use], named if isinstance(named, Topic) else self._named(use, named)
-                self.sources[kind] = f"{use} of {topic.name}"
-                needed.append((key, topic))
-            if any(topic.type.startswith("apriltag") for _, topic in needed):
-                if preset.topics.camera_info is None:
-                    raise DeviceError(f"{graph.label}: corners of tags say nothing without the preset's camera_info")
-                needed.append(("camera_info", preset.topics.camera_info))
-            needed += [
-                ("camera_info", _beside(topic)) for _, topic in needed if topic.type in (IMAGE, COMPRESSED_IMAGE)
-            ]
-            if base:
-                needed.append(("clock", preset.topics.odometry))
-            for key, topic in needed:
-                try:
-                    self._find(topic)
-                except DeviceError as error:
-                    mend = "; or give --tags none" if key in ("detections", "camera_info") else ""
-                    raise DeviceError(f"{error}{mend}") from None
-            said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
-            self._listen([*needed, *said])
-            self._wait({topic.name for _, topic in needed})
-        except DeviceError:
-            self.close()
-            raise
+        needed = []
+        for use, named in topics:
+            (key, kind), topic = KEYS[use], named if isinstance(named, Topic) else self._named(use, named)
+            self.sources[kind] = f"{use} of {topic.name}"
+            needed.append((key, topic))
+        if any(topic.type.startswith("apriltag") for _, topic in needed):
+            if preset.topics.camera_info is None:
+                raise DeviceError(f"{graph.label}: corners of tags say nothing without the preset's camera_info")
+            needed.append(("camera_info", preset.topics.camera_info))
+        needed += [("camera_info", _beside(topic)) for _, topic in needed if topic.type in (IMAGE, COMPRESSED_IMAGE)]
+        if base:
+            needed.append(("clock", preset.topics.odometry))
+        for key, topic in needed:
+            try:
+                self._find(topic)
+            except DeviceError as error:
+                mend = "; or give --tags none" if key in ("detections", "camera_info") else ""
+                raise DeviceError(f"{error}{mend}") from None
+        said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
+        self._listen([*needed, *said])
+        self._wait({topic.name for _, topic in needed})
 
     def _named(self, use: str, name: str) -> Topic:
         """The topic of this name, of the type that the graph has it with; raises DeviceError."""

@@ -16,7 +16,7 @@ class TagEyes:
     def __init__(
         self, tag_size: float, mount: CameraMount, noise: TagNoise | None = None, config: DetectorConfig | None = None
     ) -> None:
-        """tag_size: side of the tags' black squares, m. Raises ValueError where the detector's configuration is none."""
+        """tag_size: side of the tags' black squares, m. config: of the detector; raises ValueError where it is none."""
         self._detector = TagDetector(config)
         self._sheet = TagSizes(tag_size), mount, noise
         self._views = no_views()
