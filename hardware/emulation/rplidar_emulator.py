@@ -82,9 +82,9 @@ class RplidarEmulator(EmulatedDevice):
 
     def _obey(self, line: PseudoTerminal) -> None:
         for plain, other, payload in _REQUEST.findall(line.read()):
-            line.write(self._answer((plain or other)[0], payload))
+            line.write(self._answer(Command((plain or other)[0]), payload))
 
-    def _answer(self, command: int, payload: bytes) -> bytes:
+    def _answer(self, command: Command, payload: bytes) -> bytes:
         if command == Command.GET_INFO:
             return codec.descriptor(command) + bytes((self.model << 4 | 8, 29, 1, 7)) + bytes(16)
         if command == Command.GET_HEALTH:

@@ -64,15 +64,17 @@ class Graph(Protocol):
 def opened(kind: type[D], host: str, port: int, preset: Preset, *wanted: Any) -> D:
     """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, none for ROS 2. wanted: as the
     kind of driver has it."""
-    graph: Graph
-    if host:
-        from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
-
-        graph = RosbridgeGraph(host, port)
-    else:
+    if not host:
         from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
-        graph = Ros2Graph(kind.node, preset.discovery)
+        return on_graph(kind, Ros2Graph(kind.node, preset.discovery), preset, *wanted)
+    from tfg_drake.hardware.ros.rosbridge import RosbridgeGraph
+
+    return on_graph(kind, RosbridgeGraph(host, port), preset, *wanted)
+
+
+def on_graph(kind: type[D], graph: Graph, preset: Preset, *wanted: Any) -> D:
+    """A driver on a graph, which is left where that fails; raises DeviceError."""
     try:
         return kind(graph, preset, *wanted)
     except DeviceError:

@@ -171,6 +171,6 @@ def test_corners_of_tags_bring_their_camera():
 def test_topics_that_are_not_there(graph, line, monkeypatch):
     monkeypatch.setattr(graph_driver, "PATIENCE", 0.2)
     with pytest.raises(DeviceError) as error:
-        SensorDriver(graph, PRESET, (("tags", "/here"),))
+        graph_driver.on_graph(SensorDriver, graph, PRESET, (("tags", "/here"),))
     assert str(error.value) == f"ros2: {line}"
     assert graph.closed
