@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from tfg_drake.hardware.device import Message, Refusals
-from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, Side, TagDetections, replace
+from tfg_drake.messages import FloatArray, Hazards, IntArray, LaserScan, Odometry, TagDetections, replace
+from tfg_drake.mission.operation import Side
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.table import misfit, take
 

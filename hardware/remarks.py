@@ -10,8 +10,8 @@ import operator
 from collections.abc import Mapping, Sequence
 
 from tfg_drake.hardware.device import BaseState, Button, Device
-from tfg_drake.messages import Hazards, Side
-from tfg_drake.mission.operation import Command
+from tfg_drake.messages import Hazards
+from tfg_drake.mission.operation import Command, Side
 from tfg_drake.percent import percent
 
 # What was over for so long is told anew when it begins again, s.

@@ -11,7 +11,6 @@ covariance of a pose X_MB is that of (x, y) in M and theta.
 from __future__ import annotations
 
 import dataclasses
-import enum
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
@@ -117,17 +116,9 @@ class LaserScan:
     sigma: float
 
 
-class Side(enum.IntFlag):
-    """Bits of Hazards, in Kobuki's order."""
-
-    RIGHT = 1
-    CENTRE = 2
-    LEFT = 4
-
-
 @message
 class Hazards:
-    """The base's own alarms, as bits of Side. stamp: s."""
+    """The base's own alarms, as bits: 1 right, 2 centre, 4 left (Kobuki's order). stamp: s."""
 
     stamp: float
     bumper: int

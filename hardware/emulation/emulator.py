@@ -22,7 +22,7 @@ from tfg_drake.hardware.emulation.sensor_socket import SensorSocket
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
 from tfg_drake.hardware.socket_sensors import sensor_line
-from tfg_drake.messages import Side
+from tfg_drake.mission.operation import Side
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.world.world import World, bare_world
 

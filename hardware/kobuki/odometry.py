@@ -15,7 +15,8 @@ import numpy as np
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.kobuki.codec import BaseControl, Charger, CoreSensors, Inertia, Motor, Wheel
 from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
-from tfg_drake.messages import Hazards, Odometry, Side
+from tfg_drake.messages import Hazards, Odometry
+from tfg_drake.mission.operation import Side
 
 # Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.
 WHEEL_BASE = 0.230

@@ -22,7 +22,8 @@ from tfg_drake.geometry.sweep import Sweep, scan_of
 from tfg_drake.hardware.device import BaseState
 from tfg_drake.hardware.plausible import FARTHEST, IDS, MOST_RAYS, MOST_TAGS, SCAN_RANGE
 from tfg_drake.hardware.ros.preset import Camera, Scanner
-from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPose, Side, TagDetections, replace
+from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, SaidPose, TagDetections, replace
+from tfg_drake.mission.operation import Side
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.vision.calibration import WIDEST_IMAGE, CameraCalibration
 from tfg_drake.vision.mount import CameraMount

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from typing import Literal
 
 from tfg_drake.messages import Hazards, SaidPose, message, replace
@@ -28,6 +29,14 @@ class Operation:
     paused: bool = False
     recalled: bool = False
     ended: bool = False
+
+
+class Side(enum.IntFlag):
+    """Bits of Hazards."""
+
+    RIGHT = 1
+    CENTRE = 2
+    LEFT = 4
 
 
 def stopped_by(hazards: Hazards) -> str | None:

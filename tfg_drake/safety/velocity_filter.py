@@ -9,7 +9,8 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.geometry.motion import advance
-from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry, Side
+from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry
+from tfg_drake.mission.operation import Side
 from tfg_drake.safety.corridor import touch_distance
 from tfg_drake.safety.scan_watch import ScanWatch
 from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
