@@ -172,7 +172,7 @@ class HardwareBase(LeafSystem):
         if not stale:
             if before.waiting:
                 _log.info("%.2f s: %s again", now, before.waiting)
-            return replace(before, waiting="", since=now) if before.waiting else replace(before, since=now)
+            return replace(before, waiting="", since=now)
         if now - before.since > HOPELESS:
             reason = self._device.locked if stale[0] == "odometry" else None
             raise DeviceError(f"no {stale[0]} for {HOPELESS:.0f} s: {reason or 'its source is silent'}")

@@ -22,15 +22,15 @@ from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.hardware.sensor_reader import SILENT
 from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
+from tfg_drake.safety.scan_watch import LEAST_SHOWN, SHOWN_SHARE
 
 # A ray so near to a sighting's bearing, rad, shows what stands there.
 BESIDE = 0.02
 # So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
 # or the calibration: one alone may hang over what the scan meets.
 TAGS, AGREE, GREAT = 2, 0.25, 1.5
-# So many rays, and this share of them, meet something before a wall; so many scans that are the same to the last bit
-# are one, for ranges are noisy.
-LEAST_MET, MET_SHARE, SAME_SCANS = 20, 0.1, 5
+# So many scans that are the same to the last bit are one, for ranges are noisy.
+SAME_SCANS = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _rays(scans: Sequence[LaserScan]) -> Check:
     met = int(np.median([np.count_nonzero((one.ranges > 0.0) & (one.ranges < np.inf)) for one in scans]))
     frozen = len(scans) >= SAME_SCANS and len({one.ranges.tobytes() for one in scans}) == 1
     mend = ""
-    if met < max(LEAST_MET, MET_SHARE * rays):
+    if met < max(LEAST_SHOWN, SHOWN_SHARE * rays):
         mend = "see whether something covers the scanner, and put the robot a metre or two before a wall"
     elif frozen:
         mend = "all scans are the same to the last bit, so they are one: start the scanner's driver anew"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from tfg_drake.hardware.device import Device, DeviceError, Driver, Message, imported
+from tfg_drake.hardware.device import Device, DeviceError, Driver, imported
 from tfg_drake.hardware.process import TICK
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.conversions import ros_time
@@ -87,16 +87,15 @@ def connect(preset: Preset, host: str = "", port: int = 0) -> Device:
     return Device(partial(opened, GraphBaseDriver, host, port, preset))
 
 
-class GraphDriver(Driver):
+class GraphDriver(Intake, Driver):
     """Takes in what a graph has to say; a subclass says what of it. node: its name on the graph."""
 
     node: str
-    _intake: Intake
 
     def __init__(self, graph: Graph, preset: Preset, *_wanted: Any) -> None:
         """preset: of the robot that the graph is about, or whose mounts hold."""
-        super().__init__()
-        self._graph, self._preset = graph, preset
+        super().__init__(preset)
+        self._graph = graph
 
     def _find(self, topic: Topic, listened: bool = False) -> None:
         """Waits until somebody publishes a topic, or listens to it, as the preset has it; raises DeviceError, at once
@@ -136,42 +135,30 @@ class GraphDriver(Driver):
         return f"seen instead: {', '.join(seen) or 'no other topic (check ROS_DOMAIN_ID and the network)'}"
 
     def _listen(self, topics: list[tuple[str, Topic]]) -> None:
-        """Takes in topics by their key, see Intake."""
-        self._intake = Intake(self._preset, topics)
+        """Takes in topics by their key, see Intake.expect."""
+        self.expect(topics)
         for key, topic in topics:
-            self._graph.subscribe(topic, partial(self._intake.receive, key, topic))
+            self._graph.subscribe(topic, partial(self.receive, key, topic))
 
     def _wait(self, names: set[str]) -> None:
         """Waits until every topic of these names has sent a message, and the clock is learned; raises DeviceError."""
-        intake, label = self._intake, self._graph.label
+        clock, label = self.clock, self._graph.label
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and not (intake.clock.ready and names <= intake.arrived):
+        while time.monotonic() < end and not (clock.ready and names <= self.arrived):
             self.spin(TICK)
-        if silent := sorted(names - intake.arrived):
+        if silent := sorted(names - self.arrived):
             raise DeviceError(f"{label}: nothing arrives on {silent[0]} in {PATIENCE:.0f} s: start its driver")
-        if not intake.clock.ready:
-            slow = f"{intake.clock.source} falls silent for more than {SILENCE} s at times"
-            if intake.clock.source is None:
+        if not clock.ready:
+            slow = f"{clock.source} falls silent for more than {SILENCE} s at times"
+            if clock.source is None:
                 slow = f"too little arrives in {PATIENCE:.0f} s: it needs 2 Hz or more"
             raise DeviceError(f"{label}: {slow}")
-        if line := intake.clock.skew():
+        if line := clock.skew():
             raise DeviceError(f"{label}: {line}")
 
     def spin(self, duration: float) -> None:
         """Takes in what arrives, for `duration` s."""
         self._graph.spin(duration)
-
-    def take(self) -> list[Message]:
-        """The messages since the last call."""
-        return self._intake.take()
-
-    def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once; None when all is well."""
-        return self._intake.fault()
-
-    def remarks(self) -> list[str]:
-        """Lines for the operator since the last call."""
-        return self._intake.remarks()
 
     def close(self) -> None:
         """Leaves the graph."""
@@ -205,7 +192,7 @@ class GraphBaseDriver(GraphDriver):
 
     def send(self, speed: float, turn_rate: float) -> None:
         """Publishes a velocity, m/s and rad/s."""
-        kind, now = self._preset.topics.command.type, self._intake.clock.robot(time.monotonic())
+        kind, now = self._preset.topics.command.type, self.clock.robot(time.monotonic())
         self._send(conversions.velocity(kind, speed, turn_rate, now, self._preset.frames.base))
 
 
@@ -285,7 +272,7 @@ class SensorDriver(GraphDriver):
             if key not in self._senders:
                 self._senders[key] = self._sender(key)
             if (send := self._senders[key]) is not None:
-                send(with_ros_stamps(message, self._intake.clock.robot))
+                send(with_ros_stamps(message, self.clock.robot))
 
     def _sender(self, key: str) -> Send | None:
         kind, latched = PUBLISHED[key]
@@ -293,7 +280,7 @@ class SensorDriver(GraphDriver):
         try:
             return self._graph.publisher(topic)
         except DeviceError as error:
-            self._intake.refusals.tell(f"{topic.name} is not published: {error}")
+            self.refusals.tell(f"{topic.name} is not published: {error}")
             return None
 
     def close(self) -> None:

@@ -111,13 +111,9 @@ class Intake(Inbox):
     clock: learned from the odometry, from all topics where there is none.
     """
 
-    def __init__(self, preset: Preset, topics: list[tuple[str, Topic]]) -> None:
-        """topics: of a base "odometry", "hazards" and "battery", of sensors "scan", "detections", "camera_info" and
-        "initial_pose". Sensors' clock and the robot's velocity are learned from the odometry where they have "clock",
-        else the clock from them all.
-        """
+    def __init__(self, preset: Preset, topics: list[tuple[str, Topic]] | None = None) -> None:
+        """topics: see expect."""
         super().__init__()
-        self.clock = StampClock(next((topic.name for key, topic in topics if key in ("odometry", "clock")), None))
         self._preset = preset
         self._V_B = np.zeros(2)
         self._watched = WatchedOdometry()
@@ -125,11 +121,19 @@ class Intake(Inbox):
         # What the camera says of itself, and that of it which apriltag_msgs need.
         self._camera_info: Any = None
         self._camera: CameraCalibration | None = None
-        # Whether tags are looked for in images, and what does.
-        self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
+        # What looks for tags in images.
         self._eyes: ImageTags | None = None
         self._families: list[str] = []
         self.arrived: set[str] = set()
+        self.expect(topics or [])
+
+    def expect(self, topics: list[tuple[str, Topic]]) -> None:
+        """Topics that are to be received: of a base "odometry", "hazards" and "battery", of sensors "scan",
+        "detections", "camera_info" and "initial_pose". Sensors' clock and the robot's velocity are learned from the
+        odometry where they have "clock", else the clock from them all."""
+        self.clock = StampClock(next((topic.name for key, topic in topics if key in ("odometry", "clock")), None))
+        # Whether tags are looked for in images.
+        self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
 
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
         """Takes a message in that arrived at `arrival` (host's monotonic clock, s). One that cannot be used is refused,

@@ -13,7 +13,7 @@ from tfg_drake.messages import FloatArray, LaserScan, message
 from tfg_drake.safety.seen_space import SeenSpace, nothing_seen, remembered
 
 # A scan that met fewer than this share of what it should have met shows nothing; fewer than so many tell nothing.
-_SHOWN_SHARE, _LEAST_SHOWN = 0.1, 10
+SHOWN_SHARE, LEAST_SHOWN = 0.1, 10
 # Nothing is expected of what lies beyond this share of the scanner's reach, or nearer to its blind zone than this, m.
 _REACH_SHARE, _BLIND_MARGIN = 0.8, 0.1
 # Of a scan that stays the same while the robot moves, this share of ranges must be wrong by more than this, m.
@@ -88,10 +88,10 @@ def _shows(before: LaserScan, scan: LaserScan, X_SB: FloatArray, least: float, r
     nearer than least (m) or farther than reach (m) is not expected."""
     met = np.count_nonzero(np.isfinite(scan.ranges))
     # No more is expected than was met then.
-    if met >= _SHOWN_SHARE * np.count_nonzero(np.isfinite(before.ranges)):
+    if met >= SHOWN_SHARE * np.count_nonzero(np.isfinite(before.ranges)):
         return True
     expected = _in_view(before.angles, before.ranges, X_SB, least, reach)
-    return expected < _LEAST_SHOWN or bool(met >= _SHOWN_SHARE * expected)
+    return expected < LEAST_SHOWN or bool(met >= SHOWN_SHARE * expected)
 
 
 def _moved(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -118,4 +118,4 @@ def _should_differ(angles: FloatArray, ranges: FloatArray, X_SB: FloatArray, rea
     n -= bearing - angles[n - 1] < angles[n] - bearing
     met = ranges[n] < np.inf
     wrong = np.abs(ranges[n[met]] - distance[met]) > _WRONG
-    return len(wrong) >= _LEAST_SHOWN and bool(np.count_nonzero(wrong) > _WRONG_SHARE * len(wrong))
+    return len(wrong) >= LEAST_SHOWN and bool(np.count_nonzero(wrong) > _WRONG_SHARE * len(wrong))
