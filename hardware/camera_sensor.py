@@ -53,8 +53,9 @@ class CameraDriver(SensorReader):
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
-        # When images were looked at in the last COUNTED seconds, s; of the newest the mean grey level, and whether a
-        # tag was seen in it.
+        # Whether any image was looked at, and when in the last COUNTED seconds, s; of the newest the mean grey level,
+        # and whether a tag was seen in it.
+        self._seen = False
         self._looked: collections.deque[float] = collections.deque()
         self._light, self._tag_seen = DARK, False
         self._begin()
@@ -71,7 +72,7 @@ class CameraDriver(SensorReader):
         return "" if self._messages else f"no image in {PATIENCE:.0f} s; is it there, and free?"
 
     def _receive(self, left: float) -> None:
-        """Looks at one image; raises DeviceError where it is not of the calibration's size."""
+        """Looks at one image."""
         from tfg_drake.vision.frames import is_live
 
         frame = self._device.take(left)
@@ -80,7 +81,7 @@ class CameraDriver(SensorReader):
             self._look_at(frame, now)
         elif error := self._device.error:
             then = ": is it plugged in? It is looked for" if is_live(self._source) else "; they begin again"
-            self._lose(f"no more images{then}" if self._looked or self._lost else error)
+            self._lose(f"no more images{then}" if self._seen else error)
             return
         while self._looked and self._looked[0] < now - COUNTED:
             self._looked.popleft()
@@ -91,14 +92,13 @@ class CameraDriver(SensorReader):
     def _look_at(self, frame: Frame, now: float) -> None:
         (height, width), calibrated = frame.image.shape[:2], self._calibration
         if (width, height) != (calibrated.width, calibrated.height):
-            self.close()
-            raise DeviceError(
-                f"{self.name}: images of {width} x {height} pixels, the calibration is of {calibrated.width} x "
-                f"{calibrated.height}; calibrate the camera as it is used"
-            )
+            known = f"the calibration is of {calibrated.width} x {calibrated.height}"
+            self._lose(f"images of {width} x {height} pixels, {known}; calibrate the camera as it is used")
+            return
         seen = self._eyes.look(frame.image, frame.stamp, calibrated)
         self._messages.append(seen.detections)
         tell(self.refusals, self.name, seen.remarks)
+        self._seen = True
         self._looked.append(now)
         self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
         self._tag_seen = bool(len(seen.detections.ids))
