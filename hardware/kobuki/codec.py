@@ -15,7 +15,7 @@ import enum
 import functools
 import operator
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import ClassVar
 
 BAUD_RATE = 115200
@@ -243,14 +243,17 @@ def decode(payload: bytes, kinds: Kinds) -> tuple[SubPayload, ...]:
 
     Unknown ids are skipped, and so is a known one of a length it cannot have, or one cut off by the payload's end.
     """
-    parts: list[SubPayload] = []
+    whole = [(number, data) for number, data, end in _split(payload) if end <= len(payload)]
+    parts = [_part(kinds[number], data) for number, data in whole if number in kinds]
+    return tuple(part for part in parts if part is not None)
+
+
+def _split(payload: bytes) -> Iterator[tuple[int, bytes, int]]:
+    """Ids and data of sub-payloads, known or not, and where each ends: the last perhaps beyond the payload."""
     at = 0
     while at + 2 <= len(payload):
-        number, end = payload[at], at + 2 + payload[at + 1]
-        data, at = payload[at + 2 : end], end
-        if at <= len(payload) and number in kinds and (part := _part(kinds[number], data)) is not None:
-            parts.append(part)
-    return tuple(parts)
+        number, begin, at = payload[at], at + 2, at + 2 + payload[at + 1]
+        yield number, payload[begin:at], at
 
 
 def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
@@ -263,10 +266,7 @@ def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
 
 def _tiled(payload: bytes) -> bool:
     """Returns True if whole sub-payloads, known or not, fill it."""
-    at = 0
-    while at + 2 <= len(payload):
-        at += 2 + payload[at + 1]
-    return at == len(payload)
+    return max((end for *_, end in _split(payload)), default=0) == len(payload)
 
 
 class Deframer:

@@ -45,21 +45,18 @@ class RplidarDriver(SensorReader):
         """Raises DeviceError."""
         for baud_rate in codec.BAUD_RATES:
             self._device = open_port(self._path, baud_rate, RPLIDAR)
-            try:
-                self._say(codec.request(Command.STOP))
-                time.sleep(TICK)
-                self._device.reset_input_buffer()
-                told = self._asked(Command.GET_INFO)
-                if told is not None:
-                    self._start(codec.model(told))
-                    return
-            except (OSError, termios.error) as error:
-                self._hang_up()
-                raise DeviceError(f"{self.name}: {error.args[-1]}; plug the scanner in again") from None
-            except DeviceError:
-                self._hang_up()
-                raise
-            self._hang_up()
+            with contextlib.ExitStack() as undo:
+                undo.callback(self._hang_up)
+                try:
+                    self._say(codec.request(Command.STOP))
+                    time.sleep(TICK)
+                    self._device.reset_input_buffer()
+                    if (told := self._asked(Command.GET_INFO)) is not None:
+                        self._start(codec.model(told))
+                        undo.pop_all()
+                        return
+                except (OSError, termios.error) as error:
+                    raise DeviceError(f"{self.name}: {error.args[-1]}; plug the scanner in again") from None
         rates = " or ".join(map(str, codec.BAUD_RATES))
         raise DeviceError(f"{self.name}: no RPLidar answers at {rates} baud; name the scanner's port")
 
