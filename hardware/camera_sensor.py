@@ -89,6 +89,13 @@ class CameraDriver(SensorReader):
         for name in names:
             self._remark(holds[name].line)
 
+    def _lose(self, why: str) -> None:
+        """Raises DeviceError where there was no image yet that could be used."""
+        if not self._seen:
+            self.close()
+            raise DeviceError(f"{self.name}: {why}")
+        super()._lose(why)
+
     def _look_at(self, frame: Frame, now: float) -> None:
         (height, width), calibrated = frame.image.shape[:2], self._calibration
         if (width, height) != (calibrated.width, calibrated.height):

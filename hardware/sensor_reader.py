@@ -46,8 +46,8 @@ class SensorReader(Driver, abc.ABC):
         super().__init__()
         self.name, self.sources = name, sources
         self._device: Any = None
-        # Why it was lost, "" while it is not; when to connect again, s.
-        self._lost, self._retry, self._delays = "", 0.0, delays()
+        # Whether it is lost; when to connect again, s.
+        self._lost, self._retry, self._delays = False, 0.0, delays()
 
     @abc.abstractmethod
     def _connect(self) -> None:
@@ -66,9 +66,9 @@ class SensorReader(Driver, abc.ABC):
         self._connect()
         end = time.monotonic() + PATIENCE
         while missing := self._missing():
-            if self._device is None or time.monotonic() > end:
+            if time.monotonic() > end:
                 self.close()
-                raise DeviceError(f"{self.name}: {self._lost or missing}")
+                raise DeviceError(f"{self.name}: {missing}")
             self.spin(TICK)
 
     def spin(self, duration: float) -> None:
@@ -81,7 +81,7 @@ class SensorReader(Driver, abc.ABC):
             before = len(self._messages)
             self._receive(left)
             if self._lost and len(self._messages) > before:
-                self._lost, self._delays = "", delays()
+                self._lost, self._delays = False, delays()
                 self._remark("connected again")
 
     def _connect_again(self, left: float) -> None:
@@ -98,7 +98,7 @@ class SensorReader(Driver, abc.ABC):
         """The device is lost, and looked for; told once until something arrives again."""
         if not self._lost:
             self._remark(why)
-        self._lost = why
+        self._lost = True
         self._hang_up()
         self._wait()
 
