@@ -273,11 +273,13 @@ class Deframer:
     """Finds the payloads in a stream of bytes that may begin, break off and be garbled anywhere.
 
     A checksum of one byte is right by chance once in 256 times, so a payload must consist of whole sub-payloads, too.
-    A true frame may hide behind a beginning that turned out to be none: the search goes on at its next byte.
+    bad: beginnings of a frame that turned out to be none. A true frame may hide behind such a one: the search goes on
+    at its next byte.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
+        self.bad = 0
 
     def feed(self, data: bytes) -> list[bytes]:
         """The payloads that are complete with these bytes, whose checksums are right."""
@@ -296,6 +298,7 @@ class Deframer:
                 found.append(body[1:])
                 at = end
             else:
+                self.bad += 1
                 at += 1
         else:
             # Half a header may be the last byte.

@@ -149,6 +149,7 @@ def test_a_frame_behind_a_false_length_is_found():
     deframer = Deframer()
     assert deframer.feed(b"\xaa\x55\xff" + frame * 3) == []
     assert len(deframer.feed(b"\x11" * 250)) == 3
+    assert deframer.bad == 1
 
 
 def test_garbled_frames_are_not_accepted():
