@@ -2,10 +2,10 @@
 
     python benchmarks/mission_kernels.py
 
-Two missions, one by tags and walls and one by walls alone, compile into an empty folder all that they call, five
-minutes. A line a kernel and types: module, name, seconds that it took without those it calls, types. First come those
-that call no others, then those that call only these, and so on, of each the longest first: so hardly one is compiled by
-two processes at a time.
+Three missions, by tags and walls, by walls alone and on a grid, compile into an empty folder all that they call, five
+minutes. A line a kernel and types: module, name, types. First come those that call no others, then those that call only
+these, and so on, of each those first that take longest without those they call: so hardly one is compiled by two
+processes at a time.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 FILE = Path(__file__).parents[1] / "tfg_drake" / "mission_kernels.txt"
-# Tags a metre apart as the scenario has them, or none; how long each goes on, s.
-MISSIONS, UNTIL = (False, True), 120.0
+# Method and whether the scenario keeps its tags, a metre apart; how long each goes on, s.
+MISSIONS, UNTIL = (("tfg", True), ("tfg", False), ("weighted", False)), 120.0
 
 
 def spelled(one: Any) -> str:
@@ -67,20 +67,19 @@ def depth(kernel: Any) -> int:
     return max((1 + depth(one) for one in called_by(kernel)), default=0)
 
 
-def lines(kernel: Any, cost: float, types: Any) -> str:
+def line(kernel: Any, types: Any) -> str:
     """Its line in the list."""
     module = sys.modules[kernel.py_func.__module__]
     name = next(name for name, one in kernels_of(module).items() if one is kernel)
     types = f"({''.join(f'{spelled(one)}, ' for one in types)})"
-    return f"{module.__name__.removeprefix('tfg_drake.')} {name} {cost:.2f} {types}"
+    return f"{module.__name__.removeprefix('tfg_drake.')} {name} {types}"
 
 
-def called() -> set[tuple[str, str, str]]:
+def called() -> set[tuple[str, ...]]:
     """Module, name and types of all kernels that this process has called from Python so far."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("tfg_drake.")]
     kernels = [one for module in modules for one in kernels_of(module).values()]
-    split = (lines(one, 0.0, types).split(maxsplit=3) for one in kernels for types in one.overloads)
-    return {(module, name, types) for module, name, _, types in split}
+    return {tuple(line(one, types).split(maxsplit=2)) for one in kernels for types in one.overloads}
 
 
 def main() -> None:
@@ -90,6 +89,7 @@ def main() -> None:
         os.environ["NUMBA_CACHE_DIR"] = folder
         from numba.core import event
 
+        from tfg_drake.diagrams.methods import METHODS
         from tfg_drake.diagrams.missions.run import run_mission
         from tfg_drake.diagrams.scenario import LoadScenario
 
@@ -111,13 +111,13 @@ def main() -> None:
                     inner[-1] += spent - own
 
         event.register("numba:compile", Listener())
-        for without_tags in MISSIONS:
+        for number, (method, has_tags) in enumerate(MISSIONS):
             scenario = LoadScenario("house")
-            if without_tags:
+            if not has_tags:
                 scenario.world.tags = []
-            run_mission(scenario, max_time=UNTIL, out_dir=Path(folder) / f"run-{without_tags}")
+            run_mission(scenario, method=METHODS[method], max_time=UNTIL, out_dir=Path(folder) / f"run-{number}")
     ordered = sorted(rows, key=lambda key: (depth(key[0]), -rows[key]))
-    FILE.write_text("".join(f"{lines(key[0], rows[key], key[1])}\n" for key in ordered), encoding="utf-8")
+    FILE.write_text("".join(f"{line(*key)}\n" for key in ordered), encoding="utf-8")
     total = sum(rows.values())
     print(f"{len(rows)} of {len({key[0] for key in rows})} kernels, {total:.0f} s: {FILE}")
 

@@ -3,8 +3,8 @@
     python -m tfg_drake.diagrams.compile_kernels
 
 The package has a list of them with the types that missions call each with, `mission_kernels.txt`, made by
-`benchmarks/mission_kernels.py`. Some processes go through it side by side, and each compiles what no other has begun.
-What a mission calls besides, numba compiles when it is called.
+`benchmarks/mission_kernels.py`. Some processes take the next row of it from one pipe, and tell of each that is done by
+another. What a mission calls besides, numba compiles when it is called.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ import contextlib
 import functools
 import importlib
 import inspect
-import math
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -27,6 +25,7 @@ from typing import Any, NamedTuple
 from tfg_drake import kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams.screen import Screen, say
+from tfg_drake.percent import percent
 
 MODULE = "tfg_drake.diagrams.compile_kernels"
 # More processes than this compile much of numba's own once more each, and take 0.3 GB each.
@@ -34,12 +33,11 @@ MOST_PROCESSES = 4
 
 
 class Listed(NamedTuple):
-    """A kernel that missions call: its module in the package and name, how long it alone took to compile on some
-    machine, s, and the numba types of its arguments as Python spells them."""
+    """A kernel that missions call: its module in the package and name, and the numba types of its arguments as Python
+    spells them."""
 
     module: str
     name: str
-    cost: float
     types: str
 
 
@@ -47,8 +45,7 @@ class Listed(NamedTuple):
 def listed() -> list[Listed]:
     """All that missions call, each after what it calls."""
     text = (kernels.PACKAGE / "mission_kernels.txt").read_text(encoding="utf-8")
-    rows = [line.split(maxsplit=3) for line in text.splitlines() if line]
-    return [Listed(module, name, float(cost), types) for module, name, cost, types in rows]
+    return [Listed(*line.split(maxsplit=2)) for line in text.splitlines()]
 
 
 def resolved(one: Listed) -> tuple[Any, tuple[Any, ...]]:
@@ -60,39 +57,30 @@ def resolved(one: Listed) -> tuple[Any, tuple[Any, ...]]:
 
 
 class WarmUp:
-    """Processes that compile what is missing; to be closed."""
+    """Processes that compile the list, as far as it is not; to be closed."""
 
     def __init__(self) -> None:
         """Starts them. Raises ChildProcessError where one cannot be started, OSError where nothing can be kept."""
         kernels.folder().mkdir(parents=True, exist_ok=True)
-        self._folder = tempfile.TemporaryDirectory(prefix="tfg_drake-")
-        self._since = time.monotonic()
-        self._told = math.inf  # The least time left that was told, s.
-        count = min(max(len(os.sched_getaffinity(0)), 2), MOST_PROCESSES)
-        self._processes = [_start(Path(self._folder.name)) for _ in range(count)]
-
-    def _done(self, how: str) -> set[int]:
-        """The numbers of those in the list that are there; how: "made" or "kept" from before, "*" for both."""
-        return {int(path.stem) for path in Path(self._folder.name).glob(f"*.{how}")}
-
-    @property
-    def left(self) -> float:
-        """How long it will take at the speed so far, s; inf before a twentieth tells the speed."""
-        cost = [one.cost for one in listed()]
-        made = sum(cost[number] for number in self._done("made"))
-        left = sum(cost) - sum(cost[number] for number in self._done("*"))
-        return (time.monotonic() - self._since) * left / made if made > (made + left) / 20 else math.inf
+        self._count = 0
+        (rows, all_rows), (self._done, done) = os.pipe(), os.pipe()
+        os.set_blocking(self._done, False)
+        os.write(all_rows, b"".join(row.to_bytes(2) for row in range(len(listed()))))
+        os.close(all_rows)
+        try:
+            count = min(max(len(os.sched_getaffinity(0)), 2), MOST_PROCESSES)
+            self._processes = [_start(rows, done) for _ in range(count)]
+        finally:
+            os.close(rows)
+            os.close(done)
 
     @property
     def word(self) -> str:
-        """Progress in words, in minutes that never become more; "" where nothing is compiled any more. Of the last
-        minute it says only that."""
-        if self.ended:
-            return ""
-        self._told = min(self._told, self.left)
-        about = "" if math.isinf(self._told) else f", about {math.ceil(self._told / 60)} min left"
-        about = about if self._told > 60 else ", soon done"
-        return f"compiling kernels, once per installation{about}"
+        """Progress in words; "" where nothing is compiled any more."""
+        with contextlib.suppress(BlockingIOError):
+            self._count += len(os.read(self._done, len(listed())))
+        done = percent(self._count / len(listed()), 0)
+        return "" if self.ended else f"compiling kernels, once per installation, {done:.0f} % done"
 
     @property
     def ended(self) -> bool:
@@ -107,23 +95,24 @@ class WarmUp:
         for process in self._processes:
             process.terminate()
             process.wait()
-        self._folder.cleanup()
+        os.close(self._done)
 
 
-def _start(folder: Path) -> subprocess.Popen[bytes]:
-    """A process that compiles what no other does, and leaves a file in a folder for each. Ctrl-C passes it by.
+def _start(rows: int, done: int) -> subprocess.Popen[bytes]:
+    """A process that compiles the rows that it reads from one file, and writes a byte to another after each. Ctrl-C
+    passes it by.
 
     It imports the package from where this program did, whatever lies in the folder where that was started: kernels are
     kept beside their sources.
 
     Raises ChildProcessError where it cannot be started.
     """
-    nothing, command = subprocess.DEVNULL, [sys.executable, "-P", "-m", MODULE, str(folder)]
+    command = [sys.executable, "-P", "-m", MODULE, "rows"]
     places = [str(Path(kernels.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     try:
         return subprocess.Popen(
-            command, stdin=nothing, stdout=nothing, stderr=nothing, process_group=0, env=environment
+            command, stdin=rows, stdout=done, stderr=subprocess.DEVNULL, process_group=0, env=environment
         )
     except OSError as error:
         raise ChildProcessError(error.errno, error.strerror, command[0]) from error
@@ -164,32 +153,23 @@ def make_kernels_ready() -> None:
             wait_for_kernels(show)
 
 
-def _compile(folder: Path) -> None:
-    """Compile of the list what no other process has begun, by the files of a folder: NUMBER is one that is begun,
-    NUMBER.made one that was compiled, NUMBER.kept one that there was already, or that is of another version. It ends
-    with the process that has started it."""
+def _compile() -> None:
+    """Compile the rows of standard input, until there is none or nobody asks for them; one that is of another version
+    is left out."""
     from numba.core.errors import NumbaError
 
-    parent = os.getppid()
-    for number, one in enumerate(listed()):
-        begun = folder / str(number)
-        if os.getppid() != parent:
-            return
-        try:
-            begun.touch(exist_ok=False)
-        except FileExistsError:
-            continue
-        kernel: Any = None
+    for row in iter(lambda: os.read(0, 2), b""):
         with contextlib.suppress(AttributeError, NameError, TypeError, NumbaError):
-            kernel, types = resolved(one)
+            kernel, types = resolved(listed()[int.from_bytes(row)])
             kernel.compile(types)
-        begun.rename(begun.with_suffix(".made" if kernel and kernel.stats.cache_misses else ".kept"))
+        os.write(1, b".")
 
 
 def main() -> None:
-    """Compile by the files of a folder, or what is missing and say so."""
+    """Compile some rows for another process, or what is missing and say so."""
     if len(sys.argv) == 2:
-        _compile(Path(sys.argv[1]))
+        with contextlib.suppress(BrokenPipeError):
+            _compile()
         return
     try:
         with Screen() as show:

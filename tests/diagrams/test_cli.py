@@ -523,17 +523,6 @@ def test_arguments_are_judged_before_anything_is_compiled_or_said(call, monkeypa
     assert call("explore", *arguments.split()) == (2, "", f"tfg-drake: {complaint}\n")
 
 
-def test_the_time_that_kernels_take_is_never_told_to_grow(monkeypatch):
-    left = iter([math.inf, 360.0, 410.0, 430.0, 390.0, 130.0, 61.0, 150.0, 20.0, 0.0])
-    monkeypatch.setattr(compile_kernels.WarmUp, "left", property(lambda _self: next(left)))
-    monkeypatch.setattr(compile_kernels.WarmUp, "ended", False)
-    compiling = object.__new__(compile_kernels.WarmUp)
-    compiling._told = math.inf
-    words = [compiling.word.removeprefix("compiling kernels, once per installation") for _ in range(10)]
-    minutes = [6, 6, 6, 6, 3, 2, 2]
-    assert words == ["", *(f", about {m} min left" for m in minutes), ", soon done", ", soon done"]
-
-
 def test_who_interrupts_the_compiling_does_not_wait_for_it(call, monkeypatch):
     class Compiling:
         word, ended = "compiling kernels", False

@@ -1,8 +1,8 @@
 """The kernels that are compiled before the first mission are those that missions call."""
 
+import os
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -13,6 +13,7 @@ CALLED = r"""
 import tfg_drake
 from benchmarks.mission_kernels import called
 tfg_drake.explore("house", seed=1, until=25.0)
+tfg_drake.explore("house", seed=1, method="grid-nearest", until=25.0)
 print(*map("\t".join, called()), sep="\n")
 """
 
@@ -41,33 +42,55 @@ def few(monkeypatch):
     """Another list: a kernel that is there, one that another compiles, one that has gone, and one of other types."""
     types = "(float64, float64, float64, float64, float64, float64, )"
     rows = [
-        ("geometry.distance", "side_of", 4.0, types),
-        ("geometry.distance", "segments_cross", 6.0, types),
-        ("geometry.distance", "gone", 2.0, types),
-        ("geometry.distance", "point_segment_distance", 8.0, "(boolean, )"),
+        ("geometry.distance", "side_of", types),
+        ("geometry.distance", "segments_cross", types),
+        ("geometry.distance", "gone", types),
+        ("geometry.distance", "point_segment_distance", "(boolean, )"),
     ]
     monkeypatch.setattr(compile_kernels, "listed", lambda: [compile_kernels.Listed(*row) for row in rows])
 
 
-def test_a_process_leaves_what_another_has_begun_and_what_is_of_another_version(few, tmp_path):
-    (tmp_path / "1").touch()
-    compile_kernels._compile(tmp_path)
-    assert {path.stem for path in tmp_path.iterdir() if path.suffix} == {"0", "2", "3"}
-    assert (tmp_path / "1").exists()
+def test_each_process_takes_what_no_other_has_and_leaves_what_is_of_another_version(few, monkeypatch):
+    def compiled(rows):
+        (numbers, queue), (told, done) = os.pipe(), os.pipe()
+        os.write(queue, b"".join(row.to_bytes(2) for row in rows))
+        os.close(queue)
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "read", lambda _, size, read=os.read: read(numbers, size))
+            patched.setattr(os, "write", lambda _, data, write=os.write: write(done, data))
+            compile_kernels._compile()
+        os.close(done)
+        return os.read(told, 99)
+
+    assert compiled([0, 2, 3]) == b"..."
+    assert compiled([]) == b""
 
 
-def test_the_time_left_goes_by_what_each_costs(few, tmp_path):
-    compiling = object.__new__(compile_kernels.WarmUp)
-    compiling._folder = type("", (), {"name": str(tmp_path)})
-    compiling._since, compiling._processes = time.monotonic() - 100.0, [type("", (), {"poll": lambda _self: None})()]
-    assert compiling.left == float("inf")
-    (tmp_path / "0.kept").touch()
-    assert compiling.left == float("inf")
-    (tmp_path / "3.made").touch()
-    assert compiling.left == pytest.approx(100.0, abs=1.0)  # 8 of 16 s that were not there.
-    (tmp_path / "1.made").touch()
-    (tmp_path / "2").touch()
-    assert compiling.left == pytest.approx(100.0 * 2.0 / 14.0, abs=1.0)
+def test_progress_is_told_as_the_share_that_is_done(monkeypatch):
+    monkeypatch.setattr(compile_kernels, "_start", lambda _rows, done: Process(os.dup(done)))
+
+    class Process:
+        def __init__(self, done):
+            self.done, self.code = done, None
+
+        def poll(self):
+            return self.code
+
+        def terminate(self):
+            os.close(self.done)
+
+        wait = poll
+
+    compiling = compile_kernels.WarmUp()
+    first = compiling._processes[0]
+    said = "compiling kernels, once per installation, "
+    assert compiling.word == said + "0 % done"
+    os.write(first.done, b"." * (len(compile_kernels.listed()) // 2 + 1))
+    assert compiling.word == said + "50 % done"
+    for process in compiling._processes:
+        process.code = 1
+    assert (compiling.word, compiling.ended) == ("", True)
+    compiling.close()
 
 
 def test_they_are_compiled_for_the_package_that_this_program_imports(tmp_path, monkeypatch):
@@ -76,4 +99,5 @@ def test_they_are_compiled_for_the_package_that_this_program_imports(tmp_path, m
     (tmp_path / "tfg_drake" / "__init__.py").write_text("raise SystemExit(3)")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(compile_kernels, "MODULE", "tfg_drake.notes")
-    assert compile_kernels._start(tmp_path).wait(60) == 0
+    with open(os.devnull, "r+b") as nothing:
+        assert compile_kernels._start(nothing.fileno(), nothing.fileno()).wait(60) == 0
