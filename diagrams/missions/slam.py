@@ -17,21 +17,17 @@ from threadpoolctl import threadpool_limits
 
 from tfg_drake import __version__
 from tfg_drake.comparison.metrics import rmse
-from tfg_drake.datasets.batch_smoother import smooth
+from tfg_drake.datasets.estimated import GRAPH_METHOD, estimated, shares
 from tfg_drake.datasets.evaluation import (
     hits,
-    landmark_error,
     poses_between,
     relative_error,
-    robot_error,
     truth_at,
     wall_thickness,
 )
-from tfg_drake.datasets.figure import draw_laser_map, draw_slam
-from tfg_drake.datasets.g2o import write_g2o
-from tfg_drake.datasets.online import run_online
-from tfg_drake.datasets.pose_graph import PoseGraph, half_chi_square, solve_pose_graph
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, OnProgress, Recording
+from tfg_drake.datasets.figure import draw_laser_map
+from tfg_drake.datasets.pose_graph import PoseGraph
+from tfg_drake.datasets.recording import DatasetError, OnProgress, Recording
 from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
 from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
@@ -43,29 +39,16 @@ from tfg_drake.diagrams.recorded_station import RecordedRobot, RecordedScenario,
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
-from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.hardware.recordings import load_recording
-from tfg_drake.io.files import write_atomic
-from tfg_drake.mapfile.landmark_table import landmark_csv
-from tfg_drake.mapfile.saved_map import save_map, saved_map
-from tfg_drake.messages import FloatArray, IntArray, Observation, is_tag, replace
-from tfg_drake.notes import Note
-from tfg_drake.percent import percent
-from tfg_drake.slam.estimator import finished_map
-from tfg_drake.slam.estimator_state import EstimatorState
+from tfg_drake.messages import FloatArray, IntArray, Observation
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.surface_fit import poses_by_surfaces
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.storage.trajectory import write_tum
-from tfg_drake.table import empty
-from tfg_drake.tfg.feature_graph import TfgGraph
-from tfg_drake.tfg.graph import empty_map
 
 _log = logging.getLogger("tfg_drake.slam_command")
 
-# What a graph without a robot's way in it is solved by.
-GRAPH_METHOD = "batch"
 # Settings of a recording's scanner begin so.
 _SCANNER = "hardware.scanner."
 # What the summary says where a reference is known.
@@ -117,7 +100,7 @@ def run_slam(
     if isinstance(loaded, Recording) and is_laser:
         if not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
             raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
-        mapping, online = method or next(iter(MAPPING_METHODS)), _shares(say, "online")
+        mapping, online = method or next(iter(MAPPING_METHODS)), shares(say, "online")
         return map_recording(loaded, dataset, out, mapping, online, settings, relations=relations, **mapped)
     given = {f"--relations {relations}": relations, **{f"--set {one}": one for one in settings}}
     given |= {"--page": mapped.get("cockpit"), "--meshcat": mapped.get("meshcat")}
@@ -128,16 +111,12 @@ def run_slam(
     with threadpool_limits(limits=1), open_run_folder(out, name) as folder, folder.logging():
         for note in loaded.notes:
             _log.info("%s", note.text)
-        if isinstance(loaded, PoseGraph):
-            figures = _solve_graph(loaded, dataset, name, folder.path, _shares(say, "batch"))
-        else:
-            figures = _run_recording(loaded, folder.path, say)
         summary = {
             "schema": SCHEMA,
             "version": __version__,
             "dataset": str(dataset),
             "name": name,
-            **figures,
+            **estimated(loaded, dataset, name, folder.path, say),
             "cpu_time_s": time.process_time() - cpu,
             "wall_time_s": time.monotonic() - wall,
         }
@@ -183,10 +162,6 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return rows + _note_rows(summary)
 
 
-def _told(notes: Sequence[Note]) -> list[dict[str, Any]]:
-    return [dict(vars(note)) for note in notes]
-
-
 def _note_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     at = lambda time: "" if time is None else f"{time:.1f} s: "  # noqa: E731
     return [("note", at(note["time_s"]) + note["text"]) for note in summary["notes"]]
@@ -207,114 +182,6 @@ def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tup
     rows.append(("walls", f"{mapped}hits {metres('wall_thickness_m')} off them, mean"))
     rows.append(("CPU time", f"{summary['cpu_time_s']:.1f} s"))
     return rows + _note_rows(summary)
-
-
-def _run_recording(recording: Recording, folder: Path, say: Callable[[str], object]) -> dict[str, Any]:
-    start = time.process_time()
-    online = run_online(recording, on_progress=_shares(say, "online"))
-    middle = time.process_time()
-    smoothed = smooth(recording.odometry, recording.detections, recording.model, _shares(say, "batch"))
-    end = time.process_time()
-    truth = recording.truth or empty(GroundTruth)
-    robot = robot_error(truth, smoothed.stamps, smoothed.X_MB)
-    online_robot = robot_error(truth, online.stamps[online.seen], online.X_MB[online.seen])
-    blind_too = robot_error(truth, online.stamps, online.X_MB)
-    landmarks = landmark_error(truth, smoothed.ids, smoothed.p_ML)
-    online_landmarks = landmark_error(truth, online.map.ids, online.map.p_ML) if online.map is not None else None
-
-    write_tum(folder / "trajectory.tum", smoothed.stamps, smoothed.X_MB)
-    write_tum(folder / "online.tum", online.stamps, online.X_MB)
-    _keep_map(folder, online.state)
-    # Without a truth for one of the two the other's alignment serves both.
-    X_landmarks = landmarks.X_WM if len(landmarks.ids) else robot.X_WM
-    X_robot = robot.X_WM if robot.compared else landmarks.X_WM
-    X_online = online_robot.X_WM if online_robot.compared else X_robot
-    draw_slam(
-        folder / "figure.png",
-        f"{recording.name}: each aligned to the truth" if recording.truth is not None else recording.name,
-        {"smoothed": transform(X_robot, smoothed.X_MB[:, :2]), "online": transform(X_online, online.X_MB[:, :2])},
-        smoothed.ids,
-        transform(X_landmarks, smoothed.p_ML),
-        truth,
-        landmarks.misfit_ids,
-    )
-    return {
-        "method": "online+batch",
-        "outcome": "complete",
-        "robot_rmse_m": robot.rmse,
-        "online_rmse_m": online_robot.rmse,
-        "online_blind_too_rmse_m": blind_too.rmse,
-        "landmark_rmse_m": landmarks.rmse,
-        "landmark_rmse_without_misfits_m": landmarks.rmse_without,
-        "online_landmark_rmse_m": online_landmarks.rmse if online_landmarks is not None else None,
-        "landmarks_mapped": len(smoothed.ids),
-        "landmarks_misfit": landmarks.misfit_ids.tolist(),
-        "final_error": smoothed.half_chi_square,
-        "measurements_used": smoothed.used,
-        "measurements_rejected": smoothed.rejected,
-        "calibration": smoothed.calibration.tolist(),
-        "online_cpu_s": middle - start,
-        "batch_cpu_s": end - middle,
-        "notes": _told([*recording.notes, *(Note("truth", None, text) for text in landmarks.notes)]),
-    }
-
-
-def _keep_map(folder: Path, state: EstimatorState) -> None:
-    """Write the online estimator's map, if it has one, without free space and surfaces: nobody built a TFG."""
-    state = finished_map(state)
-    estimate = state.map
-    if estimate is None:
-        return
-    stage, stars = estimate.stage, np.zeros(estimate.stage + 1, dtype=np.int64)
-    tfg = replace(
-        empty_map(),
-        stage=stage,
-        facing=np.zeros((np.count_nonzero(is_tag(estimate.ids)), 2)),
-        star_offsets=stars,
-        star_centers=estimate.X_MA[:, :2],
-    )
-    saved = saved_map(np.zeros(3), state, empty(TfgGraph, stage=stage, star_offsets=stars), tfg)
-    save_map(folder / "map.npz", saved)
-    write_atomic(folder / "landmarks.csv", landmark_csv(saved))
-
-
-def _solve_graph(graph: PoseGraph, dataset: Path, name: str, folder: Path, report: OnProgress) -> dict[str, Any]:
-    start = time.process_time()
-    try:
-        solved = solve_pose_graph(graph, report)
-    except ValueError as error:
-        raise DatasetError(f"{dataset}: {error}; add an edge or the vertices' values") from error
-    write_g2o(folder / "solved.g2o", solved)
-    truth, way = empty(GroundTruth), {"smoothed": solved.X_MB[:, :2]}
-    draw_slam(folder / "figure.png", name, way, solved.landmark_ids, solved.p_ML, truth, truth.ids)
-    return {
-        "method": GRAPH_METHOD,
-        "outcome": "complete",
-        "robot_rmse_m": None,
-        "online_rmse_m": None,
-        "online_blind_too_rmse_m": None,
-        "landmark_rmse_m": None,
-        "landmark_rmse_without_misfits_m": None,
-        "online_landmark_rmse_m": None,
-        "landmarks_mapped": len(solved.landmark_ids),
-        "landmarks_misfit": [],
-        "final_error": half_chi_square(solved),
-        "measurements_used": len(graph.edges) + len(graph.sightings),
-        "measurements_rejected": 0,
-        "calibration": None,
-        "online_cpu_s": None,
-        "batch_cpu_s": time.process_time() - start,
-        "notes": _told(graph.notes),
-    }
-
-
-def _shares(say: Callable[[str], object], part: str) -> OnProgress:
-    """Says the share that is done of a part of the work, "online" or "batch"."""
-
-    def report(share: float) -> None:
-        say(f"{part} {percent(share, 0):3.0f} %")
-
-    return report
 
 
 def map_recording(
