@@ -9,9 +9,8 @@ import time
 from typing import Any
 
 # Wall time after which a line is written again where there is no terminal, s: at first and at most, and meanwhile this
-# share of what has passed. After LONG, s, it says since when.
+# share of what has passed. What takes longer than INTERVAL is shown with the time so far.
 INTERVAL, LONGEST_INTERVAL, SHARE = 2.0, 60.0, 1.0 / 6.0
-LONG = 1.5
 
 
 def say(line: str) -> None:
@@ -65,7 +64,7 @@ class Screen:
     def line(self) -> str:
         """The line shown."""
         spent = time.monotonic() - self._since
-        return f"{self._text} ({spent:.0f} s so far)" if spent >= LONG else self._text
+        return f"{self._text} ({spent:.0f} s so far)" if spent >= INTERVAL else self._text
 
     def _renderable(self) -> Any:
         from rich.text import Text

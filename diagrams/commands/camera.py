@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
-# The picture of a live source is written that often at most, s.
-PICTURE_EVERY = 0.5
-# Of a live source: views of the board that are enough, and how often it looks for one, s.
+# Of a live source: views of the board that are enough, and how often one is looked for, or a picture is written, s.
 LIVE_VIEWS, LIVE_EVERY = 25, 0.5
 
 Source = Annotated[
@@ -84,7 +82,7 @@ def check(
                 if not (live and remark in told):
                     print(f"{frame.name}: {remark}", file=sys.stderr, flush=True)
                 told.add(remark)
-            if out is not None and (into_folder or not live or time.monotonic() - drawn > PICTURE_EVERY):
+            if out is not None and (into_folder or not live or time.monotonic() - drawn > LIVE_EVERY):
                 drawing = annotated(frame.image, tags, sighting, [frame.name, rate])
                 _write(drawing, out / f"{Path(frame.name).stem}.png" if into_folder else out)
                 drawn = time.monotonic()

@@ -7,7 +7,7 @@ import importlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -20,29 +20,37 @@ from tfg_drake.io.files import of_run, write_atomic
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
-# By their names: the suffix, and what makes the contents of a saved map, in tfg_drake. Of those with one suffix the
-# first is its own.
+
+class Format(NamedTuple):
+    """The suffix of a format, and what makes its contents of a saved map: a module in tfg_drake, and its function."""
+
+    suffix: str
+    module: str = ""
+    function: str = ""
+
+
+# By their names; of those with one suffix the first is its own.
 FORMATS = {
-    "csv": (".csv", "mapfile.landmark_table", "landmark_csv"),
-    "dxf": (".dxf", "mapfile.dxf", "dxf_text"),
-    "g2o": (".g2o", "mapfile.g2o", "g2o_text"),
-    "geojson": (".geojson", "mapfile.geojson", "geojson_text"),
-    "gtsam": (".gtsam", "mapfile.gtsam_text", "gtsam_texts"),
-    "html": (".html", "", ""),
-    "pdf": (".pdf", "", ""),
-    "png": (".png", "", ""),
-    "svg": (".svg", "pictures.plan", "plan_svg"),
-    "map_server": (".yaml", "mapfile.occupancy_grid", "map_server_files"),
-    "tagslam": (".yaml", "mapfile.tag_layout", "tagslam_yaml"),
-    "apriltag_ros": (".yaml", "mapfile.tag_layout", "apriltag_ros_yaml"),
-    "wpilib": (".json", "mapfile.tag_layout", "wpilib_json"),
+    "csv": Format(".csv", "mapfile.landmark_table", "landmark_csv"),
+    "dxf": Format(".dxf", "mapfile.dxf", "dxf_text"),
+    "g2o": Format(".g2o", "mapfile.g2o", "g2o_text"),
+    "geojson": Format(".geojson", "mapfile.geojson", "geojson_text"),
+    "gtsam": Format(".gtsam", "mapfile.gtsam_text", "gtsam_texts"),
+    "html": Format(".html"),
+    "pdf": Format(".pdf"),
+    "png": Format(".png"),
+    "svg": Format(".svg", "pictures.plan", "plan_svg"),
+    "map_server": Format(".yaml", "mapfile.occupancy_grid", "map_server_files"),
+    "tagslam": Format(".yaml", "mapfile.tag_layout", "tagslam_yaml"),
+    "apriltag_ros": Format(".yaml", "mapfile.tag_layout", "apriltag_ros_yaml"),
+    "wpilib": Format(".json", "mapfile.tag_layout", "wpilib_json"),
 }
-SUFFIXES = tuple(dict.fromkeys(suffix for suffix, _, _ in FORMATS.values()))
+SUFFIXES = tuple(dict.fromkeys(one.suffix for one in FORMATS.values()))
 # Of the formats of two files, the suffix of the second.
 BESIDE = {"gtsam": ".values", "map_server": ".pgm"}
 # What says nothing of walls, and what has the poses besides.
 OF_TAGS, OF_GRAPH = ("csv", "tagslam", "apriltag_ros", "wpilib"), ("g2o", "gtsam")
-_NAMED = ", ".join(name if f".{name}" == one[0] else f"{name} ({one[0]})" for name, one in FORMATS.items())
+_NAMED = ", ".join(name if f".{name}" == one.suffix else f"{name} ({one.suffix})" for name, one in FORMATS.items())
 
 
 def _map_file(path: Path) -> Path:
@@ -117,13 +125,13 @@ def export(
     from tfg_drake.mapfile.summary import landmark_counts
 
     if name is None:
-        name = next((one for one, (suffix, _, _) in FORMATS.items() if suffix == out.suffix.lower()), None)
+        name = next((one for one, form in FORMATS.items() if form.suffix == out.suffix.lower()), None)
         if name is None:
             bad_input(f"{out}: unknown format; name a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     elif name not in FORMATS:
         bad_input(f"--format {name}: unknown; must be one of {', '.join(FORMATS)}")
-    elif out.suffix.lower() != FORMATS[name][0]:
-        bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name][0]}")
+    elif out.suffix.lower() != FORMATS[name].suffix:
+        bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name].suffix}")
     saved = _load(map_file)
     _check_not_empty(saved, map_file, name)
     with writing(out):
@@ -132,7 +140,7 @@ def export(
         elif name in ("pdf", "png"):
             _draw(saved, map_file, out)
         else:
-            arguments: list[object] = [tag_height] if "tag_layout" in FORMATS[name][1] else []
+            arguments: list[object] = [tag_height] if "tag_layout" in FORMATS[name].module else []
             if name in ("tagslam", "apriltag_ros"):
                 arguments.append(tag_size or _tag_size(map_file))
             elif name == "map_server":

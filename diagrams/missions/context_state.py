@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,9 +11,6 @@ from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
 from tfg_drake.messages import FloatArray
-
-# A RandomSource is advanced by so many s at a time: between two a signal is heard.
-_STEP = 600.0
 
 
 def state_of(diagram: Diagram, root: Context, under: str) -> dict[str, tuple[Any, Any]]:
@@ -46,8 +42,7 @@ def restore_state(
             alone = Simulator(system)
             alone.get_mutable_context().SetStateAndParametersFrom(context)
             alone.Initialize()
-            for step in range(math.ceil(time / _STEP)):
-                alone.AdvanceTo(min((step + 1) * _STEP, time))
+            alone.AdvanceTo(time)
             context.SetStateAndParametersFrom(alone.get_context())
         elif path in states:
             parts = iter(states[path])

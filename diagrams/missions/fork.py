@@ -24,7 +24,8 @@ from tfg_drake.planning.requested_goal import goal_there
 from tfg_drake.storage.run import Run, load_run
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
-# A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m.
+# A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m; so near the robot has
+# got there.
 NEXT_TO_GOAL = 0.5
 # Of a run's summary, what a fork cannot do without.
 _NEEDED = ("method", "contacts", "outcome", "sim_time_s", "scenario", "world", "version")
@@ -105,7 +106,8 @@ class Fork:
         status = mission.look("mission", MissionStatus)
         row = int(roadmap.nodes(np.array([self._node]))[0])
         # Until it has looked round there, or cannot get there any more.
-        arrived = not first and not status.moving and np.hypot(*(roadmap.points[row] - estimate.X_MA[-1, :2])) < 0.5
+        off = np.hypot(*(roadmap.points[row] - estimate.X_MA[-1, :2]))
+        arrived = not first and not status.moving and off < NEXT_TO_GOAL
         if self._node < 0 or row < 0 or arrived or not roadmap.reachable[row]:
             self._over = True
             return

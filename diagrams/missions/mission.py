@@ -75,12 +75,11 @@ PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 # The fields of a line of stages.jsonl, null where a map does not tell them.
 STAGE_FIELDS: tuple[str, ...] = ("stage", "goal", "exploitation", "exploration", "pose_price", "predicted_gain")
 STAGE_FIELDS += ("realised_gain", "time_s", "entropy_nats", "landmarks")
-# Time between two looks at the mission, s, simulated; a stage takes several times as long.
+# Time between two looks at the mission, s, simulated; a stage takes several times as long. A mission that is farther
+# behind the clock does not keep real time.
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
-# A mission that is so far behind the clock does not keep real time, s.
-LATE = 1.0
 
 T = TypeVar("T")
 
@@ -614,7 +613,7 @@ class Mission:
         """Says once that the mission is behind the clock on the wall."""
         rate, now = self.simulator.get_target_realtime_rate(), self.simulator.get_actual_realtime_rate()
         late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
-        if late > LATE and not self._late:
+        if late > STEP and not self._late:
             self._late = True
             _pace_log.warning("%.0f s: real time is missed, by %.1f s: this machine is too slow", self.time, late)
 

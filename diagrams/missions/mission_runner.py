@@ -23,11 +23,9 @@ from tfg_drake.storage.checkpoint import CheckpointError
 if TYPE_CHECKING:
     from tfg_drake.mission.clock import Clock
 
-# Time between two looks at a real robot's mission, s.
-REAL_STEP = 0.25
-# Where a page is open its wishes are looked at so often, simulated s, and while the clock is held, s of wall time.
+# Time between two looks at a real robot's mission, and at the wishes of a page, simulated s; of wall time while its
+# clock is held.
 WATCHED_STEP = 0.125
-HELD_INTERVAL = 0.05
 # Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
 AREA_INTERVAL = 5.0
 
@@ -77,7 +75,7 @@ class MissionRunner:
         called now and then, to keep what there is, with True where it must be kept now; what it or `write` raises ends
         the mission. Raises CheckpointError where there is nothing to go on from."""
         mission, request = self._mission, self._request
-        keep, step = keep or (lambda _now: None), REAL_STEP if mission.robot.real else STEP
+        keep, step = keep or (lambda _now: None), WATCHED_STEP if mission.robot.real else STEP
         try:
             mission.begin(write)
             keep(True)
@@ -129,7 +127,7 @@ class MissionRunner:
             return
         if clock.held:
             mission.record_now()
-            while clock.held and not self._interrupted.wait(HELD_INTERVAL):
+            while clock.held and not self._interrupted.wait(WATCHED_STEP):
                 pass
         self._clock_version = clock.version
         mission.simulator.set_target_realtime_rate(clock.rate)

@@ -22,13 +22,11 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.missions.mission import MissionRequest
-from tfg_drake.diagrams.missions.sweep import SweepError, attempt, folder_of, run_of
+from tfg_drake.diagrams.missions.sweep import POLL, SweepError, attempt, folder_of, run_of
 from tfg_drake.io.extras import pip_install
 
 # A mission whose worker or machine died is begun again this often.
 RETRIES = 3
-# How often an interrupt is looked for, s.
-_POLL = 0.2
 # How long a cluster may take to answer, s.
 _PATIENCE = 5.0
 
@@ -44,7 +42,7 @@ def run_on_ray(tasks: Sequence[MissionRequest], out: Path, address: str, interru
         mission = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_mission)
         running = {mission.remote(task, __version__): task for task in tasks}
         while running and not interrupted.is_set():
-            done, _ = ray.wait(list(running), num_returns=1, timeout=_POLL)
+            done, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
             for reference in done:
                 task = running.pop(reference)
                 try:

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = 1
-NO_POSES = np.zeros((0, 3))
 # Names of the shared parameters in the summary, in their order.
 CALIBRATED = (
     "odometry_distance_scale",
@@ -125,7 +124,7 @@ def figure_of(
     world, true_poses = mission.world_then, mission.true_poses()
     if reachable is None:
         reachable = np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_)
-    X_WB, X_WB_true = mission.estimated_poses()[1], NO_POSES if true_poses is None else true_poses[1]
+    X_WB, X_WB_true = mission.estimated_poses()[1], np.zeros((0, 3)) if true_poses is None else true_poses[1]
     seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
     return run_figure(title, *seen)
 
@@ -169,7 +168,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         **_null("least_known", "changes"),
         "landmark_entropy_nats": estimate.entropy if estimate is not None else math.nan,
         **_null("landmark_anees", "landmark_nees", "pose_anees", "online_pose_anees"),
-        **pose_errors(NO_POSES, NO_POSES),
+        **pose_errors(np.zeros((0, 3)), np.zeros((0, 3))),
         **_null("surface_coverage", "surface_coverage_5cm", "surface_phantom_m", "area_coverage", "area_seen_s"),
         "explored_s": mission.explored_time,
         "open_edges": mission.open_edges(),

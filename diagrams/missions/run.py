@@ -43,10 +43,9 @@ from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
 
-# The map is kept no more often than takes this share of the time on the wall, and the mission likewise: of one that is
-# killed a few seconds of work are lost, ten in a large building.
-KEPT_SHARE = 0.01
-CHECKPOINT_SHARE = 0.02
+# Mission and map are kept no more often than takes this share of the time on the wall: of one that is killed a few
+# seconds of work are lost, ten in a large building.
+KEPT_SHARE = 0.03
 
 # Of the summary, what is too long for the page's last card.
 TOO_LONG = ("open_edges", "openings")
@@ -168,12 +167,9 @@ def _keeper(
 
     told: of the mission, with its checkpoint.
     """
-    kept_stage = 0
+    kept_stage, again = 0, 0.0
 
-    def keep_mission() -> bool:
-        """Writes the checkpoint; False where none is of use: a replay has its recording."""
-        if not math.isinf(mission.robot.end_time):
-            return False
+    def keep_mission() -> None:
         state = mission.state()
         state["ports"] = port_recording.Standing, writer.standing()
         state["timeline"] = timeline_file.Standing, timeline.standing()
@@ -184,24 +180,18 @@ def _keeper(
             folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, now, state))
         except TypeError as error:  # A part of somebody's own may keep anything.
             folder.lost(CHECKPOINT, OSError(f"the mission could not be gone on with: {error}"))
-        return True
-
-    def keep_map() -> bool:
-        """Writes the map; False where it is there."""
-        nonlocal kept_stage
-        newest = mission.tfg if mission.tfg is not None else mission.grid
-        if newest is None or newest.stage <= kept_stage:
-            return False
-        write_map(folder, mission.grid, mission.newest_map(), final=False)
-        kept_stage = newest.stage
-        return True
-
-    again = {keep_map: 0.0, keep_mission: 0.0}
 
     def keep(now: bool) -> None:
-        for keep_one, share in ((keep_map, KEPT_SHARE), (keep_mission, CHECKPOINT_SHARE)):
-            start = time.thread_time()
-            if (now or time.monotonic() >= again[keep_one]) and keep_one():
-                again[keep_one] = time.monotonic() + (time.thread_time() - start) / share
+        nonlocal kept_stage, again
+        if not now and time.monotonic() < again:
+            return
+        start = time.thread_time()
+        newest = mission.tfg if mission.tfg is not None else mission.grid
+        if newest is not None and newest.stage > kept_stage:
+            write_map(folder, mission.grid, mission.newest_map(), final=False)
+            kept_stage = newest.stage
+        if math.isinf(mission.robot.end_time):  # A replay has its recording.
+            keep_mission()
+        again = time.monotonic() + (time.thread_time() - start) / KEPT_SHARE
 
     return keep

@@ -37,7 +37,7 @@ from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
 # How often an interrupt is looked for, s.
-_POLL = 0.2
+POLL = 0.2
 
 
 class SweepError(BadInput):
@@ -169,7 +169,7 @@ def run_local(tasks: Sequence[MissionRequest], out: Path, jobs: int, interrupted
                 task = waiting.pop()
                 connection, process = _start(task, folder_of(task, out))
                 running[connection] = (task, process)
-            for ready in wait(list(running), timeout=_POLL):
+            for ready in wait(list(running), timeout=POLL):
                 task, process = running.pop(ready)
                 summary, failure = _result(ready, process)
                 yield run_of(task, out, summary, failure)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from tfg_drake.comparison.statistics import CONFIDENCE, RESAMPLES, difference, ratio, spread
+from tfg_drake.comparison.statistics import RESAMPLES, difference, ratio, spread
 
 
 def brute_force(statistic, *samples):
@@ -18,7 +18,7 @@ def brute_force(statistic, *samples):
     skew = left.mean() - left
     acceleration = (skew**3).sum() / (6.0 * (skew**2).sum() ** 1.5)
     levels = []
-    for level in (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)):
+    for level in (0.025, 0.975):
         z = bias + norm.ppf(level)
         levels.append(norm.cdf(bias + z / (1.0 - acceleration * z)))
     return np.quantile(drawn, levels)

@@ -19,7 +19,6 @@ from scipy.stats import bootstrap
 from tfg_drake.messages import FloatArray
 
 RESAMPLES = 5000
-CONFIDENCE = 0.95
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +84,6 @@ def _interval(statistic: Callable[..., Any], *samples: FloatArray) -> Interval:
             statistic,
             paired=True,
             n_resamples=RESAMPLES,
-            confidence_level=CONFIDENCE,
             method="BCa",
             rng=np.random.default_rng(0),
         )

@@ -14,7 +14,7 @@ from tests.diagrams.rooms import lasting, room
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
 from tfg_drake.diagrams.methods import FindMethod, Method
-from tfg_drake.diagrams.missions import mission_runner, run
+from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
@@ -313,7 +313,6 @@ class Restless:
 
 
 def test_who_only_looks_on_and_holds_the_clock_changes_nothing(finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(mission_runner, "HELD_INTERVAL", 0.001)
     page = Restless()
     result = run.run_mission(room(), name="room", out_dir=tmp_path, cockpit=page)
     assert page.clock.looks > 150

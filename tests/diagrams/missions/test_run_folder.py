@@ -171,7 +171,7 @@ def test_a_map_is_kept_as_often_as_that_takes_little_time(tmp_path, monkeypatch)
     saved = []
     monkeypatch.setattr(report, "save_map", lambda path, found, final: saved.append((found.stage, final)))
     run.run_mission(room(), max_time=14.0, out_dir=tmp_path)
-    assert saved == [(1, False), (3, False), (3, True)]
+    assert saved == [(3, False), (3, True)]
 
 
 @pytest.mark.slow
