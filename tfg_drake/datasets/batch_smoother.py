@@ -1,9 +1,9 @@
 """The reference for any online estimator: every pose, landmark and the odometry's calibration, solved from all data.
 
 A pose at every frame, odometry between them, bearing and range with a robust kernel: GTSAM's stock factors. The graph
-is grown by ISAM2, then solved to convergence; sightings that the robust solution contradicts grossly are left out of
-the last solve. No stock factor knows the calibration, so after each solve it takes a step of the linear system that
-does.
+is solved from the way that an online estimator found; sightings that the robust solution contradicts grossly are left
+out of the last solve. No stock factor knows the calibration, so after each solve it takes a step of the linear system
+that does.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import C, L, X
 
 from tfg_drake.config import OdometryConfig
+from tfg_drake.datasets.evaluation import by_odometry
 from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
@@ -39,8 +40,6 @@ MOST_ROUNDS = 12
 SMALL_STEP = 0.05
 # Relative decrease of the cost after which a solve ends.
 SMALL_DECREASE = 1e-6
-# Poses that the graph grows by before it is solved again: dead reckoning alone would go far astray.
-POSES_AT_ONCE = 50
 # Where frames leave room for it, a pose this often while the robot moves, s of the odometry's clock.
 LONGEST_GAP = 0.5
 # The first pose is held this firmly, m and rad: nothing pulls at it.
@@ -71,15 +70,19 @@ def smooth(
     detections: tuple[TagDetections, ...],
     config: OdometryConfig,
     on_progress: OnProgress = lambda _share: None,
+    way: tuple[FloatArray, FloatArray] | None = None,
 ) -> SmoothedRun:
     """Solve a whole run; messages in the order of their stamps, frames outside the span of the odometry left out.
 
-    Raises ValueError without odometry.
+    way: where the poses are nearly: stamps (n,), s, and X_MB (n, 3); None: where the odometry has them, which may be
+    too far astray. Raises ValueError without odometry.
     """
     if not odometry:
         raise ValueError("A run without odometry cannot be smoothed.")
     batch = _Batch(odometry, detections, config)
-    X_MB = batch.grown(lambda share: on_progress(0.7 * share))
+    X_MB = batch.X_OB
+    if way is not None and len(way[0]):
+        X_MB = by_odometry(batch.stamps, *way, batch.stamps, batch.X_OB)
     calibration, kept = np.zeros(3), np.ones(len(batch.landmark), dtype=bool)
     for rounds in range(1, MOST_ROUNDS + 1):
         X_MB, p_ML, error, step = batch.solved(X_MB, kept, calibration)
@@ -89,7 +92,7 @@ def smooth(
         if rounds == MOST_ROUNDS or (is_small and np.array_equal(near, kept)):
             break
         kept = near
-        on_progress(0.7 + 0.3 * rounds / MOST_ROUNDS)
+        on_progress(rounds / MOST_ROUNDS)
     on_progress(1.0)
     seen = np.unique(batch.landmark[kept])
     return SmoothedRun(
@@ -105,7 +108,8 @@ def smooth(
 
 
 class _Batch:
-    """The factors of a run. stamps: (k,) of the poses. node, landmark: (s,) the rows of each sighting's; ids: (n,)."""
+    """The factors of a run. stamps: (k,) of the poses, X_OB: (k, 3) these by odometry. node, landmark: (s,) the rows of
+    each sighting's; ids: (n,)."""
 
     def __init__(
         self, odometry: tuple[Odometry, ...], detections: tuple[TagDetections, ...], config: OdometryConfig
@@ -126,6 +130,7 @@ class _Batch:
             interpolate(reckoned[max(i - 1, 0)], reckoned[i], stamp)
             for i, stamp in zip(after_it, self.stamps.tolist(), strict=True)
         ]
+        self.X_OB = np.array(X_OB)
         self._increment = np.array([arc(*pair) for pair in itertools.pairwise(X_OB)]).reshape(-1, 3)
         self._dt = np.diff(np.interp(self.stamps, at, by_clock))
         self.calibration_sigma = np.maximum(calibration_sigma(config), LEAST_SIGMA)
@@ -168,31 +173,6 @@ class _Batch:
             for i, (one, noise) in enumerate(zip(X_ij, self._noise, strict=True))
         ]
         return motions, on_calibration
-
-    def grown(self, report: OnProgress) -> FloatArray:
-        """(k, 3) poses near the solution, some at a time added where odometry has them, each landmark where it is seen
-        first."""
-        parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")
-        isam, factors, values = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph(), gtsam.Values()
-        motions, k = self._motions(np.zeros(3))[0], len(self.stamps)
-        begins = np.searchsorted(self.node, np.arange(k + 1))
-        newest = self._first.prior()
-        for i in range(k):
-            factors.add(motions[i - 1] if i else self._first)
-            newest = newest.compose(motions[i - 1].measured()) if i else newest
-            values.insert(X(i), newest)
-            for row in range(begins[i], begins[i + 1]):
-                key = L(int(self.landmark[row]))
-                if not values.exists(key) and not isam.valueExists(key):
-                    values.insert(key, newest.transformFrom(self._p_BL[row]))
-                factors.add(self._sightings[row])
-            if (i + 1) % POSES_AT_ONCE == 0 or i == k - 1:
-                isam.update(factors, values)
-                factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-                newest = isam.calculateEstimatePose2(X(i))
-                report((i + 1) / k)
-        return np.asarray(gtsam.utilities.extractPose2(isam.calculateBestEstimate()))
 
     def solved(
         self, X_MB: FloatArray, kept: BoolArray, calibration: FloatArray

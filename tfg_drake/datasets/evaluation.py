@@ -80,13 +80,18 @@ def poses_between(recording: Recording, stamps: FloatArray, X_MB: FloatArray) ->
     reckoned = [first_reckoning(recording.odometry[0])]
     for earlier, later in itertools.pairwise(recording.odometry):
         reckoned.append(reckon(reckoned[-1], earlier, later))
-    X_OB, told = np.array([one.X_OB for one in reckoned]), np.array([one.stamp for one in reckoned])
-    at = np.array([scan.stamp for scan in recording.scans])
-    of_known, of_scan = (poses_at(t, told, X_OB) for t in (stamps, at))
+    told, X_OB = np.array([one.stamp for one in reckoned]), np.array([one.X_OB for one in reckoned])
+    return by_odometry(np.array([scan.stamp for scan in recording.scans]), stamps, X_MB, told, X_OB)
+
+
+def by_odometry(at: FloatArray, stamps: FloatArray, X_MB: FloatArray, told: FloatArray, X_OB: FloatArray) -> FloatArray:
+    """(n, 3) poses at times (n,), s, where some are known, X_MB (k, 3) at stamps (k,), by odometry X_OB (m, 3) at times
+    (m,); see `poses_between`."""
+    of_known, of_asked = (poses_at(t, told, X_OB) for t in (stamps, at))
     before = np.clip(np.searchsorted(stamps, at, "right") - 1, 0, len(stamps) - 1)
     after = np.minimum(before + 1, len(stamps) - 1)
     share = np.clip((at - stamps[before]) / np.maximum(stamps[after] - stamps[before], 1e-9), 0.0, 1.0)
-    first, second = (se2.compose(X_MB[k], se2.between(of_known[k], of_scan)) for k in (before, after))
+    first, second = (se2.compose(X_MB[k], se2.between(of_known[k], of_asked)) for k in (before, after))
     apart = second - first
     apart[:, 2] = se2.wrap_angle(apart[:, 2])
     return np.asarray(first + share[:, None] * apart)
