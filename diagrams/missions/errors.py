@@ -15,12 +15,17 @@ from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.grid.frontier import OCCUPIED, cell_sides, classify
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, MapEstimate, TfgMap, replace
 from tfg_drake.storage.trajectory import poses_at
-from tfg_drake.world.reachability import make_grid, reachable_cells, reachable_faces, reachable_tags, second_faces
+from tfg_drake.world.reachability import (
+    coarse,
+    make_grid,
+    reachable_cells,
+    reachable_faces,
+    reachable_tags,
+    second_faces,
+)
 from tfg_drake.world.world import World
 
-# What the scanner sees on its way is counted on every n-th of the reachable cells in x and y; so much of them is all
-# but corners that a scan happens to miss.
-EVERY = 4
+# So much of the reachable cells is all but corners that a scan happens to miss.
 NEARLY_ALL = 0.99
 # Scans this near to where a turn or glance began count, and a robot this near to its start has not driven yet, m.
 IN_PLACE = 0.1
@@ -48,10 +53,8 @@ class KnownWorld:
         return self._grid.centers(self._cells)
 
     def counted_places(self) -> FloatArray:
-        """Centres (c, 2) of every EVERY-th of them, in x and y: coverage is counted on these."""
-        thinned = np.zeros_like(self._cells)
-        thinned[::EVERY, ::EVERY] = self._cells[::EVERY, ::EVERY]
-        return self._grid.centers(thinned)
+        """Centres (c, 2) of some of them: what the scanner sees on its way is counted on these."""
+        return coarse(self._grid, self._cells)
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
         """How far a map is from the world: surfaces, and landmarks that are not doubtful."""

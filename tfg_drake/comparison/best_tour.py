@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 
 from tfg_drake.comparison.curves import STEP, TURN, seen_from, view_rows
 from tfg_drake.comparison.known_ways import known_ways
-from tfg_drake.config import RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.config import NODE_MARGIN, RobotConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import BoolArray, FloatArray, message
 from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.table import take
-from tfg_drake.world.reachability import MARGIN
 from tfg_drake.world.world import World
 
-# On ways that keep MARGIN more than its radius from walls a robot may cut corners by as much, m. Bends that are sharper
-# than this are taken in place, rad.
+# On ways that keep NODE_MARGIN more than its radius from walls a robot may cut corners by as much, m. Bends that are
+# sharper than this are taken in place, rad.
 SHARPEST = 0.5 * math.pi
 # A driven tour has a pose every so many seconds, and one every so many rad of a turn in place.
 PERIOD, TURN_STEP = 0.1, 0.1
@@ -117,7 +116,7 @@ def _arc(angle: float, before: float, after: float, robot: RobotConfig) -> tuple
     if angle < 1e-6:
         return 0.0, 0.0, robot.max_speed
     half = math.tan(0.5 * angle)
-    radius = min(MARGIN / (1.0 / math.cos(0.5 * angle) - 1.0), 0.5 * min(before, after) / half)
+    radius = min(NODE_MARGIN / (1.0 / math.cos(0.5 * angle) - 1.0), 0.5 * min(before, after) / half)
     return radius * half, radius * angle, min(robot.max_speed, radius * robot.max_turn_rate)
 
 
@@ -200,7 +199,7 @@ class Search:
         """places: (p, 2) m in W. heading: at the start, rad. keep_out: as of `best_tour`."""
         self._walls, self._heading, self._robot = walls, heading, robot
         obstacles = walls if keep_out is None else np.vstack([walls, keep_out])
-        self._ways = known_ways(obstacles, places, robot.radius + MARGIN)
+        self._ways = known_ways(obstacles, places, robot.radius + NODE_MARGIN)
         around = self._seen_all_round(places, see)
         self.is_visible = np.asarray(around.any(axis=0))
         # What nobody sees from any place is not asked for, lest there is no tour.

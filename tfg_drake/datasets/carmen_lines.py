@@ -23,7 +23,7 @@ _SCANS = {"FLASER": (1, 9), "ROBOTLASER1": (8, 14), "RAWLASER1": (8, 3)}
 _ODOMETRY, _ODOMETRY_WORDS = "ODOM", 10
 # The words at the end of a line: t host t_logger.
 _STAMPED = 3
-_UNKNOWN = (math.nan,) * 3
+_UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 class CarmenScan(NamedTuple):

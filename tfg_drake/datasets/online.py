@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from tfg_drake.datasets.batch_smoother import LONGEST_GAP
 from tfg_drake.datasets.recording import OnProgress, Recording
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, Odometry, message
 from tfg_drake.slam import estimator
@@ -13,14 +14,12 @@ from tfg_drake.slam.estimator_state import EstimatorState, initial_state
 
 # A piece of the way ends after this length, m, once something has been seen.
 PIECE_LENGTH = 1.0
-# Without frames the pose is noted at least this often while the robot moves, s.
-LONGEST_GAP = 0.5
 
 
 @message
 class OnlineRun:
-    """stamps: (f,) s and X_MB: (f, 3), the pose after every frame, and now and then between frames, as it was estimated
-    then; M is the odometry's origin.
+    """stamps: (f,) s and X_MB: (f, 3), the pose after every frame, and every LONGEST_GAP between frames while the robot
+    moves, as it was estimated then; M is the odometry's origin.
 
     seen: (f,) whether landmarks had just been seen; elsewhere the robot reckons blindly. state: the estimator's at
     the end.

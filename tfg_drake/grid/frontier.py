@@ -15,9 +15,8 @@ from scipy import ndimage
 
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray
 
-# The prior is 0.5; nearer to it than this nothing is decided.
-FREE_BELOW = 0.45
-OCCUPIED_ABOVE = 0.55
+# Nearer to the prior than this nothing is decided.
+PRIOR, DECIDED = 0.5, 0.05
 # What a cell can be.
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
@@ -27,8 +26,8 @@ CellArray = NDArray[np.uint8]
 def classify(grid: GridMap) -> CellArray:
     """The class of each cell (h, w): UNKNOWN, FREE or OCCUPIED."""
     cells = np.full(grid.probability.shape, UNKNOWN, dtype=np.uint8)
-    cells[grid.probability < FREE_BELOW] = FREE
-    cells[grid.probability > OCCUPIED_ABOVE] = OCCUPIED
+    cells[grid.probability < PRIOR - DECIDED] = FREE
+    cells[grid.probability > PRIOR + DECIDED] = OCCUPIED
     return cells
 
 

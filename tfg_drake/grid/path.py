@@ -15,10 +15,8 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.frontier import FREE, OCCUPIED, CellArray, cell_at, center_of, classify
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, LaserScan, replace
 from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, lines_between, path_is_free, resample, round_corners
-from tfg_drake.planning.roadmap import COMFORT
+from tfg_drake.planning.roadmap import COMFORT, cost_of_edge
 
-# How much more than in the open a metre costs that all but touches something.
-NEARNESS = 2.0
 # A robot that stands where there is no room for it may drive straight to a cell with room this near, m.
 WAY_OUT = 0.6
 # Shortcuts end at every so manieth cell of a way, and span this many cells at most.
@@ -150,14 +148,14 @@ def find_ways(grid: GridMap, p_MB: FloatArray, robot: RobotConfig) -> Ways:
     cells = classify(grid)
     room = room_round(cells, grid.resolution)
     traversable = (cells == FREE) & (room >= room_needed(robot))
-    weight = 1.0 + NEARNESS * np.maximum(0.0, 1.0 - np.maximum(room, 0.0) / COMFORT) ** 2
+    weight = cost_of_edge(np.ones_like(room), np.maximum(room, 0.0))
     sources = cell_at(grid, p_MB)[None]
     away = np.zeros(1)
     if not traversable[tuple(sources[0])]:
         sources, away = _ways_out(grid, cells, traversable, p_MB)
     flat = sources[:, 0] * traversable.shape[1] + sources[:, 1]
     begin = away / grid.resolution
-    cost, length, before = _cheapest(traversable, weight, flat, (1.0 + NEARNESS) * begin, begin)
+    cost, length, before = _cheapest(traversable, weight, flat, cost_of_edge(begin, np.zeros_like(begin)), begin)
     return Ways(cells, room, grid.resolution * cost, grid.resolution * length, before)
 
 

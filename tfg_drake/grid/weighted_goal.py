@@ -22,14 +22,14 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import ExplorerConfig, GridConfig, OdometryConfig, RobotConfig, ScanConfig
 from tfg_drake.grid.frontier import FREE, OCCUPIED, UNKNOWN, CellArray, center_of
-from tfg_drake.grid.frontier_goal import Access, TriedPlaces, find_access, goal_among, no_goal
+from tfg_drake.grid.frontier_goal import AT_HAND, Access, TriedPlaces, find_access, goal_among, no_goal
+from tfg_drake.grid.gmapping import POSE_FLOOR
 from tfg_drake.grid.path import Ways, find_ways, in_cells
 from tfg_drake.messages import FloatArray, GoalChoice, GridMap, IntArray, PoseEstimate
 from tfg_drake.planning.candidates import OVERHEAD
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
-# One frontier candidate for every square of this side, and known places at this distance from each other, m.
-FRONTIER_SPREAD = 1.0
+# Known places are candidates at this distance from each other, m.
 KNOWN_SPREAD = 2.0
 # Rays cast round a candidate.
 RAYS = 180
@@ -37,8 +37,6 @@ RAYS = 180
 SMOOTHING = 2.0
 # A ray that grazes a surface says nothing when the cosine of its incidence is below this.
 LEAST_COSINE = 0.2
-# No pose is known better than this, m^2 and rad^2: that of the start has no variance at all.
-LEAST_VARIANCE = 1e-8
 
 
 @njit(cache=True)
@@ -92,7 +90,7 @@ def grid_gain(unknown: FloatArray) -> FloatArray:
 
 def log_variance(covariance: FloatArray, information: FloatArray) -> FloatArray:
     """Log-determinants (c,) of covariances (c, 3, 3) of a pose after information (c, 3, 3) was added."""
-    prior = covariance + LEAST_VARIANCE * np.eye(3)
+    prior = covariance + np.diag(POSE_FLOOR**2)
     return np.asarray(np.linalg.slogdet(prior)[1] - np.linalg.slogdet(np.eye(3) + prior @ information)[1])
 
 
@@ -154,7 +152,8 @@ def _candidates(
     would come back to them for ever.
     """
     rows = np.flatnonzero(access.worth)
-    rows = rows[_one_a_square(access.p_MF[rows], access.cost[rows], FRONTIER_SPREAD)]
+    # From one place the robot looks at what is at hand.
+    rows = rows[_one_a_square(access.p_MF[rows], access.cost[rows], AT_HAND)]
     stride = max(1, round(KNOWN_SPREAD / grid.resolution))
     places = stride * np.argwhere(ways.reachable[::stride, ::stride])
     centers = center_of(grid, places)

@@ -28,24 +28,21 @@ RADIUS = 0.25
 NUMBERS = 5
 # Slowest and fastest walk, m/s.
 SPEED = (0.6, 1.2)
-# Share of the places at which a person stands for a while, and the longest while, s.
+# Share of the places at which a person stands for a while, and the longest while, there or before the robot, s.
 STANDING_SHARE = 0.5
 LONGEST_STAND = 10.0
 # A person keeps this far from walls, m, on the cells of its way; straight lines between them may come a little nearer.
 MARGIN = 0.06
 SLACK = 0.02
-# Nobody is first met nearer to the robot than this, m.
-FIRST_DISTANCE = 1.0
 # Nobody comes nearer to the outline of a robot that moves than this, m, nor to that of one that stands than that, m.
 # Whoever would waits so long, s, and walks elsewhere.
 COMFORT = 0.4
 PASSING = 0.15
 PATIENCE = 1.0
-# From as near as this, m, the robot is noticed: some stop and look at it, and some overlook it if it stands.
+# From as near as this, m, the robot is noticed, and nobody is first met so near. This share stops and looks at it, as
+# many overlook it if it stands.
 NOTICED = 1.2
-CURIOUS_SHARE = 0.15
-HEEDLESS_SHARE = 0.1
-LOOKING = 4.0
+ODD_SHARE = 0.12
 # People mind where the robot is and where it will be in this time, s: it takes as long to stop.
 FORESIGHT = 0.6
 # A robot slower than this stands, m/s.
@@ -129,7 +126,7 @@ def first_met(time: float, robot: FloatArray, uniform: FloatArray, ground: Groun
     n = len(uniform)
     p_WG = _centre(ground.grid, ground.places)
     apart = np.hypot(*(p_WG - robot[:2]).T)
-    far = np.flatnonzero(apart >= min(FIRST_DISTANCE, apart.max()))
+    far = np.flatnonzero(apart >= min(NOTICED, apart.max()))
     p_WP = p_WG[far[(uniform[:, 0] * len(far)).astype(np.int64)]]
     speed = SPEED[0] + (SPEED[1] - SPEED[0]) * uniform[:, 1]
     none, zero = np.zeros(n, dtype=np.bool_), np.zeros(n)
@@ -164,9 +161,9 @@ def step(
         if gap > NOTICED:
             noticed[i] = heedless[i] = False
         elif not noticed[i]:
-            noticed[i], heedless[i] = True, mind < HEEDLESS_SHARE
-            if 1.0 - mind < CURIOUS_SHARE:
-                standing[i] = LOOKING * (0.5 + how_long)
+            noticed[i], heedless[i] = True, mind < ODD_SHARE
+            if 1.0 - mind < ODD_SHARE:
+                standing[i] = LONGEST_STAND * how_long
         if standing[i] > 0.0:
             continue
         length = people.speed[i] * period

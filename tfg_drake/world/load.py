@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from tfg_drake.config import NODE_MARGIN
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, replace
 from tfg_drake.world.map_server import load_map_server
-from tfg_drake.world.reachability import CELL, MARGIN, cut_walls, free_cells, make_grid
+from tfg_drake.world.reachability import CELL, cut_walls, free_cells, make_grid
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.vectormap import FENCE_DISTANCE, load_vectormap
 from tfg_drake.world.world import World, WorldError, bare_world, check_extent, check_world
@@ -87,21 +88,20 @@ def draw_start(
     walls: (m, 4), m. robot_radius: m. is_free: tells of points (n, 2) in W whether the map calls them free (the walls
     of a grid enclose its solid blocks as well as its rooms); without it all space inside the walls is. p_WY: (2,) a
     place in the yard between a building and its fence, the last four walls: of the region there the fence and as much
-    wall do not count, so that a closed building is begun inside. Regions are
-    those of a disc of robot_radius + MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside
-    it. A world without walls begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
+    wall do not count, so that a closed building is begun inside. Regions are those of a disc of robot_radius +
+    NODE_MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside it. A world without walls begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
     """
     if not len(walls):
         return np.zeros(3)
     corner = np.array([walls[:, [0, 2]].min(), walls[:, [1, 3]].min(), 0.0])
     grid = make_grid(bare_world(walls, corner))
-    labels, count = ndimage.label(free_cells(grid, walls, robot_radius + MARGIN))
+    labels, count = ndimage.label(free_cells(grid, walls, robot_radius + NODE_MARGIN))
     outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     labels[np.isin(labels, outside)] = 0
     if is_free is not None:
         labels[labels > 0] *= is_free(grid.centers(labels > 0))
     pieces, normals = cut_walls(walls)
-    beside = robot_radius + MARGIN + CELL
+    beside = robot_radius + NODE_MARGIN + CELL
     length: IntArray = np.zeros(count + 1, dtype=np.int64)
     for side in (beside, -beside):
         row, column = grid.cell(pieces + side * normals)

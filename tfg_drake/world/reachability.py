@@ -13,19 +13,17 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from tfg_drake.config import NODE_MARGIN
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.world.world import World
 
 # Side of a cell, m.
 CELL = 0.05
-# The robot's outline keeps at least this from walls, m.
-MARGIN = 0.05
-# Surfaces are cut into pieces of this length, m, and two faces nearer than FACE_GAP are one, m.
-PIECE = 0.05
+# Two faces of a wall nearer than this are one, m.
 FACE_GAP = 0.25
-# Visibility is tried from every n-th cell in x and y first.
-_COARSE = 4
+# Visibility is tried from every n-th cell in x and y first, and coverage is counted on these.
+COARSE = 4
 # A face is looked at from this far off its wall, m: from the wall itself nothing is visible.
 _OFF_WALL = 2e-3
 
@@ -75,14 +73,14 @@ def free_cells(grid: Grid, walls: FloatArray, clearance: float) -> BoolArray:
 
 
 def reachable_cells(grid: Grid, world: World, robot_radius: float, keep_out: FloatArray | None = None) -> BoolArray:
-    """Cells (rows, columns) connected to the start for a disc of robot_radius + MARGIN, that keeps clear of keep_out
-    (k, 4), m in W, as of walls.
+    """Cells (rows, columns) connected to the start for a disc of robot_radius + NODE_MARGIN, that keeps clear of
+    keep_out (k, 4), m in W, as of walls.
 
     A robot that starts nearer to a wall than that counts from the nearest cell it can get to within its own radius;
     without one no cell is reachable.
     """
     obstacles = world.walls if keep_out is None else np.vstack([world.walls, keep_out])
-    free = free_cells(grid, obstacles, robot_radius + MARGIN)
+    free = free_cells(grid, obstacles, robot_radius + NODE_MARGIN)
     start_row, start_column = grid.cell(world.start[None, :2])
     half = int(np.ceil(robot_radius / CELL)) + 1
     around = np.zeros(grid.shape, dtype=np.bool_)
@@ -134,7 +132,7 @@ def _seen(
 def reachable_tags(world: World, grid: Grid, reachable: BoolArray, tag_range: float, max_incidence: float) -> BoolArray:
     """Which tags (n,) some reachable cell sees within tag_range (m) and max_incidence (rad)."""
     normals = np.column_stack([np.cos(world.tag_facing), np.sin(world.tag_facing)])
-    seen = _seen(world.walls, world.p_WT, normals, _coarse(grid, reachable), tag_range, max_incidence)
+    seen = _seen(world.walls, world.p_WT, normals, coarse(grid, reachable), tag_range, max_incidence)
     rest = np.nonzero(~seen)[0]
     if len(rest):
         cells = grid.centers(reachable)
@@ -142,31 +140,32 @@ def reachable_tags(world: World, grid: Grid, reachable: BoolArray, tag_range: fl
     return seen
 
 
-def _coarse(grid: Grid, mask: BoolArray) -> FloatArray:
-    coarse = np.zeros_like(mask)
-    coarse[::_COARSE, ::_COARSE] = mask[::_COARSE, ::_COARSE]
-    return grid.centers(coarse)
+def coarse(grid: Grid, mask: BoolArray) -> FloatArray:
+    """Centres (n, 2) in W of every COARSE-th cell in x and y where a mask (rows, columns) is true, m."""
+    thinned = np.zeros_like(mask)
+    thinned[::COARSE, ::COARSE] = mask[::COARSE, ::COARSE]
+    return grid.centers(thinned)
 
 
 def reachable_faces(world: World, grid: Grid, reachable: BoolArray, scan_range: float) -> tuple[FloatArray, FloatArray]:
-    """The faces of wall pieces, PIECE long, that some reachable cell sees: centres (n, 2), m, and unit normals (n, 2),
+    """The faces of wall pieces, CELL long, that some reachable cell sees: centres (n, 2), m, and unit normals (n, 2),
     in W. A piece that is seen from both sides has two."""
     points, normals = cut_walls(world.walls)
     points, normals = np.repeat(points, 2, axis=0), np.repeat(normals, 2, axis=0)
     normals[1::2] *= -1.0
     faces = _beside(world.walls, grid, _connected_space(world, grid, reachable), points, normals)
     points, normals = points[faces], normals[faces]
-    seen = _seen(world.walls, points, normals, _coarse(grid, reachable), scan_range, 0.5 * np.pi)
+    seen = _seen(world.walls, points, normals, coarse(grid, reachable), scan_range, 0.5 * np.pi)
     return points[seen], normals[seen]
 
 
 def cut_walls(walls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (n, 2) of equal pieces of the walls (m, 4), at most PIECE long, m, and their unit normals (n, 2)."""
+    """Centres (n, 2) of equal pieces of the walls (m, 4), at most CELL long, m, and their unit normals (n, 2)."""
     if not len(walls):
         return np.zeros((0, 2)), np.zeros((0, 2))
     d = walls[:, 2:] - walls[:, :2]
     length = np.linalg.norm(d, axis=1)
-    count = np.maximum(np.ceil(length / PIECE - 1e-9), 1.0).astype(np.int64)
+    count = np.maximum(np.ceil(length / CELL - 1e-9), 1.0).astype(np.int64)
     wall = np.repeat(np.arange(len(walls)), count)
     k = np.arange(len(wall)) - np.repeat(np.cumsum(count) - count, count)
     points = walls[wall, :2] + ((k + 0.5) / count[wall])[:, None] * d[wall]
@@ -207,7 +206,7 @@ def second_faces(points: FloatArray, normals: FloatArray) -> BoolArray:
     n = normals[pairs[:, 0]]
     along = np.abs(offset[:, 0] * n[:, 1] - offset[:, 1] * n[:, 0])
     parallel = np.abs(np.sum(n * normals[pairs[:, 1]], axis=1)) > 0.9
-    pairs = pairs[parallel & (along < 0.5 * PIECE)]
+    pairs = pairs[parallel & (along < 0.5 * CELL)]
     for i, j in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
         if not second[i]:
             second[j] = True

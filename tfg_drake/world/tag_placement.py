@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tfg_drake.config import NODE_MARGIN
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import FloatArray, IntArray
-from tfg_drake.world.reachability import CELL, MARGIN, make_grid, reachable_cells
+from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 from tfg_drake.world.world import WorldError, bare_world
 
 # A tag's centre is this far off its wall, m, so that the wall itself does not hide it.
@@ -70,7 +71,7 @@ def _touched(p: FloatArray, normal: FloatArray, walls: FloatArray, reachable: cK
     """Whether the robot can come right in front of the surface point p, and p is not in the crotch of two walls."""
     if point_distance((p + _TAG_SPACE * normal)[None], walls)[0] < 0.99 * _TAG_SPACE:
         return False
-    near = reachable.data[reachable.query_ball_point(p, np.sqrt(2.0) * (robot_radius + MARGIN) + CELL)]
+    near = reachable.data[reachable.query_ball_point(p, np.sqrt(2.0) * (robot_radius + NODE_MARGIN) + CELL)]
     in_front = (near - p) @ normal > 0.5 * np.linalg.norm(near - p, axis=1)
     near = np.ascontiguousarray(near[in_front])
     return len(near) > 0 and bool(line_of_sight(walls, p, near).any())
