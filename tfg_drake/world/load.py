@@ -89,7 +89,8 @@ def draw_start(
     of a grid enclose its solid blocks as well as its rooms); without it all space inside the walls is. p_WY: (2,) a
     place in the yard between a building and its fence, the last four walls: of the region there the fence and as much
     wall do not count, so that a closed building is begun inside. Regions are those of a disc of robot_radius +
-    NODE_MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside it. A world without walls begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
+    NODE_MARGIN on the 5 cm grid; a region's wall length is that of the wall right beside it. A world without walls
+    begins at the origin. Raises WorldError if the robot fits nowhere inside the walls.
     """
     if not len(walls):
         return np.zeros(3)
