@@ -7,7 +7,7 @@ from scipy import ndimage
 from tfg_drake.config import RobotConfig
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.grid.path import (
-    _cheapest,
+    cheapest,
     find_ways,
     path_in_grid_is_free,
     path_in_scan_is_free,
@@ -64,7 +64,7 @@ def test_costs_are_those_of_relaxation(seed):
     rng = np.random.default_rng(seed)
     traversable, weight = rng.random((6, 8)) < 0.7, rng.uniform(1.0, 3.0, (6, 8))
     traversable[2, 3] = True
-    cost, length, before = _cheapest(traversable, weight, np.array([2 * 8 + 3]), np.zeros(1), np.zeros(1))
+    cost, length, before = cheapest(traversable, weight, np.array([2 * 8 + 3]), np.zeros(1), np.zeros(1))
     np.testing.assert_allclose(cost, settle(traversable, weight, (2, 3)))
     assert (np.isfinite(length) == np.isfinite(cost)).all()
     assert ((before >= 0) == (np.isfinite(cost) & (cost > 0.0))).all()

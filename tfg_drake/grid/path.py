@@ -64,7 +64,7 @@ def room_needed(robot: RobotConfig) -> float:
 
 
 @njit(cache=True)
-def _cheapest(
+def cheapest(
     traversable: BoolArray, weight: FloatArray, sources: IntArray, source_cost: FloatArray, source_length: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Dijkstra's algorithm over sides and corners of traversable cells (h, w), in cells: cost, length, cell before.
@@ -155,7 +155,7 @@ def find_ways(grid: GridMap, p_MB: FloatArray, robot: RobotConfig) -> Ways:
         sources, away = _ways_out(grid, cells, traversable, p_MB)
     flat = sources[:, 0] * traversable.shape[1] + sources[:, 1]
     begin = away / grid.resolution
-    cost, length, before = _cheapest(traversable, weight, flat, cost_of_edge(begin, np.zeros_like(begin)), begin)
+    cost, length, before = cheapest(traversable, weight, flat, cost_of_edge(begin, np.zeros_like(begin)), begin)
     return Ways(cells, room, grid.resolution * cost, grid.resolution * length, before)
 
 

@@ -13,10 +13,9 @@ import math
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order
 
 from tfg_drake.geometry.distance import clearance, point_distance
+from tfg_drake.grid.path import cheapest
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.world.reachability import CELL, Grid, free_cells, make_grid, reachable_cells
 from tfg_drake.world.world import World, WorldError
@@ -221,7 +220,7 @@ def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray
         if clearance(np.append(p_WP, p_WP + p_PG[nearest])[None], ground.walls, RADIUS)[0] == 0.0:
             # A door has shut whoever it is in.
             return np.zeros((0, 2))
-    # Cells are left by their sides only: out of a door, a way away from p_WB may begin with a cell nearer to it.
+    # Out of a door, a way away from p_WB may begin with a cell nearer to it.
     first = np.vstack([p_WP, _centre(ground.grid, np.array([begin]))])
     apart = min(apart, float(np.hypot(*(first - p_WB).T).min()) - CELL)
     end = int(ground.places[int(place * len(ground.places))])
@@ -249,21 +248,16 @@ def _centre(grid: Grid, cells: IntArray) -> FloatArray:
 
 
 def _shortest_way(free: BoolArray, begin: int, end: int, robot: FloatArray, apart: float) -> IntArray:
-    """Flat indices of the free cells on a shortest way by their sides, from begin to end; none where there is no way.
+    """Flat indices of the free cells on a shortest way from begin to end; none where there is no way.
 
     robot: (2,) column and row that the way keeps off, `apart` cells; begin may be nearer.
     """
     row, column = np.indices(free.shape)
     passable = free & (np.hypot(column - robot[0], row - robot[1]) >= apart)
     passable.flat[[begin, end]] = True
-    cells = np.pad(np.where(passable, np.arange(free.size).reshape(free.shape), -1), 1, constant_values=-1)
-    beside = np.stack([cells[2:, 1:-1], cells[:-2, 1:-1], cells[1:-1, 2:], cells[1:-1, :-2]], axis=-1).reshape(-1, 4)
-    joined = beside >= 0
-    offsets = np.append(0, np.cumsum(joined.sum(axis=1)))
-    graph = csr_array((np.ones(offsets[-1]), beside[joined], offsets), shape=(free.size, free.size))
     # From the end, so that the way comes out from its beginning on.
-    _, before = breadth_first_order(graph, end)
+    _, _, before = cheapest(passable, np.ones(free.shape), np.array([end]), np.zeros(1), np.zeros(1))
     way = [begin]
-    while way[-1] != end and before[way[-1]] >= 0:
-        way.append(int(before[way[-1]]))
+    while before.flat[way[-1]] >= 0:
+        way.append(int(before.flat[way[-1]]))
     return np.array(way if way[-1] == end else [], dtype=np.int64)

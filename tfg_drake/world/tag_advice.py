@@ -17,12 +17,11 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import line_of_sight
+from tfg_drake.grid.path import cheapest
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.exact_gain import whitened
@@ -42,8 +41,6 @@ TAG_SPACING = 0.3
 WELL_KNOWN = 0.005
 # A tag nearer than this to one that hangs is not advised, m.
 CROWDED = 0.2
-# Side of the cells that ways are searched on, in cells of the reachability grid.
-_STEP = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,16 +116,15 @@ def _places(
     mask = reachable_cells(grid, world, robot_radius)
     if floor is not None and mask.any():
         mask[mask] = floor(grid.centers(mask))
-    thin = np.zeros_like(mask)
-    row, column = (int(index[0]) for index in grid.cell(world.start[None, :2]))
-    thin[row % _STEP :: _STEP, column % _STEP :: _STEP] = mask[row % _STEP :: _STEP, column % _STEP :: _STEP]
-    cells = grid.centers(thin)
+    cells = grid.centers(mask)
     if not len(cells):
         return cells, np.zeros(0, dtype=np.int64)
-    tree = cKDTree(cells)
-    way = _ways(tree, cells, world.start[:2])
-    order = [int(i) for i in np.argsort(way, kind="stable") if math.isfinite(way[i])]
-    spacing = max(PLACE_SPACING, 0.8 * math.sqrt(len(order) * (_STEP * CELL) ** 2 / PLACES))
+    start = np.flatnonzero(mask)[[np.argmin(np.hypot(*(cells - world.start[:2]).T))]]
+    cost, _, _ = cheapest(mask, np.ones(mask.shape), start, np.zeros(1), np.zeros(1))
+    near = mask & np.isfinite(cost)
+    cells = grid.centers(near)
+    tree, order = cKDTree(cells), np.argsort(cost[near], kind="stable").tolist()
+    spacing = max(PLACE_SPACING, 0.8 * math.sqrt(len(order) * CELL**2 / PLACES))
     while True:
         chosen, taken = [], np.zeros(len(cells), dtype=np.bool_)
         for i in order:
@@ -144,14 +140,6 @@ def _places(
         free = line_of_sight(world.walls, places[k], np.ascontiguousarray(places[:k]))
         parent[k] = int(np.argmin(np.where(free, distance, 1e6 + distance)))
     return places, parent
-
-
-def _ways(tree: cKDTree, cells: FloatArray, start: FloatArray) -> FloatArray:
-    """Length of the shortest way from the cell nearest to the start to each cell (n,), m; inf where there is none."""
-    pairs = tree.query_pairs(1.5 * _STEP * CELL, output_type="ndarray")
-    length = np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
-    graph = coo_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells))).tocsr()
-    return np.asarray(dijkstra(graph, directed=False, indices=int(tree.query(start)[1])))
 
 
 def _candidates(world: World, robot_radius: float) -> tuple[FloatArray, FloatArray]:
