@@ -18,9 +18,8 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.notes import Note
 
-# Steps that show which of two starts is the better one; those that lower the cost, at most; and the relative decrease
-# of the cost after which no other is needed.
-STEPS_TO_COMPARE, MOST_STEPS, SMALL_DECREASE = 10, 100, 1e-10
+# Steps that lower the cost, at most; and the relative decrease of the cost after which no other is needed.
+MOST_STEPS, SMALL_DECREASE = 100, 1e-10
 # Damping, as a share of the Hessian's diagonal: at first next to none, for it would keep a long chain of poses from
 # bending as a whole; what a solution may end with; and what shows that no step lowers the cost any more.
 FIRST_DAMPING, LITTLE_DAMPING, LARGEST_DAMPING = 1e-9, 1e-6, 1e9
@@ -63,8 +62,8 @@ def half_chi_square(graph: PoseGraph) -> float:
 def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None) -> PoseGraph:
     """The graph at its least-squares values.
 
-    The problem is not convex: it is solved from the values that the graph states, if it states all of them, or from
-    values built up in the order of the ids, whichever have the smaller error after a few steps. Without a fixed pose
+    The problem is not convex: it is solved from the values that the graph states, if it states all of them, and from
+    values built up in the order of the ids, and the solution of the smaller error counts. Without a fixed pose
     the first one is held. report: called with the share of the work done, 0 to 1. Raises ValueError where a pose is
     tied to no earlier one, or a landmark was never seen.
     """
@@ -83,8 +82,7 @@ def solve_pose_graph(graph: PoseGraph, report: OnProgress = lambda _share: None)
         raise ValueError(
             f"pose {loose[0]} is tied to no earlier pose" if len(loose) else f"landmark {unseen[0]} has no sighting"
         )
-    X_M, _ = min((problem.solved(start, STEPS_TO_COMPARE) for start in starts), key=lambda one: one[1])
-    X_M, _ = problem.solved(X_M)
+    X_M, _ = min(map(problem.solved, starts), key=lambda one: one[1])
     report(1.0)
     X_MB, X_ML = np.split(X_M[rows], [k])
     return replace(graph, X_MB=np.column_stack([X_MB[:, :2], se2.wrap_angle(X_MB[:, 2])]), p_ML=X_ML[:, :2])
