@@ -22,7 +22,15 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
+from tfg_drake.datasets.recording import (
+    DatasetError,
+    GroundTruth,
+    Recording,
+    arcs,
+    odometry_along,
+    poses_of,
+    said_of_scanner,
+)
 from tfg_drake.datasets.rows import Rows, parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import from_place, in_order
@@ -311,14 +319,6 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
 
 def _wheel_odometry(stamps: FloatArray, wheels: FloatArray) -> tuple[Odometry, ...]:
     """The pose by how far (n, 2), m, the left and the right wheel have come."""
-    X_OB = np.zeros(3)
-    messages = [Odometry(0.0, np.zeros(3), np.zeros(2), at_rest=True)]
-    steps = zip(stamps[1:], np.diff(stamps), np.diff(wheels, axis=0), strict=True)
-    for stamp, dt, (left, right) in steps:
-        ahead, turn = 0.5 * (left + right), 0.5 * (right - left) / HALF_AXLE
-        chord = ahead * np.sinc(0.5 * turn / math.pi)
-        step = np.array([chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn), turn])
-        X_OB = se2.compose(X_OB, step)
-        still = left == right == 0.0
-        messages.append(Odometry(float(stamp), X_OB, np.array([ahead, turn]) / dt, still))
-    return tuple(messages)
+    left, right = np.diff(wheels, axis=0).T
+    X_OB = poses_of(arcs(0.5 * (left + right), 0.5 * (right - left) / HALF_AXLE))
+    return odometry_along(stamps, X_OB, tells_rest=True)

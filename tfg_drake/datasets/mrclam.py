@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, arcs, make_frames, poses_of
 from tfg_drake.datasets.rows import find_file, found_file, read_table
-from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.io.clock_unit import UNITS, clock_unit
 from tfg_drake.messages import FloatArray, Odometry, replace
 from tfg_drake.notes import Note
@@ -103,13 +102,7 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
     Exact on arcs. Rows that repeat a command are one arc and make one message.
     """
     dt = np.diff(rows[:, 0])
-    v, w = rows[:-1, 1], rows[:-1, 2]
-    heading = np.append(0.0, np.cumsum(w * dt))
-    middle = 0.5 * (heading[1:] + heading[:-1])
-    chord = v * dt * np.sinc(0.5 * w * dt / np.pi)
-    x = np.append(0.0, np.cumsum(chord * np.cos(middle)))
-    y = np.append(0.0, np.cumsum(chord * np.sin(middle)))
-    X_OB = np.column_stack([x, y, wrap_angle(heading)])
+    X_OB = poses_of(arcs(rows[:-1, 1] * dt, rows[:-1, 2] * dt))
     repeats = np.append(False, np.all(rows[1:, 1:] == rows[:-1, 1:], axis=1)).tolist()
     stamps = rows[:, 0].tolist()
     messages = [Odometry(stamp=stamps[0], X_OB=X_OB[0], V_B=rows[0, 1:])]

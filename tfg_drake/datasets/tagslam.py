@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames, poses_of
 from tfg_drake.datasets.rows import GREATEST, find_file, found_file, read_table, read_text
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.io.yaml_text import parse_yaml
@@ -123,11 +123,7 @@ def _planar_odometry(
     jumped = (np.hypot(off[:, 0], off[:, 1]) > JUMP_SPEED) | (off[:, 2] > JUMP_TURN_RATE)
     for i in np.flatnonzero(jumped):
         steps[i] = steps[i - 1] if i > 0 else 0.0
-    theta = np.append(0.0, np.cumsum(steps[:, 2] * dt))
-    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
-    x = np.append(0.0, np.cumsum((c * steps[:, 0] - s * steps[:, 1]) * dt))
-    y = np.append(0.0, np.cumsum((s * steps[:, 0] + c * steps[:, 1]) * dt))
-    X_OB = np.column_stack([x, y, wrap_angle(theta)])
+    X_OB = poses_of(steps * dt[:, None])
     V_B = np.vstack([np.zeros((1, 3)), steps])[:, [0, 2]]
     messages = tuple(Odometry(float(t), X, V) for t, X, V in zip(stamps, X_OB, V_B, strict=True))
     return messages, stamps[1:][jumped].tolist()
