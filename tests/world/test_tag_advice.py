@@ -34,7 +34,7 @@ def test_tags_hang_on_walls_and_face_the_floor(advice):
     for p, n in zip(advice.p_WT, normal, strict=True):
         assert line_of_sight(WALLS, p + 0.2 * n, advice.places).any()
     distance = np.hypot(*(advice.p_WT[:, None] - advice.p_WT).transpose(2, 0, 1))
-    assert (distance[np.triu_indices(6, 1)] >= tag_advice.CROWDED).all()
+    assert (distance[np.triu_indices(6, 1)] >= tag_advice.TAG_SPACING).all()
 
 
 def test_each_tag_makes_the_position_better_known_everywhere(advice):

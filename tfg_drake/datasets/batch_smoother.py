@@ -42,8 +42,6 @@ SMALL_STEP = 0.05
 SMALL_DECREASE = 1e-6
 # Where frames leave room for it, a pose this often while the robot moves, s of the odometry's clock.
 LONGEST_GAP = 0.5
-# The first pose is held this firmly, m and rad: nothing pulls at it.
-HELD = 1e-3
 
 
 @message
@@ -141,7 +139,7 @@ class _Batch:
         covariance[:, :, :2] = covariance[:, :, :2] @ self._R_ji.transpose(0, 2, 1)
         self._noise = [gtsam.noiseModel.Gaussian.Covariance(one) for one in covariance]
         first = gtsam.Pose2(*X_OB[0])
-        self._first = gtsam.PriorFactorPose2(X(0), first, gtsam.noiseModel.Isotropic.Sigma(3, HELD))
+        self._first = gtsam.PriorFactorPose2(X(0), first, gtsam.noiseModel.Constrained.All(3))
 
         frame_rows = np.searchsorted(self.stamps, [frame.stamp for frame in frames])
         self.node: IntArray = np.repeat(frame_rows, [len(frame.ids) for frame in frames])

@@ -17,7 +17,7 @@ from tfg_drake.io.files import read_bytes
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.vision.image import NO_IMAGE
-from tfg_drake.world.world import WorldError
+from tfg_drake.world.world import FARTHEST, WorldError
 
 # Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
 _TOLERANCE = 1.0
@@ -33,8 +33,6 @@ _FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 _SAVED, _UNKNOWN = (0, 205, 254, 255), 205
 # Unknown cells that free ones enclose are a fault of the scan, not a pillar, where they cover no more, m^2.
 _SPECK = 0.011
-# No number in the .yaml is greater, whatever its unit.
-_GREATEST = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +97,7 @@ def _distinct(segments: FloatArray) -> FloatArray:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _GREATEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= FARTHEST
 
 
 def _number(path: Path, tree: dict[str, object], key: str, default: float | None = None) -> float:

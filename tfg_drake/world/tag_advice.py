@@ -34,13 +34,11 @@ from tfg_drake.world.world import World, WorldError
 # At most so many places to be at, and so many to hang a tag: with them 40 tags take some seconds.
 PLACES = 160
 CANDIDATES = 500
-# Places are at least this far apart, and candidates, m; farther in a large building.
+# Places are at least this far apart, and tags, m; candidates are farther in a large building.
 PLACE_SPACING = 0.5
 TAG_SPACING = 0.3
 # A position known as well as this is well enough known, m, each axis.
 WELL_KNOWN = 0.005
-# A tag nearer than this to one that hangs is not advised, m.
-CROWDED = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +91,7 @@ def advise_tags(
     deviation = [turns.deviation()]
     while len(chosen) < count and heap:
         _, i = heapq.heappop(heap)
-        if any(np.hypot(*(p_WT[i] - p_WT[j])) < CROWDED and facing[i] == facing[j] for j in chosen):
+        if any(np.hypot(*(p_WT[i] - p_WT[j])) < TAG_SPACING and facing[i] == facing[j] for j in chosen):
             continue
         promise = turns.promise(rows[i])
         if heap and promise < -heap[0][0]:
@@ -153,7 +151,7 @@ def _candidates(world: World, robot_radius: float) -> tuple[FloatArray, FloatArr
     if not len(world.p_WT) or not len(p_WT):
         return p_WT, facing
     distance, nearest = cKDTree(world.p_WT).query(p_WT)
-    crowded = (distance < CROWDED) & (np.cos(facing - world.tag_facing[nearest]) > 0.5)
+    crowded = (distance < TAG_SPACING) & (np.cos(facing - world.tag_facing[nearest]) > 0.5)
     return p_WT[~crowded], facing[~crowded]
 
 
