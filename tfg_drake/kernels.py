@@ -15,7 +15,6 @@ import contextlib
 import errno
 import functools
 import hashlib
-import importlib
 import os
 import platform
 import re
@@ -30,8 +29,6 @@ from tfg_drake.io.files import write_atomic
 PACKAGE = Path(__file__).parent
 _LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
-# Of LLVM: at 3 they take a fifth longer to compile, and missions as long.
-LEVEL = 1
 _version = functools.cache(version)
 _IMPORT = re.compile(r"^ *from (tfg_drake[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 # Where the statements of a module begin, and decorators; the names that one defines; docstrings and comments.
@@ -55,7 +52,6 @@ class KernelLocator:
         if not Path(py_file).is_relative_to(PACKAGE):
             return None
         _let_modules_go()
-        _set_level()
         return cls(py_func, py_file)
 
     def get_cache_path(self) -> str:
@@ -101,25 +97,6 @@ def _let_modules_go() -> None:
         return module_of(loaded)
 
     library._unserialize, library._get_module_for_linking = classmethod(unserialize), get_module_for_linking
-
-
-@functools.cache
-def _set_level() -> None:
-    """From now on LLVM optimises the kernels of this package at LEVEL, and others as it did."""
-    config: Any = importlib.import_module("numba.core.config")
-    event: Any = importlib.import_module("numba.core.event")
-    outside: list[Any] = []
-
-    class Level(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            outside.append(config.OPT)
-            if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
-                config.OPT = type(config.OPT)(LEVEL)
-
-        def on_end(self, event: Any) -> None:
-            config.OPT = outside.pop()
-
-    event.register("numba:compile", Level())
 
 
 def use_locator() -> None:
@@ -196,7 +173,7 @@ def _statement(place: Place) -> tuple[str | None, set[Place]]:
 def stamp(places: list[Place]) -> str:
     """Digest of what some kernels are made of, and numpy's version."""
     texts = sorted(f"{path.relative_to(PACKAGE)} {name} {text}" for (path, name), text in sources(places).items())
-    return _digest("\n".join([_version("numpy"), str(LEVEL), *texts]))
+    return _digest("\n".join([_version("numpy"), *texts]))
 
 
 @functools.cache

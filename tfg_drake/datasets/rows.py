@@ -109,13 +109,14 @@ class ShortRowError(DatasetError):
 class Rows:
     """The rows of one file: `read`, then perhaps `in_order` and `once`, then `notes`."""
 
-    def __init__(self, path: Path, separator: str | None = None) -> None:
-        """path: plain, or gzipped with a name in .gz. separator: between the words of a row; None is white space.
+    def __init__(self, path: Path) -> None:
+        """path: plain, or gzipped with a name in .gz.
 
         Raises:
             DatasetError: the file cannot be read.
         """
-        self.path, self._separator, self._comma = path, separator, False
+        self.path, self._comma = path, False
+        self._separator: str | None = None  # between the words of a row; None: white space
         text = read_text(path).removeprefix("\ufeff")
         self._ended = text.endswith(("\n", "\r"))
         self._lines = text.splitlines()
