@@ -32,10 +32,9 @@ from tfg_drake.tfg.graph import empty_map
 
 # What a graph without a robot's way in it is solved by.
 GRAPH_METHOD = "batch"
-# Figures of a summary, null where a data set does not tell them.
-_FIGURES = ("method", "outcome", "robot_rmse_m", "online_rmse_m", "online_blind_too_rmse_m", "landmark_rmse_m")
-_FIGURES += ("landmark_rmse_without_misfits_m", "online_landmark_rmse_m", "landmarks_mapped", "landmarks_misfit")
-_FIGURES += ("final_error", "measurements_used", "measurements_rejected", "calibration", "online_cpu_s", "batch_cpu_s")
+# Figures that a graph has none of.
+_OF_RUNS: tuple[str, ...] = ("robot_rmse_m", "online_rmse_m", "online_blind_too_rmse_m", "landmark_rmse_m")
+_OF_RUNS += ("landmark_rmse_without_misfits_m", "online_landmark_rmse_m", "calibration", "online_cpu_s")
 
 
 def estimated(
@@ -45,16 +44,21 @@ def estimated(
 
     dataset: its path. say: is told how far the work is. Raises DatasetError where a graph cannot be solved, OSError.
     """
+    notes: Sequence[Note] = loaded.notes
     if isinstance(loaded, PoseGraph):
-        found, notes = _solve_graph(loaded, dataset, name, folder, say), loaded.notes
+        found = _solve_graph(loaded, dataset, name, folder, say)
     else:
         found, notes = _run_recording(loaded, folder, say)
-    return {**dict.fromkeys(_FIGURES), "outcome": "complete", **found, "notes": [dict(vars(note)) for note in notes]}
+    return {"outcome": "complete", **found, "notes": [dict(vars(note)) for note in notes]}
 
 
 def shares(say: Callable[[str], object], part: str) -> OnProgress:
     """Says the share that is done of a part of the work, "online" or "batch"."""
-    return lambda share: say(f"{part} {percent(share, 0):3.0f} %")
+
+    def report(share: float) -> None:
+        say(f"{part} {percent(share, 0):3.0f} %")
+
+    return report
 
 
 def _run_recording(
@@ -141,6 +145,7 @@ def _solve_graph(
     draw_slam(folder / "figure.png", name, way, solved.landmark_ids, solved.p_ML, truth, truth.ids)
     return {
         "method": GRAPH_METHOD,
+        **dict.fromkeys(_OF_RUNS),
         "landmarks_mapped": len(solved.landmark_ids),
         "landmarks_misfit": [],
         "final_error": half_chi_square(solved),
