@@ -20,8 +20,6 @@ from tfg_drake.vision.sighting import TagNoise, TagSizes
 from tfg_drake.world.scene import SceneConfig
 from tfg_drake.world.world import World
 
-# What stands between these heights the robot could run into, m.
-_LOW, _HIGH = 0.05, 0.5
 # Of tags that are narrower in the image, pixels, the renderer draws smaller copies: they seem to be a per cent nearer.
 LEAST_SIDE = 18.0
 # Of corners in what is rendered, by benchmarks/rendered_detections.py.
@@ -75,8 +73,8 @@ def MakeRenderedEyes(scenario: Scenario, world: World) -> Diagram:
     builder.Connect(exposure.GetOutputPort("image"), detector.GetInputPort("image"))
 
     depth = camera("depth_camera", scan.field_of_view, reality.scan)
-    noise = reality.camera.depth_noise
-    sheet = DepthScanConfig(_LOW, _HIGH, scan.least_range, scan.range, scan.range, scan.noise, noise=noise)
+    reach = {"least_depth": scan.least_range, "most_depth": scan.range, "range_max": scan.range}
+    sheet = DepthScanConfig(**reach, sigma=scan.noise, noise=reality.camera.depth_noise)
     calibration = calibration_of(depth.default_depth_render_camera().core().intrinsics())
     scanner = builder.AddNamedSystem("depth_scanner", DepthScanner(calibration, mount, sheet, scan.rate))
     builder.Connect(depth.depth_image_32F_output_port(), scanner.GetInputPort("image"))

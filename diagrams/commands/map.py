@@ -67,9 +67,6 @@ MapArgument = Annotated[Path, argument("MAP", "A map or the folder of a run.", c
 OtherMap = Annotated[Path, argument("OTHER", "Another map, or the folder of a run.", callback=_map_file)]
 NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.", callback=_new_map)]
 
-# What is less probable is not told.
-LIKELY = 0.001
-
 map_app = command.group(
     "map",
     "Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame.",
@@ -261,6 +258,7 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
     from tfg_drake.bad_input import BadInput
     from tfg_drake.geometry.se2 import compose
     from tfg_drake.mapfile.placement import places_of
+    from tfg_drake.slam.place_search import WRONG
     from tfg_drake.slam.tag_search import by_tags
 
     a, b = _load(map_file), _load(other)
@@ -275,7 +273,7 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
         return
     places = places_of(a, b)
     for X, probability in zip(compose(a.X_WM, places.X), places.probability, strict=True):
-        if probability > LIKELY:
+        if probability > WRONG:
             print(f"it begins at ({X[0]:.2f}, {X[1]:.2f}) m, {X[2]:.3f} rad: probability {probability:.4g}")
     none = 1.0 - float(places.probability.sum())
     print(f"{'it begins elsewhere' if none < 1.0 else 'it is not found in this map'}: probability {none:.2g}")

@@ -7,6 +7,7 @@ CSV file with the columns time (s), x, y (m) and heading (rad).
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,9 +25,6 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagSizes, sighted
 from tfg_drake.vision.tag_detector import TagDetector
 
-# How a camera wanders of which no odometry tells: m and rad per root second.
-WANDER_POSITION = 0.5
-WANDER_HEADING = 1.0
 # The online estimator then closes a piece of the way after this time, s.
 PIECE_TIME = 2.0
 # The map begins so long before the first frame, s: the estimator takes a frame when odometry lies to both sides of it.
@@ -43,15 +41,9 @@ _NO_LENGTH, _ROUNDED = 1e-6, 0.01
 
 
 def wandering() -> OdometryConfig:
-    """The model of a camera without odometry."""
-    return OdometryConfig(
-        distance_noise=0.0,
-        distance_scale=0.0,
-        gyro_noise=WANDER_HEADING,
-        gyro_bias=0.0,
-        gyro_scale=0.0,
-        position_noise=WANDER_POSITION,
-    )
+    """The model of a camera without odometry, which a person carries."""
+    still = OdometryConfig(distance_noise=0.0, distance_scale=0.0, gyro_bias=0.0, gyro_scale=0.0)
+    return dataclasses.replace(still, gyro_noise=1.0, position_noise=0.5)
 
 
 def odometry_model() -> OdometryConfig:

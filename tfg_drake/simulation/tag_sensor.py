@@ -13,10 +13,9 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import disc_distances, in_sight
 from tfg_drake.messages import FloatArray, IntArray, TagDetections
 from tfg_drake.table import empty
+from tfg_drake.world.tag_placement import TAG_OFFSET
 from tfg_drake.world.world import World
 
-# A tag lies on its wall, or this far off it; either way the wall must not hide it, m.
-_ON_SURFACE = 0.01
 # Standard normal numbers a tag needs in each frame: range, bearing, detection.
 NOISE_PER_TAG = 3
 # Standard deviation of a gross error's bearing, rad; its range may be anything.
@@ -54,7 +53,8 @@ def visible_tags(
         rows[count] = i
         count += 1
     rows = rows[:count]
-    return rows[in_sight(walls, X_WB[:2], p_WT[rows], _ON_SURFACE)]
+    # The wall that a tag is on, or so far off, must not hide it.
+    return rows[in_sight(walls, X_WB[:2], p_WT[rows], TAG_OFFSET)]
 
 
 def detect(
