@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from tfg_drake.comparison.measures import CPU_IDLE, HEADING, POSITION, TIME, VARIABLES
+from tfg_drake.comparison.measures import CPU_IDLE, HEADING, POSITION, TIME, VARIABLES, Measure
 from tfg_drake.comparison.report import Table, markdown_table
 from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.config import GridConfig, ScanConfig, TagSensorConfig
-from tfg_drake.percent import percent
 
 # The methods of the paper's Table II, and what it says of them.
 METHODS = ("tfg", "grid-nearest")
-_PAPER: tuple[tuple[str, Callable[[dict[str, Any]], float | None], int, str, str], ...] = (
-    ("variables", VARIABLES.read, 0, "274", "800000"),
-    ("CPU idle time (%)", CPU_IDLE.read, 0, "75", "0"),
-    ("running time (s)", TIME.read, 0, "2433 ± 546", "2293 ± 375"),
-    ("position error (m)", POSITION.read, 3, "0.147 ± 0.115", "5.26 ± 3.53"),
-    ("orientation error (rad)", HEADING.read, 4, "0.0217 ± 0.016", "0.0213 ± 0.0165"),
+_PAPER = (
+    (Measure("variables", "", 0, VARIABLES.read), "274", "800000"),
+    (Measure("CPU idle time", "%", 0, CPU_IDLE.read), "75", "0"),
+    (Measure("running time", "s", 0, TIME.read), "2433 ± 546", "2293 ± 375"),
+    (Measure("position error", "m", 3, POSITION.read), "0.147 ± 0.115", "5.26 ± 3.53"),
+    (Measure("orientation error", "rad", 4, HEADING.read), "0.0217 ± 0.016", "0.0213 ± 0.0165"),
 )
 
 
@@ -49,8 +47,8 @@ def performance_table(runs: Sequence[Run], scenario: str) -> str:
     """Table II, performance, as Markdown: mean ± standard deviation over the runs of METHODS."""
     ours, baseline = METHODS
     rows = [
-        (name, paper_tfg, _cell(runs, ours, read, digits), paper_grid, _cell(runs, baseline, read, digits))
-        for name, read, digits, paper_tfg, paper_grid in _PAPER
+        (one.label, paper_tfg, _cell(runs, ours, one), paper_grid, _cell(runs, baseline, one))
+        for one, paper_tfg, paper_grid in _PAPER
     ]
     number = len({run.seed for run in runs})
     title = f"Table II: performance, the paper over 4 runs in a world of its own, here over {number} of `{scenario}`"
@@ -58,10 +56,8 @@ def performance_table(runs: Sequence[Run], scenario: str) -> str:
     return markdown_table(Table(title, "", header, rows)) + "\n"
 
 
-def _cell(runs: Sequence[Run], method: str, read: Callable[[dict[str, Any]], float | None], digits: int) -> str:
-    values = sample(runs, method, read)
-    if not len(values):
+def _cell(runs: Sequence[Run], method: str, measure: Measure) -> str:
+    one = spread(sample(runs, method, measure.read))
+    if not one.n:
         return "-"
-    one = spread(values)
-    mean = percent(0.01 * one.mean.value, digits) if read is CPU_IDLE.read else one.mean.value
-    return f"{mean:.{digits}f}" + (f" ± {one.std:.{digits}f}" if one.n > 1 else "")
+    return measure.shown(one.mean.value) + (f" ± {one.std:.{measure.digits}f}" if one.n > 1 else "")

@@ -22,15 +22,7 @@ import numpy as np
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.carmen_lines import CarmenLog, CarmenScan, read_carmen
-from tfg_drake.datasets.recording import (
-    DatasetError,
-    GroundTruth,
-    Recording,
-    arcs,
-    odometry_along,
-    poses_of,
-    said_of_scanner,
-)
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, odometry_along, said_of_scanner
 from tfg_drake.datasets.rows import Rows, parse_numbers
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.sweep import from_place, in_order
@@ -320,5 +312,5 @@ def load_breezyslam(path: Path, scanner: Mapping[str, Any] | None = None) -> Rec
 def _wheel_odometry(stamps: FloatArray, wheels: FloatArray) -> tuple[Odometry, ...]:
     """The pose by how far (n, 2), m, the left and the right wheel have come."""
     left, right = np.diff(wheels, axis=0).T
-    X_OB = poses_of(arcs(0.5 * (left + right), 0.5 * (right - left) / HALF_AXLE))
+    X_OB = se2.poses_of(se2.arcs(0.5 * (left + right), 0.5 * (right - left) / HALF_AXLE))
     return odometry_along(stamps, X_OB, tells_rest=True)

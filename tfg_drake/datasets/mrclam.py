@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, arcs, make_frames, poses_of
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import find_file, found_file, read_table
+from tfg_drake.geometry import se2
 from tfg_drake.io.clock_unit import UNITS, clock_unit
 from tfg_drake.messages import FloatArray, Odometry, replace
 from tfg_drake.notes import Note
@@ -102,7 +103,7 @@ def integrate_commands(rows: FloatArray) -> tuple[Odometry, ...]:
     Exact on arcs. Rows that repeat a command are one arc and make one message.
     """
     dt = np.diff(rows[:, 0])
-    X_OB = poses_of(arcs(rows[:-1, 1] * dt, rows[:-1, 2] * dt))
+    X_OB = se2.poses_of(se2.arcs(rows[:-1, 1] * dt, rows[:-1, 2] * dt))
     repeats = np.append(False, np.all(rows[1:, 1:] == rows[:-1, 1:], axis=1)).tolist()
     stamps = rows[:, 0].tolist()
     messages = [Odometry(stamp=stamps[0], X_OB=X_OB[0], V_B=rows[0, 1:])]

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from tfg_drake.config import OdometryConfig
-from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames, poses_of
+from tfg_drake.datasets.recording import DatasetError, GroundTruth, Recording, make_frames
 from tfg_drake.datasets.rows import GREATEST, find_file, found_file, read_table, read_text
-from tfg_drake.geometry.se2 import wrap_angle
+from tfg_drake.geometry.se2 import poses_of, wrap_angle
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, IntArray, Odometry, replace
 from tfg_drake.notes import Note

@@ -77,3 +77,18 @@ def pose_at(pose: PoseEstimate, stamp: float) -> FloatArray:
     dt = stamp - pose.stamp
     v, w = pose.speed * dt
     return compose(pose.X_MB, np.array([v * np.cos(0.5 * w), v * np.sin(0.5 * w), w]))
+
+
+def poses_of(steps: FloatArray) -> FloatArray:
+    """(n + 1, 3) poses by steps (n, 3), each in the frame of the pose before it, from the origin on."""
+    heading = np.append(0.0, np.cumsum(steps[:, 2]))
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x = np.append(0.0, np.cumsum(c * steps[:, 0] - s * steps[:, 1]))
+    y = np.append(0.0, np.cumsum(s * steps[:, 0] + c * steps[:, 1]))
+    return np.column_stack([x, y, wrap_angle(heading)])
+
+
+def arcs(ahead: FloatArray, turn: FloatArray) -> FloatArray:
+    """(n, 3) steps along arcs of these lengths (n,), m, and turns (n,), rad."""
+    chord = ahead * np.sinc(0.5 * turn / np.pi)
+    return np.column_stack([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])
