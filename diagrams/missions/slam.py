@@ -18,13 +18,7 @@ from threadpoolctl import threadpool_limits
 from tfg_drake import __version__
 from tfg_drake.comparison.metrics import rmse
 from tfg_drake.datasets.estimated import GRAPH_METHOD, estimated, shares
-from tfg_drake.datasets.evaluation import (
-    hits,
-    poses_between,
-    relative_error,
-    truth_at,
-    wall_thickness,
-)
+from tfg_drake.datasets.evaluation import hits, poses_between, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.figure import draw_laser_map
 from tfg_drake.datasets.pose_graph import PoseGraph
 from tfg_drake.datasets.recording import DatasetError, OnProgress, Recording

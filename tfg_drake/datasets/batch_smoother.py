@@ -20,14 +20,7 @@ from tfg_drake.datasets.recording import OnProgress
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDetections, message
-from tfg_drake.slam.odometry_model import (
-    arc,
-    first_reckoning,
-    interpolate,
-    predict_increment,
-    random_walks,
-    reckon,
-)
+from tfg_drake.slam.odometry_model import arc, first_reckoning, interpolate, predict_increment, random_walks, reckon
 from tfg_drake.slam.shared import LEAST_SIGMA, calibration_sigma
 
 # A sighting this far off, in sigmas of its two whitened components together, is an outlier.

@@ -21,16 +21,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.grid.occupancy import TileMaps, empty_maps, insert_scan, log_odds, probability, reach_of
 from tfg_drake.grid.scan_matcher import end_points, propose
-from tfg_drake.messages import (
-    FloatArray,
-    GridMap,
-    IntArray,
-    LaserScan,
-    Odometry,
-    PoseEstimate,
-    message,
-    replace,
-)
+from tfg_drake.messages import FloatArray, GridMap, IntArray, LaserScan, Odometry, PoseEstimate, message, replace
 from tfg_drake.slam.odometry_model import (
     BREAK,
     BREAK_RATE,
