@@ -14,11 +14,11 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, Syste
 from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.pictures import scene, tables
+from tfg_drake.pictures.rows import EVERYWHERE, Near, Table
 from tfg_drake.planning.local import local
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
-from tfg_drake.storage.rows import EVERYWHERE, Near, Table
 from tfg_drake.systems.ports import MessageInputs, connect_by_name
 from tfg_drake.tfg.near import radius_of, within
 

@@ -22,9 +22,9 @@ from tfg_drake.pictures import scene
 from tfg_drake.pictures.drawing import bands, circles, polyline_segments
 from tfg_drake.pictures.palette import LIGHT
 from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
+from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
 from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
 from tfg_drake.simulation.people import RADIUS
-from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
 from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World

@@ -25,7 +25,7 @@ BASE = (
     "geometry",
 )
 ROBOT = ("vision", "slam", "tfg", "mission", "planning", "safety", "grid")
-BEYOND = ("world", "simulation", "mapfile", "storage", "pictures", "comparison", "datasets", "cockpit")
+BEYOND = ("world", "simulation", "mapfile", "pictures", "storage", "comparison", "datasets", "cockpit")
 CORE = BASE + ROBOT + BEYOND
 
 

@@ -323,8 +323,7 @@ def _load(path: Path) -> SavedMap:
 @contextlib.contextmanager
 def _timeline(saved: SavedMap, path: Path) -> Iterator[Path]:
     """A file, deleted afterwards, with the timeline that the page shows of a map."""
-    from tfg_drake.pictures.tables import write_map_timeline
-    from tfg_drake.storage.timeline import FILE_NAME
+    from tfg_drake.storage.timeline import FILE_NAME, write_map_timeline
 
     with tempfile.TemporaryDirectory() as folder:
         write_map_timeline(saved, Path(folder) / FILE_NAME, path.name)

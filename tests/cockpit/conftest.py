@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tfg_drake.cockpit.server import Cockpit
-from tfg_drake.storage.rows import Table
+from tfg_drake.pictures.rows import Table
 from tfg_drake.storage.timeline import FILE_NAME, TimelineWriter
 
 WALLS = np.array([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]], dtype=float)

@@ -19,9 +19,8 @@ from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.diagrams.missions.summary_words import table_rows
-from tfg_drake.pictures.tables import write_map_timeline
-from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded
+from tfg_drake.pictures.rows import Table
+from tfg_drake.storage.timeline import MAGIC, TimelineWriter, encoded, write_map_timeline
 
 LAYERS = ["walls", "map", "uncertainty", "frontiers", "gains", "roadmap", "tour", "path", "trail", "scan", "camera"]
 LAYERS += ["free", "wall_landmarks", "keep_out"]

@@ -13,8 +13,8 @@ from benchmarks import timelines
 from benchmarks.timelines import read_timeline
 from tests.mutations import assert_refused_or_read
 from tfg_drake.io import files
-from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded
+from tfg_drake.pictures.rows import Table
+from tfg_drake.storage.timeline import FILE_NAME, MAGIC, TimelineError, TimelineWriter, encoded, write_map_timeline
 
 ARRAYS = {
     "points": np.array([[1.2344, -2.0], [0.0, 3.5]]),
@@ -194,3 +194,31 @@ def test_a_timeline_that_has_less_than_a_checkpoint_counts_on_is_refused(tmp_pat
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(TimelineError, match=rf"has {standing.size - 1} of {standing.size} bytes"):
         TimelineWriter(path, standing=standing)
+
+
+def test_a_timeline_of_one_moment_has_all_of_the_map(small_map, tmp_path):
+    path = tmp_path / "timeline.tfg"
+    write_map_timeline(small_map, path, "a <map>")
+    records = {record.layer: record for record in read_timeline(path)}
+    assert {record.time for record in records.values()} == {round(small_map.stamp, 4)}
+    assert records["world"].told["title"] == "a <map>"
+    np.testing.assert_allclose(records["frame"].arrays["pose"], [5.0, 3.0, np.pi / 2], rtol=1e-6)
+    told = records["map"]
+    np.testing.assert_array_equal(told.arrays["ids"], small_map.ids)
+    np.testing.assert_allclose(told.arrays["points"], small_map.p_ML, atol=1e-3)
+    assert (told.told["stage"], told.told["views"]) == (2, 2)
+    np.testing.assert_allclose(records["tfg"].arrays["segments"], small_map.tfg.segments, atol=1e-3)
+    assert len(records["frontiers"].arrays["segments"]) == len(small_map.tfg.frontiers) == 1
+    np.testing.assert_array_equal(records["facing"].arrays["ids"], small_map.ids)
+    count = np.diff(small_map.tfg.star_offsets) + 1
+    np.testing.assert_array_equal(records["free"].arrays["count"], count)
+    assert len(records["wall_landmarks"].arrays["segments"]) == 0
+
+
+def test_walls_that_are_landmarks_are_there(walled_map, tmp_path):
+    path = tmp_path / "timeline.tfg"
+    write_map_timeline(walled_map, path, "walls")
+    records = {record.layer: record for record in read_timeline(path)}
+    np.testing.assert_allclose(records["wall_landmarks"].arrays["segments"], [[1.0, 1.0, 4.0, 5.0]], atol=1e-3)
+    np.testing.assert_allclose(records["wall_landmarks"].arrays["deviation"], [[0.02, 0.3]], rtol=1e-5)
+    assert len(records["map"].arrays["ids"]) == 4  # the tags

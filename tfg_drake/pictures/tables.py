@@ -1,22 +1,18 @@
-"""Layers of a map as tables: how far a row has to move until it is told anew. A saved map as the timeline of one
-moment, which the page of a mission shows."""
+"""Layers of a map as tables: how far a row has to move until it is told anew."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene
+from tfg_drake.pictures.rows import Table
 from tfg_drake.slam.walls import known_walls
-from tfg_drake.storage.rows import Table
-from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.tfg.frontier import PUSH, SPACING
 
 if TYPE_CHECKING:
@@ -103,21 +99,6 @@ def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
     values = np.column_stack([points / NODE, share / SHARE])
     arrays: dict[str, NDArray[Any]] = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
     return Table(arrays, points, values, choice.candidates[known])
-
-
-def write_map_timeline(saved: SavedMap, path: Path, title: str) -> None:
-    """Write the timeline of a map. title: stands above it. Raises OSError where the file cannot be written."""
-    with TimelineWriter(path) as writer:
-        now, tfg, stars = saved.stamp, saved.tfg, scene.free_space(saved.tfg)
-        writer.write("world", now, {}, title=title, radius=RobotConfig.radius, rule="", simulated=False)
-        writer.write("frame", now, {"pose": saved.X_WM.astype(np.float32)})
-        table, views = landmarks(saved), len(saved.X_MA)
-        writer.write_rows("map", now, table, stage=saved.stage, entropy=saved.entropy, views=views)
-        writer.write_rows("wall_landmarks", now, wall_landmarks(saved.graph))
-        writer.write_rows("tfg", now, surfaces(tfg))
-        writer.write_rows("facing", now, facing(tfg, saved.ids, saved.p_ML))
-        writer.write_rows("frontiers", now, frontiers(tfg))
-        writer.write("free", now, scene.packed_stars(stars, np.arange(len(stars))))
 
 
 def _middles(segments: FloatArray) -> FloatArray:

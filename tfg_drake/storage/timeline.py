@@ -26,13 +26,18 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.config import RobotConfig
 from tfg_drake.io.files import FileError, open_inside
-from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.pictures import scene, tables
+from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
+
+if TYPE_CHECKING:
+    from tfg_drake.mapfile.saved_map import SavedMap
 
 FILE_NAME = "timeline.tfg"
 MAGIC = b"tfg_drake timeline 2\n\n\n\n"
@@ -183,3 +188,18 @@ class TimelineWriter:
         self.failure = error
         self._file.close()
         _log.error("%s: cannot be written: %s; the mission goes on", self._path, error.strerror or error)
+
+
+def write_map_timeline(saved: SavedMap, path: Path, title: str) -> None:
+    """Write the timeline of a map. title: stands above it. Raises OSError where the file cannot be written."""
+    with TimelineWriter(path) as writer:
+        now, tfg, stars = saved.stamp, saved.tfg, scene.free_space(saved.tfg)
+        writer.write("world", now, {}, title=title, radius=RobotConfig.radius, rule="", simulated=False)
+        writer.write("frame", now, {"pose": saved.X_WM.astype(np.float32)})
+        table, views = tables.landmarks(saved), len(saved.X_MA)
+        writer.write_rows("map", now, table, stage=saved.stage, entropy=saved.entropy, views=views)
+        writer.write_rows("wall_landmarks", now, tables.wall_landmarks(saved.graph))
+        writer.write_rows("tfg", now, tables.surfaces(tfg))
+        writer.write_rows("facing", now, tables.facing(tfg, saved.ids, saved.p_ML))
+        writer.write_rows("frontiers", now, tables.frontiers(tfg))
+        writer.write("free", now, scene.packed_stars(stars, np.arange(len(stars))))

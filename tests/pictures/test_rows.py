@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.storage.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
 
 
 class Reader:
