@@ -19,22 +19,22 @@ from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures import scene
-from tfg_drake.pictures.drawing import bands, circles, polyline_segments
-from tfg_drake.pictures.palette import LIGHT
+from tfg_drake.pictures.drawing import MAGNIFIED, bands, circles, ellipses, polyline_segments
+from tfg_drake.pictures.layers import LOOKS, Layer, layers
 from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
 from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
-from tfg_drake.pictures.solids import FLOOR, PERSON_HEIGHT, ROBOT_HEIGHT, SHEETS, WHITE, Solid, solids, wavefront
+from tfg_drake.pictures.solids import numerals, wavefront
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
-# Of scan points, m: above the surfaces.
-SCAN_HEIGHT = 0.43
 # What of a map has changed is drawn anew in squares of this side, m.
 CHUNK = 20.0
 # Of words and legend, m: above Meshcat's own grid.
 PLATE_HEIGHT = 0.05
+# Height of a stop's number, symbols; how many standard deviations are drawn.
+NUMBER, SIGMAS = 3.0, 3.0 * MAGNIFIED
 # Where nothing is, for Meshcat to tell whether it records.
 PROBE = "/tfg/recorded"
 # Between two scans that a recording keeps, s.
@@ -162,7 +162,8 @@ class MeshcatScene:
             return
         rows = self._rows.setdefault(layer, _Rows())
         for chunk, arrays in rows.change(table, near):
-            self._attempt(functools.partial(self._Show, f"{layer}/{chunk}", time, layer, arrays, told))
+            shown = layers(layer, arrays, SIGMAS)
+            self._attempt(functools.partial(self._Show, f"{layer}/{chunk}", time, layer, shown))
 
     def _attempt(self, draw: Callable[[], None]) -> None:
         if self._lost:
@@ -182,16 +183,13 @@ class MeshcatScene:
         self._Toggle("/tfg/truth", self._world is not None, time, self._IsRecorded())
         if self._world is not None:
             floor = np.array([[(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]])
-            z = SHEETS["floor"]
-            self._ShowSolids("/tfg/world/floor", [Solid("floor", floor, z, z, FLOOR)])
-            self._ShowSolids("/tfg/world/walls", solids("world", scene.walls(self._world), {}, self._unit))
+            self._ShowLayers("/tfg/world/floor", [Layer("floor", floor)])
+            self._ShowLayers("/tfg/world/walls", layers("world", scene.walls(self._world)))
         # At true size, or as large as a symbol where that could not be seen.
         r, here = max(self._radius, 2.2 * self._unit), np.zeros((1, 2))
         mark = bands(np.array([[0.25 * r, 0.0, 0.85 * r, 0.0]]), 0.25 * r)
-        body = Solid("body", circles(here, r, 32), 0.0, ROBOT_HEIGHT, LIGHT.robot)
-        self._ShowSolids("/tfg/map/robot", [body, Solid("heading", mark, ROBOT_HEIGHT, ROBOT_HEIGHT + 0.03, WHITE)])
-        truth = Solid("truth", circles(here, 1.2 * r, 32), 0.0, 0.5 * ROBOT_HEIGHT, LIGHT.truth, 0.5)
-        self._ShowSolids("/tfg/truth", [truth])
+        self._ShowLayers("/tfg/map/robot", [Layer("robot", circles(here, r, 32)), Layer("heading", mark)])
+        self._ShowLayers("/tfg/truth", [Layer("truth", circles(here, 1.2 * r, 32))])
         self._ShowPlate("/tfg/legend", self._legend, *self._legend_y)
         self._ShowCamera()
 
@@ -222,14 +220,16 @@ class MeshcatScene:
         elif layer == "scan":
             self._ShowScan(arrays["rays"][1:][arrays["met"]], time)
         elif layer == "free":
-            ends = np.cumsum(arrays["count"])
-            for view, count, end in zip(arrays["index"], arrays["count"], ends, strict=True):
-                star = {"points": arrays["points"][end - count : end], "count": np.array([count])}
-                self._Show(f"free/{view}", time, layer, star, told)
+            (stars,) = layers(layer, arrays)
+            for view, star in zip(arrays["index"], stars.shapes, strict=True):
+                self._Show(f"free/{view}", time, layer, [stars._replace(shapes=[star])])
         elif layer in RECORDS:
-            self._Show(f"driving/{layer}" if layer in DRIVING else layer, time, layer, arrays, told)
+            shown = layers(layer, arrays, cell=told.get("resolution", 0.0))
+            self._Show(f"driving/{layer}" if layer in DRIVING else layer, time, layer, shown)
             if layer == "goal" and "tour" in arrays:
-                self._Show("tour", time, "tour", arrays, {"turn": -float(self._X_WM[2])})
+                # They stand upright, whatever the map is turned by.
+                numbers = numerals(arrays["tour"], NUMBER * self._unit, -float(self._X_WM[2]))
+                self._Show("tour", time, "tour", [*layers("tour", arrays), Layer("number", numbers)])
                 self._said["goal"] = _words_of_goal(arrays, told, self._X_WM)
 
     def _ShowTrail(self, pose: FloatArray, time: float) -> None:
@@ -240,9 +240,9 @@ class MeshcatScene:
         self._way.append(pose[:2])
         piece = max(len(self._way) - 2, 0) // TRAIL_STEPS
         way = np.array(self._way[TRAIL_STEPS * piece : TRAIL_STEPS * (piece + 1) + 1])
-        self._Show(f"trail/{piece}", time, "trail", {"segments": polyline_segments(way)}, {})
-        covariance = pose[None, [3, 4, 4, 5]].reshape(-1, 2, 2)
-        self._Show("uncertainty", time, "pose", {"points": pose[None, :2], "covariance": covariance}, {})
+        self._Show(f"trail/{piece}", time, "trail", [Layer("trail", polyline_segments(way))])
+        ellipse = ellipses(pose[None, :2], pose[None, [3, 4, 4, 5]].reshape(-1, 2, 2), SIGMAS)
+        self._Show("uncertainty", time, "pose", [Layer("robot_3sigma", ellipse)])
 
     def _ShowWords(self, time: float) -> None:
         if not self.is_due("words", time):
@@ -265,9 +265,7 @@ class MeshcatScene:
     def _ShowPeople(self, points: FloatArray, time: float) -> None:
         for k, place in enumerate(points):
             if k >= self._people:
-                body = circles(np.zeros((1, 2)), RADIUS)
-                person = Solid("person", body, 0.0, PERSON_HEIGHT, LIGHT.person, 0.8)
-                self._ShowSolids(f"/tfg/people/{k}", [person])
+                self._ShowLayers(f"/tfg/people/{k}", [Layer("person", circles(np.zeros((1, 2)), RADIUS))])
             self._meshcat.SetTransform(f"/tfg/people/{k}", PlanarPose(np.append(place, 0.0)), time)
         self._people = max(self._people, len(points))
 
@@ -275,19 +273,17 @@ class MeshcatScene:
         if self._IsRecorded() and not self.is_due("scan", time):
             return
         self._due["scan"] = time + RECORDED_SCANS
-        cloud = PointCloud(len(points))
-        cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), SCAN_HEIGHT)]).T
+        cloud, look = PointCloud(len(points)), LOOKS["scan"]
+        cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), look.high)]).T
         path = self._NextVersion("scan", time)
-        self._meshcat.SetObject(path, cloud, 1.2 * self._unit, Rgba(*LIGHT.scan))
+        self._meshcat.SetObject(path, cloud, 2.0 * look.size * self._unit, Rgba(*look.colour))
 
     # Meshcat: only transforms and properties have a time. So a thing that changes its shape has a path a version.
 
-    def _Show(
-        self, name: str, time: float, layer: str, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]
-    ) -> None:
-        size = self._ShowSolids(self._NextVersion(name, time), solids(layer, arrays, told, self._unit))
+    def _Show(self, name: str, time: float, record: str, shown: Iterable[Layer]) -> None:
+        size = self._ShowLayers(self._NextVersion(name, time), shown)
         if self._recorded:
-            self._due[layer] = max(time, self._due.get(layer, time)) + size / RECORDED_RATE
+            self._due[record] = max(time, self._due.get(record, time)) + size / RECORDED_RATE
 
     def _NextVersion(self, name: str, time: float, under: str = "/tfg/map") -> str:
         """The path of what a thing is like from a time on, s: a new one where a recording has the last."""
@@ -328,9 +324,9 @@ class MeshcatScene:
         self._meshcat.SetProperty(path, "visible", visible, time)
         self._shown[path] = visible, time
 
-    def _ShowSolids(self, path: str, shown: Iterable[Solid]) -> int:
+    def _ShowLayers(self, path: str, shown: Iterable[Layer]) -> int:
         """Returns how many bytes they are."""
-        obj, materials = wavefront(shown)
+        obj, materials = wavefront(shown, self._unit)
         if not obj:
             self._meshcat.Delete(path)
             return 0
@@ -357,28 +353,25 @@ class _Rows:
 
     def __init__(self) -> None:
         self._standing = StandingRows()
-        self._count = 0
-        self._numbers: IntArray = np.zeros(0, dtype=np.int64)
-        self._chunks: IntArray = np.zeros((0, 2), dtype=np.int64)
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def change(self, table: Table, near: Near) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         """Takes a change down; yields name and rows of each square that has changed."""
+        numbers, places = self._standing.numbers, self._standing.places
         added, gone = self._standing.change(table, near)
-        stays = ~np.isin(self._numbers, gone)
-        chunks = np.floor(table.places[added] / CHUNK).astype(np.int64)
-        changed = np.unique(np.vstack([self._chunks[~stays], chunks]), axis=0)
-        self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
-        self._count += len(added)
-        self._chunks = np.vstack([self._chunks[stays], chunks])
-        before = self._arrays or {name: array[:0] for name, array in table.arrays.items()}
-        keep = stays if self._arrays else slice(0)
-        self._arrays = {
-            name: np.concatenate([before[name][keep], array[added]]) for name, array in table.arrays.items()
-        }
+        stays = ~np.isin(numbers, gone)
+        changed = np.unique(_squares(np.vstack([places[~stays], table.places[added]])), axis=0)
+        for name, array in table.arrays.items():
+            self._arrays[name] = np.concatenate([self._arrays.get(name, array[:0])[stays], array[added]])
+        squares = _squares(self._standing.places)
         for x, y in changed.tolist():
-            here = (self._chunks == (x, y)).all(axis=1)
+            here = (squares == (x, y)).all(axis=1)
             yield f"{x}_{y}", {name: array[here] for name, array in self._arrays.items()}
+
+
+def _squares(places: FloatArray) -> IntArray:
+    """Column and row (n, 2) of the squares of the ground that places (n, 2) are in."""
+    return np.floor(places / CHUNK).astype(np.int64)
 
 
 def _words_of_goal(arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], X_WM: FloatArray) -> str:

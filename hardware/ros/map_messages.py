@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,34 +20,28 @@ from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
 from tfg_drake.grid.frontier import classify
 from tfg_drake.hardware.ros.preset import Frames
-from tfg_drake.mapfile.occupancy_grid import CELL
 from tfg_drake.messages import (
     FloatArray,
-    GoalChoice,
     GridMap,
-    MapEstimate,
     Odometry,
     Path,
     PoseEstimate,
-    Roadmap,
     TfgMap,
 )
-from tfg_drake.pictures.drawing import ellipses, outline_segments
-from tfg_drake.pictures.palette import LIGHT, Colour, gain_colours
+from tfg_drake.pictures.drawing import outline_segments
+from tfg_drake.pictures.layers import SYMBOL, Layer, Look
 
 Fields = dict[str, Any]
 Cells = NDArray[np.int8]
 
+# Side of a cell of /map, m.
+CELL = 0.05
 # nav_msgs/OccupancyGrid.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
-CYLINDER, LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 3, 5, 7, 9, 3
-
-# Few, because every point is an object of its own to ROS.
-ELLIPSE_CORNERS = 16
-
-# The surfaces' names and colours, by TfgMap.segment_kind.
-_SURFACES = (("edges", LIGHT.edge), ("wall ends", LIGHT.wall_end), ("surfaces without landmark", LIGHT.bare_surface))
+LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 5, 7, 9, 3
+# Width of an outline and height of letters, m.
+OUTLINE, LETTER = 0.01, 0.2
 
 
 def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:
@@ -89,48 +84,31 @@ def _grid(cells: Cells, cell: float, corner: FloatArray, stamp: float, frames: F
     }
 
 
-def markers(
-    stamp: float,
-    frames: Frames,
-    estimate: MapEstimate | None = None,
-    tfg: TfgMap | None = None,
-    goal: GoalChoice | None = None,
-    roadmap: Roadmap | None = None,
-) -> Fields:
-    """visualization_msgs/MarkerArray of what there is: landmarks with ids and ellipses of three standard deviations,
-    surfaces, frontiers, candidate goals coloured by their gain, and the goal.
+def markers(stamp: float, frames: Frames, shown: Iterable[Layer]) -> Fields:
+    """visualization_msgs/MarkerArray of layers in the map frame: a namespace each, and one of its labels.
 
     It begins with the order to forget what was shown before: every array is the whole picture.
     """
     header = _header(stamp, frames.map)
     found: list[Fields] = [{"header": header, "action": DELETE_ALL}]
 
-    def add(ns: str, kind: int, size: float, colour: Colour, **fields: Any) -> None:
-        marker = {"ns": ns, "id": len(found), "type": kind, "pose": pose_fields(np.zeros(3)), "color": _colour(colour)}
-        # Lines have no height and no thickness but x; letters only a height, z.
-        scale = {"x": size, "y": 0.0 if kind == LINE_LIST else size, "z": 0.0 if kind == LINE_LIST else size}
-        found.append({"header": header, "action": 0, **marker, "scale": scale, **fields})
+    def add(ns: str, kind: int, scale: Fields, look: Look, **fields: Any) -> None:
+        marker = {"ns": ns, "id": len(found), "type": kind, "scale": scale, "color": _colour(look)}
+        found.append({"header": header, "action": 0, "pose": pose_fields(np.zeros(3)), **marker, **fields})
 
-    if tfg is not None:
-        for kind, (name, colour) in enumerate(_SURFACES):
-            segments = tfg.segments[tfg.segment_kind == kind]
-            if len(segments):
-                add(name, LINE_LIST, 0.03, colour, points=_points(segments.reshape(-1, 2)))
-        if len(tfg.frontiers):
-            add("frontiers", SPHERE_LIST, 0.08, LIGHT.frontier, points=_points(tfg.frontiers))
-    if estimate is not None and len(estimate.ids):
-        add("landmarks", SPHERE_LIST, 0.1, LIGHT.landmark, points=_points(estimate.p_ML))
-        outlines = outline_segments(ellipses(estimate.p_ML, estimate.landmark_covariance, corners=ELLIPSE_CORNERS))
-        add("ellipses", LINE_LIST, 0.01, LIGHT.landmark, points=_points(outlines.reshape(-1, 2)))
-        for name, place in zip(estimate.ids.tolist(), estimate.p_ML, strict=True):
-            add("ids", TEXT, 0.2, LIGHT.landmark, text=str(name), pose=pose_fields(np.array([*place, 0.0]), height=0.2))
-    if goal is not None and roadmap is not None and goal.stage == roadmap.stage and len(goal.candidates):
-        share = np.clip(goal.gain / max(float(goal.gain.max()), 1e-9), 0.0, 1.0)
-        colours = [_colour(colour) for colour in gain_colours(share)]
-        places = _points(roadmap.points[goal.candidates])
-        add("candidates", SPHERE_LIST, 0.12, LIGHT.frontier, points=places, colors=colours)
-    if goal is not None and goal.node >= 0:
-        add("goal", CYLINDER, 0.25, LIGHT.path, pose=pose_fields(np.array([*goal.p_MG, 0.0])))
+    for layer in shown:
+        look, shapes, size = layer.look, layer.shapes, SYMBOL * layer.look.size
+        if not len(shapes):
+            continue
+        if layer.kind == "points":
+            add(layer.name, SPHERE_LIST, dict.fromkeys("xyz", 2.0 * size), look, points=_points(shapes, look.high))
+        else:  # Lines have no height and no thickness but x.
+            lines = outline_segments(np.asarray(shapes)) if layer.kind == "areas" else np.asarray(shapes)
+            points = _points(lines.reshape(-1, 2), look.high)
+            add(layer.name, LINE_LIST, {"x": size or OUTLINE, "y": 0.0, "z": 0.0}, look, points=points)
+        for words, place in layer.labels.items():
+            at = pose_fields(np.append(place, 0.0), height=look.high + LETTER)
+            add(f"{layer.name} labels", TEXT, dict.fromkeys("xyz", LETTER), look, text=words, pose=at)
     return {"markers": found}
 
 
@@ -178,10 +156,10 @@ def pose_fields(X: FloatArray, height: float = 0.0) -> Fields:
     return {"position": {"x": x, "y": y, "z": height}, "orientation": orientation}
 
 
-def _points(points: FloatArray) -> list[Fields]:
-    return [{"x": x, "y": y, "z": 0.0} for x, y in points.tolist()]
+def _points(points: FloatArray | Sequence[FloatArray], height: float) -> list[Fields]:
+    return [{"x": x, "y": y, "z": height} for x, y in np.asarray(points).tolist()]
 
 
-def _colour(colour: Colour | FloatArray) -> Fields:
-    r, g, b = (float(value) for value in colour)
-    return {"r": r, "g": g, "b": b, "a": 1.0}
+def _colour(look: Look) -> Fields:
+    r, g, b = look.in_space
+    return {"r": r, "g": g, "b": b, "a": look.opacity}

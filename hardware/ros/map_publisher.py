@@ -11,9 +11,10 @@ from tfg_drake.hardware.robot_devices import HostClock
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace
+from tfg_drake.pictures.layers import of_choice, of_map
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, connect_by_name
 
-_SHOWN = ("map", "tfg", "roadmap", "goal", "path", "grid")
+_SHOWN = ("map", "landmarks", "tfg", "roadmap", "goal", "path", "grid")
 
 
 class MapPublisher(LeafSystem):
@@ -26,6 +27,7 @@ class MapPublisher(LeafSystem):
         - pose
         - odometry
         - map
+        - landmarks
         - tfg
         - roadmap
         - goal
@@ -82,11 +84,9 @@ class MapPublisher(LeafSystem):
         # A grid changes with every scan: once a stage is enough.
         if "grid" in changed and (before["grid"] is None or before["grid"].stage != now["grid"].stage):
             publish("map", map_messages.grid_of_cells(now["grid"], stamp, frames))
-        if changed & {"map", "tfg", "goal"}:
-            publish(
-                "markers",
-                map_messages.markers(stamp, frames, now["map"], now["tfg"], now["goal"], now["roadmap"]),
-            )
+        if changed & {"map", "landmarks", "tfg", "goal"}:
+            shown = [*of_map(now["map"], now["tfg"], now["landmarks"]), *of_choice(now["goal"], now["roadmap"])]
+            publish("markers", map_messages.markers(stamp, frames, shown))
         if "path" in changed:
             publish("path", map_messages.path(now["path"], stamp, frames))
 

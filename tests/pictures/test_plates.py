@@ -4,7 +4,8 @@ import numpy as np
 from PIL import Image
 
 from tfg_drake.pictures import palette
-from tfg_drake.pictures.plates import LINE, SHADES, WIDTH, legend_plate, words_plate
+from tfg_drake.pictures.layers import LOOKS
+from tfg_drake.pictures.plates import COLUMNS, LINE, WIDTH, _font, legend_plate, words_plate
 
 
 def pixels(png):
@@ -15,9 +16,19 @@ def test_the_legend_has_every_colour_and_the_scale_of_gains():
     png, height = legend_plate()
     picture = pixels(png)
     assert picture.shape == (height, WIDTH, 3)
-    names = ("wall", "edge", "bare_surface", "keep_out", "landmark", "frontier", "path", "trail", "robot", "truth")
-    shades = palette.gain_colours(np.linspace(0.0, 1.0, SHADES))
-    for colour in [*(getattr(palette.LIGHT, name) for name in names), *shades]:
+    names = (
+        "wall",
+        "edge_in_space",
+        "bare_surface",
+        "keep_out",
+        "landmark",
+        "frontier",
+        "path",
+        "trail",
+        "robot",
+        "truth",
+    )
+    for colour in [*(getattr(palette.LIGHT, name) for name in names), *palette.GAINS]:
         there = np.all(np.abs(picture - np.rint(255.0 * np.array(colour))) <= 1, axis=-1)
         assert np.count_nonzero(there) > 500
 
@@ -29,3 +40,8 @@ def test_words_are_ink_on_white_and_longer_ones_reach_farther():
         assert picture.shape == (LINE, WIDTH, 3)
         reach.append(np.flatnonzero((picture < 128).any(axis=(0, 2))).max(initial=0))
     assert 0 == reach[0] < reach[1] < reach[2] < WIDTH - 8
+
+
+def test_every_name_fits_its_column():
+    for look in LOOKS.values():
+        assert _font().getlength(look.words) < WIDTH // COLUMNS - 52

@@ -186,8 +186,8 @@ def test_a_tour_has_numbers_a_way_a_trail_and_words(meshcat):
     choice = replace(choice, value=np.full(len(choice.candidates), -12.0))
     Simulator(make_diagram(meshcat, messages | {"goal": choice}, make_world())).AdvanceTo(1.0)
     tour = drawn(meshcat, "map/tour/1")
-    assert all(name in tour for name in (b"usemtl stops", b"usemtl numbers"))
-    assert b"usemtl pose_3sigma" in drawn(meshcat, "map/uncertainty/1")
+    assert all(name in tour for name in (b"usemtl stop", b"usemtl number"))
+    assert b"usemtl robot_3sigma" in drawn(meshcat, "map/uncertainty/1")
     assert told(meshcat, "1 s, stage 1, follow, goal (2.0, 2.0) m, tour of 2 in 12 s, most gain 1 nats")
     assert b"usemtl plate" in drawn(meshcat, "legend")
     assert is_visible(meshcat, "map/gains")
@@ -230,7 +230,7 @@ def test_draws_walls_that_are_landmarks(meshcat):
     ids, reach = np.append(WALLS_BELOW - 1, [0, 1]), np.array([[-1.0, 2.0], [0, 0], [0, 0]])
     with_walls = replace(make_map(3), ids=ids, reach=reach)
     Simulator(make_diagram(meshcat, make_messages() | {"landmarks": with_walls}, make_world())).AdvanceTo(0.5)
-    assert b"usemtl wall_landmarks_3sigma" in drawn(meshcat, "map/wall_landmarks/0_0/1")
+    assert b"usemtl wall_landmark_3sigma" in drawn(meshcat, "map/wall_landmarks/0_0/1")
 
 
 def make_people(p_WP):

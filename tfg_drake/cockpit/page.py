@@ -12,10 +12,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tfg_drake.io.files import write_atomic
-from tfg_drake.pictures.palette import DARK, LIGHT, css, gain_colours
+from tfg_drake.pictures.palette import DARK, GAINS, LIGHT, css
 
 FILE_NAME = "mission.html"
 # A mission to look at while one waits for another: a timeline, made by benchmarks/recorded_mission.py.
@@ -26,8 +24,6 @@ panels plots controls operator driving keep_out fork"""
 # What a browser lets the page do: its own scripts run, and no other, whatever a run's files hold; nobody else is asked.
 _POLICY = """default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'; base-uri 'none';
 form-action 'none'; script-src"""
-# Colours of the candidates' scale, from no gain to the most.
-_SHADES = 6
 
 
 def served_page(title: str, source: dict[str, Any]) -> str:
@@ -66,11 +62,10 @@ def viewer_script() -> str:
 
 def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
     folder = files(__package__)
-    shades = [css(tuple(shade)) for shade in gain_colours(np.linspace(0.0, 1.0, _SHADES)).tolist()]
     colours = {
         "light": {name: css(colour) for name, colour in LIGHT._asdict().items()},
         "dark": {name: css(colour) for name, colour in DARK._asdict().items()},
-        "gains": shades,
+        "gains": [css(colour) for colour in GAINS],
     }
     parts = {
         "TITLE": html.escape(title),

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from tfg_drake.messages import FloatArray
-
 Colour = tuple[float, float, float]
 
 
@@ -56,18 +52,19 @@ DARK = LIGHT._replace(
     trail=(0.80, 0.45, 0.32),
     fork=(0.72, 0.80, 0.30),
 )
-# Of free and occupied space in pictures without a page.
+# Of free space in pictures on white.
 FREE: Colour = (0.955, 0.965, 0.945)
-OCCUPIED: Colour = (0.16, 0.18, 0.22)
+# From no gain to the most, even to the eye (matplotlib's magma_r from 0.08 to 0.85).
+GAINS: tuple[Colour, ...] = (
+    (0.994, 0.849, 0.606),
+    (0.990, 0.565, 0.395),
+    (0.885, 0.301, 0.400),
+    (0.646, 0.192, 0.493),
+    (0.396, 0.103, 0.503),
+    (0.147, 0.069, 0.334),
+)
 
 
 def css(colour: Colour) -> str:
     """A colour as a page names it, such as #10357a."""
     return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
-
-
-def gain_colours(share: FloatArray) -> FloatArray:
-    """Colours (n, 3) in [0, 1] for shares (n,) of the best gain: pale for none, deep for the best, even to the eye."""
-    import matplotlib  # A mission needs it at its end only.
-
-    return np.asarray(matplotlib.colormaps["magma_r"](0.08 + 0.77 * share))[:, :3]

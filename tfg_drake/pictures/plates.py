@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import io
 
-import numpy as np
 from matplotlib import get_data_path
 from PIL import Image, ImageDraw, ImageFont
 
 from tfg_drake.pictures import palette
 from tfg_drake.pictures.drawing import MAGNIFIED
+from tfg_drake.pictures.layers import LOOKS, SPREAD
 
 # All of them are so wide, and a line so high, pixels; of a legend so many entries are in a line.
 WIDTH, LINE, COLUMNS = 1600, 46, 5
-# The scale of the gains has so many shades.
-SHADES = 6
-# Of each colour of palette.LIGHT what it is.
-_ENTRIES = """wall:true wall, edge:mapped surface, wall_end:past the last tag, bare_surface:without a landmark,
-keep_out:keep-out area, landmark:tag, doubtful:doubtful tag, wall_landmark:wall (landmark), frontier:frontier,
-path:path and tour, trail:way driven, scan:scan, robot:robot, truth:robot (true)"""
 
 
 def words_plate(text: str) -> bytes:
@@ -29,20 +23,20 @@ def words_plate(text: str) -> bytes:
 
 
 def legend_plate() -> tuple[bytes, int]:
-    """Legend of the colours and the scale of the gains, as a PNG; and its height, pixels."""
-    entries = [entry.split(":") for entry in _ENTRIES.replace(",\n", ", ").split(", ")]
+    """Legend of the layers and the scale of the gains, as a PNG; and its height, pixels."""
+    entries = [look for name, look in LOOKS.items() if look.words and not name.endswith(SPREAD)]
     lines = -(-len(entries) // COLUMNS) + 1
     image = Image.new("RGB", (WIDTH, lines * LINE), "white")
     draw = ImageDraw.Draw(image)
-    for k, (colour, name) in enumerate(entries):
+    for k, look in enumerate(entries):
         x, y = WIDTH // COLUMNS * (k % COLUMNS) + 8, LINE * (k // COLUMNS)
-        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(getattr(palette.LIGHT, colour)))
-        draw.text((x + 44, y + LINE / 2), name, "black", _font(), "lm")
-    for k, (r, g, b) in enumerate(palette.gain_colours(np.linspace(0.0, 1.0, SHADES)).tolist()):
+        draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(look.in_space), "gray")
+        draw.text((x + 44, y + LINE / 2), look.words, "black", _font(), "lm")
+    for k, colour in enumerate(palette.GAINS):
         box = (8 + 34 * k, image.height - LINE + 12, 42 + 34 * k, image.height - 12)
-        draw.rectangle(box, palette.css((r, g, b)))
+        draw.rectangle(box, palette.css(colour))
     told = f"gain of a place to go to: none ... the most of all; pale rings and bands: 3\u03c3 \u00d7 {MAGNIFIED:g}"
-    draw.text((18 + 34 * SHADES, image.height - LINE / 2), told, "black", _font(), "lm")
+    draw.text((18 + 34 * len(palette.GAINS), image.height - LINE / 2), told, "black", _font(), "lm")
     return _png(image), image.height
 
 

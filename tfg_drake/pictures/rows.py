@@ -46,11 +46,14 @@ class Table:
 
 @dataclasses.dataclass(eq=False)
 class StandingRows:
-    """The rows of a layer that stand in a file. A row's number counts the rows that were written before it."""
+    """The rows of a layer that stand in a file.
+
+    numbers: (n,) of each row, how many were written before it. places: (n, 2) m, where each is.
+    """
 
     _count: int = 0
-    _numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    _places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     _values: FloatArray | None = None
     _keys: IntArray | None = None
 
@@ -68,7 +71,7 @@ class StandingRows:
         values = table.values.take(there, axis=0)
         keys = None if table.keys is None else table.keys[there]
         before = np.zeros((0, values.shape[1])) if self._values is None else self._values
-        told = near.holds(self._places)
+        told = near.holds(self.places)
         if keys is not None and self._keys is not None and not told.all():
             told |= np.isin(self._keys, keys)
         old = np.flatnonzero(told)
@@ -77,10 +80,10 @@ class StandingRows:
         stays = ~told
         stays[old[same[same >= 0]]] = True
         new = same < 0
-        gone, added = self._numbers[~stays], there[new]
-        self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
+        gone, added = self.numbers[~stays], there[new]
+        self.numbers = np.append(self.numbers[stays], self._count + np.arange(len(added)))
         self._count += len(added)
-        self._places = np.vstack([self._places.compress(stays, axis=0), table.places.take(added, axis=0)])
+        self.places = np.vstack([self.places.compress(stays, axis=0), table.places.take(added, axis=0)])
         self._values = np.vstack([before.compress(stays, axis=0), values.compress(new, axis=0)])
         if keys is not None:
             self._keys = keys[new] if self._keys is None else np.append(self._keys[stays], keys[new])

@@ -11,6 +11,7 @@ from tfg_drake.geometry.star import inside_any
 from tfg_drake.hardware.ros import map_messages
 from tfg_drake.hardware.ros.preset import Frames
 from tfg_drake.messages import replace
+from tfg_drake.pictures.layers import of_choice, of_map
 from tfg_drake.tfg.graph import empty_map
 
 FRAMES = Frames(map="m", odom="o", base="b")
@@ -82,7 +83,7 @@ def test_the_grid_of_many_stars(room):
 def test_nothing_mapped_yet():
     grid = map_messages.tfg_grid(empty_map(), 0.0, FRAMES)
     assert (grid["info"]["width"], grid["info"]["height"], len(grid["data"])) == (0, 0, 0)
-    assert len(map_messages.markers(0.0, FRAMES)["markers"]) == 1
+    assert len(map_messages.markers(0.0, FRAMES, [])["markers"]) == 1
 
 
 def test_the_grid_of_a_grid(room):
@@ -93,27 +94,41 @@ def test_the_grid_of_a_grid(room):
 
 
 def test_markers(room):
-    found = map_messages.markers(5.0, FRAMES, room.estimate(), room.tfg(), room.goal(), room.roadmap())["markers"]
+    shown = [*of_map(room.estimate(), room.tfg(), None), *of_choice(room.goal(), room.roadmap())]
+    found = map_messages.markers(5.0, FRAMES, shown)["markers"]
     assert found[0]["action"] == map_messages.DELETE_ALL
     assert {one["header"]["frame_id"] for one in found} == {"m"}
     assert len({(one["ns"], one["id"]) for one in found[1:]}) == len(found) - 1
     by_name = {one["ns"]: one for one in found[1:]}
-    assert by_name["landmarks"]["points"] == [{"x": -1.0, "y": -1.52, "z": 0.0}, {"x": -2.02, "y": 0.5, "z": 0.0}]
-    assert [one["text"] for one in found[1:] if one["ns"] == "ids"] == ["7", "12"]
-    x = [one["x"] for one in by_name["ellipses"]["points"][:32]]
-    assert (min(x), max(x)) == pytest.approx((-1.06, -0.94), abs=1e-9)
-    assert by_name["edges"]["points"] == [{"x": -2.02, "y": -1.52, "z": 0.0}, {"x": 0.5, "y": -1.52, "z": 0.0}]
-    assert {"wall ends", "surfaces without landmark"} < set(by_name)
-    assert by_name["frontiers"]["points"] == [{"x": 0.6, "y": 0.0, "z": 0.0}]
-    candidates = by_name["candidates"]
-    assert [one["y"] for one in candidates["points"]] == [0.0, 1.0]
-    assert candidates["colors"][0] != candidates["colors"][1]
-    assert by_name["goal"]["pose"]["position"] == {"x": 0.3, "y": 0.0, "z": 0.0}
+
+    def places(name):
+        return [(one["x"], one["y"]) for one in by_name[name]["points"]]
+
+    assert places("landmark") == [(-1.0, -1.52), (-2.02, 0.5)]
+    assert [one["text"] for one in found[1:] if one["ns"] == "landmark labels"] == ["7", "12"]
+    x = [x for x, _ in places("landmark_3sigma")[:40]]
+    assert (min(x), max(x)) == pytest.approx((-1.06, -0.94), abs=1e-7)
+    assert places("edge") == [(-2.02, -1.52), (0.5, -1.52)]
+    assert {"wall_end", "bare_surface"} < set(by_name)
+    assert np.mean(places("frontier"), axis=0)[1] == 0.0
+    # The more gain the deeper.
+    best, other = by_name["gain_5"], by_name["gain_2"]
+    assert [one["points"][0]["y"] for one in (best, other)] == [0.0, 1.0]
+    assert best["color"]["r"] < other["color"]["r"]
+    assert places("goal") == [(0.3, 0.0)]
+
+
+def test_walls_that_are_landmarks_are_markers(walled_map):
+    found = map_messages.markers(5.0, FRAMES, of_map(None, None, walled_map.graph))["markers"]
+    line, band = found[1:]
+    assert [(one["x"], one["y"]) for one in line["points"]] == [(1.0, 1.0), (4.0, 5.0)]
+    assert (line["ns"], band["ns"]) == ("wall_landmark", "wall_landmark_3sigma")
+    assert line["color"]["a"] > band["color"]["a"] > 0.0
 
 
 def test_no_goal_and_a_roadmap_of_another_stage(room):
     no_goal = replace(room.goal(), node=-1)
-    found = map_messages.markers(5.0, FRAMES, goal=no_goal, roadmap=replace(room.roadmap(), stage=2))
+    found = map_messages.markers(5.0, FRAMES, of_choice(no_goal, replace(room.roadmap(), stage=2)))
     assert len(found["markers"]) == 1
 
 
