@@ -13,7 +13,7 @@ from tfg_drake.storage.port_recording import PortWriter
 from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name
 
 # What an explorer says that is recorded to be shown.
-SHOWN = ("pose", "path", "map", "tfg")
+SHOWN = ("pose", "path", "map", "tfg", "landmarks")
 
 
 class PortRecorder(LeafSystem):
@@ -35,13 +35,15 @@ class PortRecorder(LeafSystem):
         - path
         - map
         - tfg
+        - landmarks
 
     base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections, scan.ranges: LaserScan,
     base.velocity_commanded: (2,) forward speed (m/s) and turn rate (rad/s), base.enabled: (1,), 1 while the base may
-    move. pose: PoseEstimate, path: Path, map: MapEstimate, tfg: TfgMap, in M.
+    move. pose: PoseEstimate, path: Path, map: MapEstimate, tfg: TfgMap, landmarks: MapEstimate of tags and
+    walls, in M.
 
     operator.goal: RequestedGoal, where the robot is sent, operator.pose: SaidPose, where it is said to be, if somebody
-    may do so. The last four are the explorer's, as far as it has them: they are recorded to be shown, not to be played.
+    may do so. The last five are the explorer's, as far as it has them: they are recorded to be shown, not to be played.
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
     records at an instant is what updates at that instant see, since both come before the instant's changes.
     """
@@ -86,4 +88,4 @@ class PortRecorder(LeafSystem):
             estimate, tfg = look("map"), look("tfg")
             # Surfaces come into the TFG a moment after the landmarks.
             if tfg is not None and tfg.stage == estimate.stage:
-                self._writer.write_map(now, estimate, tfg)
+                self._writer.write_map(now, estimate, tfg, look("landmarks"))

@@ -1,6 +1,7 @@
 """What is written by hand is what protobuf reads."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -26,39 +27,44 @@ def test_a_pose_ties_base_to_map():
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 1000])
-def test_a_path_is_a_strip_of_its_points(count):
+def test_a_path_is_lines_from_point_to_point(count):
     points = np.random.default_rng(count).normal(size=(count, 2))
     (entity,) = SceneUpdate.FromString(foxglove.path_message(3.0, Path(1, 1, points))).entities
-    assert (entity.id, entity.frame_id, entity.lines[0].type) == ("path", "map", 0)
-    assert [(p.x, p.y, p.z) for p in entity.lines[0].points] == [(x, y, 0.0) for x, y in points]
+    assert (entity.id, entity.frame_id, entity.lines[0].type) == ("path", "map", foxglove.LINE_LIST)
+    ends = [(p.x, p.y, p.z) for p in entity.lines[0].points]
+    assert ends == [(x, y, 0.0) for pair in itertools.pairwise(points) for x, y in pair]
 
 
-def test_a_map_is_its_surfaces_and_landmarks(small_map):
-    estimate = dataclasses.make_dataclass("Estimate", ["ids", "p_ML"])(small_map.ids, small_map.p_ML)
-    data = foxglove.map_message(2.0, (estimate, small_map.tfg))
-    surfaces, landmarks = SceneUpdate.FromString(data).entities
-    assert (surfaces.id, surfaces.lines[0].type, landmarks.id) == ("surfaces", 2, "landmarks")
-    ends = np.array([(p.x, p.y) for p in surfaces.lines[0].points])
-    np.testing.assert_array_equal(ends.reshape(-1, 4), small_map.tfg.segments)
-    np.testing.assert_array_equal([(c.pose.position.x, c.pose.position.y) for c in landmarks.cubes], small_map.p_ML)
-    assert [int(one.key) for one in landmarks.metadata] == small_map.ids.tolist()
-    assert foxglove.map_size(estimate, small_map.tfg) == pytest.approx(len(data), rel=0.5)
+def test_a_map_is_its_surfaces_frontiers_walls_and_tags(walled_map):
+    data = foxglove.map_message(2.0, (walled_map, walled_map.tfg, walled_map.graph))
+    entities = {one.id: one for one in SceneUpdate.FromString(data).entities}
+    assert {one.frame_id for one in entities.values()} == {"map"}
+
+    def ends(name):
+        return np.array([(p.x, p.y) for p in entities[name].lines[0].points]).reshape(-1, 4)
+
+    for kind, name in enumerate(("edge", "wall_end", "bare_surface")):
+        np.testing.assert_array_equal(ends(name), walled_map.tfg.segments[walled_map.tfg.segment_kind == kind])
+    assert len(ends("frontier")) == len(walled_map.tfg.frontiers)
+    np.testing.assert_allclose(ends("wall_landmark"), [[1.0, 1.0, 4.0, 5.0]])
+    tags = entities["landmark"]
+    np.testing.assert_array_equal([(one.pose.position.x, one.pose.position.y) for one in tags.spheres], walled_map.p_ML)
+    assert [int(one.text) for one in tags.texts] == walled_map.ids.tolist()
 
 
 def test_maps_take_a_share_of_the_file(tmp_path, small_map):
     """A large map is shown seldom."""
-    estimate = dataclasses.make_dataclass("Estimate", ["ids", "p_ML", "stamp"])(small_map.ids, small_map.p_ML, 0.0)
-    size = foxglove.map_size(estimate, small_map.tfg)
+    size = len(foxglove.map_message(0.0, (small_map, small_map.tfg, None)))
     with PortWriter(tmp_path / "ports.mcap", "sim") as writer:
         shown = 0
-        for stage in range(1, 400):
+        for stage in range(1, 1000):
             assert writer.wants_map(stage)
             writer._bytes += 100
             before = writer._bytes
-            writer.write_map(float(stage), estimate, dataclasses.replace(small_map.tfg, stage=stage))
+            writer.write_map(float(stage), small_map, dataclasses.replace(small_map.tfg, stage=stage), None)
             shown += writer._bytes < before
             assert not writer.wants_map(stage)
-    assert shown == pytest.approx(400 * 100 * MAP_SHARE / size, abs=1.0)
+    assert shown == pytest.approx(1000 * 100 * MAP_SHARE / size, abs=1.0)
 
 
 def test_what_is_shown_is_not_played(tmp_path):

@@ -7,31 +7,30 @@ the fields of our message, too, under numbers that Foxglove has not given: so no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan as FoxgloveScan
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2
 
-from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
+from tfg_drake.messages import LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
+from tfg_drake.pictures import scene
+from tfg_drake.pictures.drawing import outline_segments
+from tfg_drake.pictures.layers import SYMBOL, Layer, layers, of_map
 
 MAP, BASE = "map", "base"
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
 # Our fields of a scan have numbers behind this, but for the ranges, which are Foxglove's; and what is only Foxglove's.
 FIRST_OWN = 1000
 ONLY_ITS = frozenset(one.name for one in FoxgloveScan.DESCRIPTOR.fields) - {"ranges"}
-# A LinePrimitive's types: a line through its points, or the lines between each two of them.
-LINE_STRIP, LINE_LIST = 0, 2
-# Widths of lines and sizes of landmarks, m.
-_WALL, _WAY, _LANDMARK = 0.04, 0.05, 0.14
-_WALL_COLOUR = {"r": 0.25, "g": 0.3, "b": 0.38, "a": 1.0}
-_WAY_COLOUR = {"r": 0.1, "g": 0.45, "b": 0.9, "a": 1.0}
-_LANDMARK_COLOUR = {"r": 0.85, "g": 0.35, "b": 0.1, "a": 1.0}
+# A LinePrimitive of the lines between each two of its points.
+LINE_LIST = 2
+# Width of an outline and height of letters, m.
+_OUTLINE, _LETTER = 0.01, 0.2
 _UPRIGHT = {"w": 1.0}
-# Bytes of a map in the file, about: of a surface and of a landmark.
-_SURFACE_BYTES, _LANDMARK_BYTES = 40, 110
 
 
 def file_set(kind: Any) -> descriptor_pb2.FileDescriptorSet:
@@ -80,20 +79,12 @@ def pose_message(_time: float, pose: PoseEstimate) -> bytes:
 
 def path_message(time: float, path: Path) -> bytes:
     """A path that the robot takes from a time, s, on, as a SceneUpdate."""
-    return _scene(time, path={"lines": [_line(path.points, LINE_STRIP, _WAY, _WAY_COLOUR)]})
+    return _scene(time, layers("path", scene.path(path)))
 
 
-def map_message(time: float, shown: tuple[MapEstimate, TfgMap]) -> bytes:
-    """Surfaces and landmarks at a time, s, as a SceneUpdate."""
-    estimate, tfg = shown
-    size = dict.fromkeys("xyz", _LANDMARK)
-    cubes, names = [], []
-    for tag, (x, y) in zip(estimate.ids.tolist(), estimate.p_ML.tolist(), strict=True):
-        pose = {"position": {"x": x, "y": y}, "orientation": _UPRIGHT}
-        cubes.append({"pose": pose, "size": size, "color": _LANDMARK_COLOUR})
-        names.append({"key": str(tag), "value": f"{x:.3f}, {y:.3f}"})
-    lines = [_line(tfg.segments.reshape(-1, 2), LINE_LIST, _WALL, _WALL_COLOUR)]
-    return _scene(time, surfaces={"lines": lines}, landmarks={"cubes": cubes, "metadata": names})
+def map_message(time: float, shown: tuple[MapEstimate, TfgMap, MapEstimate | None]) -> bytes:
+    """Tags, TFG and walls that are landmarks at a time, s, as a SceneUpdate."""
+    return _scene(time, of_map(*shown))
 
 
 # What is shown, by topic: its schema, and what makes its bytes of a time, s, and what is recorded then.
@@ -104,11 +95,6 @@ TOPICS: dict[str, tuple[Any, Callable[[float, Any], bytes]]] = {
 }
 
 
-def map_size(estimate: MapEstimate, tfg: TfgMap) -> int:
-    """Bytes of a map's message, about, before it is made."""
-    return _SURFACE_BYTES * len(tfg.segments) + _LANDMARK_BYTES * len(estimate.ids)
-
-
 def _stamp(time: float) -> dict[str, int] | None:
     if not math.isfinite(time):
         return None
@@ -116,16 +102,32 @@ def _stamp(time: float) -> dict[str, int] | None:
     return {"seconds": seconds, "nanos": nanos}
 
 
-def _line(points: FloatArray, kind: int, thickness: float, colour: dict[str, float]) -> dict[str, Any]:
-    """A LinePrimitive through points (n, 2)."""
-    places = [{"x": x, "y": y} for x, y in points.tolist()]
-    return {"type": kind, "thickness": thickness, "color": colour, "points": places, "pose": {"orientation": _UPRIGHT}}
-
-
-def _scene(time: float, **entities: dict[str, Any]) -> bytes:
-    """A SceneUpdate of entities of the map by their names."""
+def _scene(time: float, shown: Iterable[Layer]) -> bytes:
+    """A SceneUpdate of layers in the map frame."""
     known = {"frame_id": MAP, "timestamp": _stamp(time)}
-    return _written(SceneUpdate, entities=[{"id": name, **known, **one} for name, one in entities.items()])
+    return _written(SceneUpdate, entities=[{"id": layer.name, **known, **_primitives(layer)} for layer in shown])
+
+
+def _primitives(layer: Layer) -> dict[str, Any]:
+    """The parts of a SceneEntity that draw a layer."""
+    look, size = layer.look, SYMBOL * layer.look.size
+    colour = dict(zip("rgba", (*look.in_space, look.opacity), strict=True))
+
+    def at(x: float, y: float, above: float = 0.0) -> dict[str, Any]:
+        return {"position": {"x": x, "y": y, "z": look.high + above}, "orientation": _UPRIGHT}
+
+    texts = [
+        {"pose": at(*place.tolist(), _LETTER), "billboard": True, "font_size": _LETTER, "color": colour, "text": words}
+        for words, place in layer.labels.items()
+    ]
+    if layer.kind == "points":
+        sizes = dict.fromkeys("xyz", 2.0 * size)
+        spheres = [{"pose": at(x, y), "size": sizes, "color": colour} for x, y in np.asarray(layer.shapes).tolist()]
+        return {"spheres": spheres, "texts": texts}
+    lines = outline_segments(np.asarray(layer.shapes)) if layer.kind == "areas" else np.asarray(layer.shapes)
+    points = [{"x": x, "y": y} for x, y in lines.reshape(-1, 2).tolist()]
+    line = {"type": LINE_LIST, "thickness": size or _OUTLINE, "color": colour, "points": points, "pose": at(0.0, 0.0)}
+    return {"lines": [line], "texts": texts}
 
 
 def _written(kind: Any, **fields: Any) -> bytes:

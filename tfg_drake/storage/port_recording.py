@@ -132,8 +132,8 @@ class PortWriter:
         for topic, (shown, _) in foxglove.TOPICS.items():
             self._register(topic, shown.DESCRIPTOR.full_name, foxglove.file_set(shown))
         self._encoders: dict[str, Callable[[Any], bytes]] = {port: _encoder(kind) for port, kind in PORTS.items()}
-        # Bytes of the ports since a map was shown, inf before the first; stage of the newest that might have been.
-        self._bytes, self._stage = math.inf, 0
+        # Bytes of the map that was shown last, and of the ports since then; stage of the newest that might have been.
+        self._map_bytes, self._bytes, self._stage = 0, 0, 0
         self._newest: dict[str, object] = {}
         self._last_data: dict[str, bytes] = {}
         self._waiting: list[tuple[str, float, Any]] = []
@@ -190,9 +190,10 @@ class PortWriter:
         """True if a stage's map would be a new one."""
         return stage > self._stage
 
-    def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap) -> None:
-        """Records the map at a time, s, to be shown, unless maps would take too much of the file."""
-        self.write(foxglove.SURFACES, time, (estimate, tfg))
+    def write_map(self, time: float, estimate: MapEstimate, tfg: TfgMap, walls: MapEstimate | None) -> None:
+        """Records the map at a time, s, to be shown, unless the last one takes too much of the file. walls: an estimate
+        with those that are landmarks."""
+        self.write(foxglove.SURFACES, time, (estimate, tfg, walls))
         self._stage = tfg.stage
 
     def close(self) -> None:
@@ -214,7 +215,7 @@ class PortWriter:
             return
         try:
             for port, time, value in waiting:
-                if port == foxglove.SURFACES and foxglove.map_size(*value) > MAP_SHARE * self._bytes:
+                if port == foxglove.SURFACES and self._map_bytes > MAP_SHARE * self._bytes:
                     continue
                 data = self._encoders[port](value) if port in PORTS else foxglove.TOPICS[port][1](time, value)
                 if data == self._last_data.get(port):
@@ -228,7 +229,10 @@ class PortWriter:
 
     def _add(self, topic: str, log_time: int, data: bytes, publish_time: int) -> None:
         self._last_data[topic] = data
-        self._bytes = 0 if topic == foxglove.SURFACES else self._bytes + (len(data) if topic in PORTS else 0)
+        if topic == foxglove.SURFACES:
+            self._map_bytes, self._bytes = len(data), 0
+        elif topic in PORTS:
+            self._bytes += len(data)
         self._writer.add_message(self._channels[topic], log_time, data, publish_time)
         self._count += 1
 

@@ -112,7 +112,7 @@ def test_markers(room):
     assert {"wall_end", "bare_surface"} < set(by_name)
     assert np.mean(places("frontier"), axis=0)[1] == 0.0
     # The more gain the deeper.
-    best, other = by_name["gain_5"], by_name["gain_2"]
+    best, other = by_name["gain_5"], by_name["gain_3"]
     assert [one["points"][0]["y"] for one in (best, other)] == [0.0, 1.0]
     assert best["color"]["r"] < other["color"]["r"]
     assert places("goal") == [(0.3, 0.0)]
