@@ -7,6 +7,7 @@ from tfg_drake.comparison.figures import FinalMap, colours, draw_costs, draw_cov
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.messages import GridMap
 from tfg_drake.pictures.figure_file import write_formats
+from tfg_drake.pictures.palette import LIGHT
 from tfg_drake.world.world import World
 
 WORLD = World(
@@ -43,10 +44,12 @@ def test_a_grid_is_turned_into_the_world(tmp_path, small_map):
     figure = draw_maps(maps)
     png, _ = write_formats(tmp_path, "maps", figure)
     legend = figure.legends[0].get_window_extent()
-    assert len(figure.legends[0].texts) == 6
+    names = [one.get_text() for one in figure.legends[0].texts]
+    assert {"true wall", "occupied cell", "mapped surface", "frontier", "tag"} < set(names)
     assert figure.bbox.x0 <= legend.x0 < legend.x1 <= figure.bbox.x1
     image = np.asarray(Image.open(png).convert("RGB")).astype(int)
-    rows, columns = np.nonzero((image == 0).all(axis=2)[:, : image.shape[1] // 2])
+    occupied = np.rint(255.0 * np.array(LIGHT.edge))
+    rows, columns = np.nonzero((image == occupied).all(axis=2)[:, : image.shape[1] // 2])
     body = rows < 0.5 * image.shape[0]
     assert np.ptp(columns[body]) > 4 * np.ptp(rows[body][rows[body] > np.percentile(rows[body], 30)])
 

@@ -40,7 +40,7 @@ def test_circles_are_regular_polygons():
 
 def test_empty_inputs():
     nothing = np.zeros((0, 2))
-    assert ellipses(nothing, np.zeros((0, 2, 2))).shape == (0, 20, 2)
+    assert ellipses(nothing, np.zeros((0, 2, 2))).shape == (0, 24, 2)
     assert outline_segments(np.zeros((0, 32, 2))).shape == (0, 4)
     assert polyline_segments(np.zeros((1, 2))).shape == (0, 4)
     assert bands(np.zeros((0, 4)), 0.1).shape == (0, 4, 2)

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tfg_drake.messages import GridMap, replace
-from tfg_drake.pictures.figure import draw_landmarks, draw_map, run_figure
+from tfg_drake.pictures.figure import draw_known, draw_map, run_figure
 from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.world.world import World
 
@@ -67,17 +67,19 @@ def test_the_true_path_is_seen_where_the_estimated_one_is_the_same(tmp_path):
     assert under > 0.4 * alone
 
 
-@pytest.mark.parametrize(("sigma", "said", "radius"), [(0.01, "3\u03c3 \u00d7 10", 0.3), (0.1, "3\u03c3", 0.3)])
+@pytest.mark.parametrize(
+    ("sigma", "said", "radius"), [(0.01, "tag, 3\u03c3 \u00d7 10", 0.3), (0.1, "tag, 3\u03c3", 0.3)]
+)
 def test_small_ellipses_are_magnified_and_it_says_so(small_map, sigma, said, radius):
     figure = Figure()
     axes, blocks = figure.add_subplot(), np.tile(sigma**2 * np.eye(2), (4, 1, 1))
     known = replace(small_map, graph=replace(small_map.graph, landmark_covariance=blocks))
-    draw_landmarks(axes, np.zeros(3), known, 5.0)
+    draw_known(axes, np.zeros(3), known, None, None, 2.0)
     (dots,), (rings,) = axes.lines, axes.collections
-    assert dots.get_label() == f"tag mapped, {said}"
+    assert (dots.get_label(), rings.get_label()) == ("tag", said)
     assert rings.get_zorder() > dots.get_zorder()
     for path, p in zip(rings.get_paths(), small_map.p_ML, strict=True):
-        np.testing.assert_allclose(np.hypot(*(path.vertices - p).T), radius, rtol=1e-6)
+        np.testing.assert_allclose(np.hypot(*(path.vertices - p).T), 0.3, rtol=1e-6)
 
 
 def test_draws_a_saved_map(tmp_path, small_map):
@@ -88,7 +90,7 @@ def test_draws_a_saved_map(tmp_path, small_map):
     pixels = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
     # The frontier is blue, the free space a light green.
     assert np.any((pixels[..., 0] < 60) & (pixels[..., 2] > 200))
-    assert np.any(np.all(pixels == [0xF1, 0xF4, 0xEE], axis=-1))
+    assert np.any(np.all(pixels == [0xF4, 0xF6, 0xF1], axis=-1))
 
 
 def test_doubtful_landmarks_have_a_colour_of_their_own(tmp_path, small_map):
@@ -106,7 +108,7 @@ def test_walls_that_are_landmarks_have_a_colour_of_their_own(tmp_path, small_map
         """Pixels of the line and of the band, as large as it is where nothing else lies over it."""
         draw_map(tmp_path / "f.png", "a map", saved)
         pixels = np.asarray(Image.open(tmp_path / "f.png").convert("RGB")).astype(float)
-        line, free = np.array([107, 41, 209]), np.array([241, 244, 238])
+        line, free = np.array([107, 41, 209]), np.array([244, 246, 241])
         return [
             np.count_nonzero(np.all(np.abs(pixels - colour) < 4, axis=-1)) for colour in (line, 0.3 * line + 0.7 * free)
         ]
@@ -125,5 +127,6 @@ def test_a_run_shows_them_too(walled_map):
         return [text.get_text() for text in figure.legends[0].get_texts()]
 
     assert set(labels(run_figure(*arguments, walled_map.graph))) - set(labels(run_figure(*arguments))) == {
-        "wall (landmark), 3\u03c3"
+        "wall (landmark)",
+        "wall, 3\u03c3",
     }

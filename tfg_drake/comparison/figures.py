@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from tfg_drake.comparison.curves import Band
@@ -16,14 +15,16 @@ from tfg_drake.comparison.statistics import Spread
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GridMap
 from tfg_drake.percent import percent
-from tfg_drake.pictures.figure import draw_grid, draw_landmarks, draw_surfaces
+from tfg_drake.pictures.figure import draw, draw_known, symbol_of
+from tfg_drake.pictures.layers import Layer, layers
+from tfg_drake.pictures.scene import grid_cells
 from tfg_drake.world.world import World
 
 # Okabe and Ito's colours, which the colour-blind can tell apart too.
 _NAMED = {"tfg": "#0072B2", "tfg-argmax": "#56B4E9", "tfg-nearest": "#D55E00", "grid-nearest": "#000000"}
 _NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
 _OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
-_WALL, _WALL_ON_GRID, _PATH = "0.72", "#f0a09a", "#1f4e9c"
+_PATH = "#1f4e9c"
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 _SMALL, _TEXT = 7, 8  # points
 # A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
@@ -82,7 +83,7 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
     panel = _WIDTH / columns
     figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.45, 1.5, 9.5)))
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    symbol = float(np.clip(0.2 * 72.0 * panel / (x_max - x_min), 0.8, 4.0))
+    symbol = symbol_of(panel, x_max - x_min)
     for axes in grid:
         axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
         axes.set_axis_off()
@@ -132,19 +133,13 @@ def draw_costs(costs: Mapping[str, Mapping[str, Spread]]) -> Figure:
 
 
 def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
-    walls = list(one.world.walls.reshape(-1, 2, 2))
+    draw(axes, np.zeros(3), [Layer("wall", one.world.walls)], symbol)
     if one.grid is not None:
-        draw_grid(axes, one.world.start, one.grid)
-        # Coloured: the grid's own walls are to be seen on top of them.
-        under = LineCollection(walls, colors=_WALL_ON_GRID, linewidths=1.6, label="true wall, under a grid", zorder=0.5)
-        axes.add_collection(under)
-    else:
-        axes.add_collection(LineCollection(walls, colors=_WALL, linewidths=1.6, label="true wall", zorder=0.5))
+        draw(axes, one.world.start, layers("grid", grid_cells(one.grid), cell=one.grid.resolution), symbol)
     if len(one.X_WB):
         axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
-        draw_surfaces(axes, one.saved.X_WM, one.saved.tfg)
-        draw_landmarks(axes, one.saved.X_WM, one.saved, symbol)
+        draw_known(axes, one.saved.X_WM, one.saved, one.saved.tfg, one.saved.graph, symbol)
 
 
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:

@@ -10,7 +10,7 @@ from tfg_drake.messages import FloatArray
 MAGNIFIED = 10.0
 
 
-def ellipses(centers: FloatArray, covariances: FloatArray, sigmas: float = 3.0, corners: int = 20) -> FloatArray:
+def ellipses(centers: FloatArray, covariances: FloatArray, sigmas: float = 3.0, corners: int = 24) -> FloatArray:
     """Outlines (n, corners, 2), anticlockwise, of the ellipses (p - c)' P^-1 (p - c) = sigmas^2.
 
     Args:

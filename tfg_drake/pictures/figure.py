@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.transforms import Affine2D
 
-from tfg_drake.geometry.se2 import compose, rotation, transform
+from tfg_drake.geometry.se2 import compose, transform
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgMap
-from tfg_drake.pictures.drawing import MAGNIFIED, ellipses, spreads
+from tfg_drake.pictures import scene
+from tfg_drake.pictures.drawing import MAGNIFIED
 from tfg_drake.pictures.figure_file import write_figure
+from tfg_drake.pictures.layers import SPREAD, SYMBOL, Layer, layers, of_free_space, of_map
 from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
 
-_WALL, _EDGE, _BARE = "0.85", "0.15", "#e8962e"
-_MAPPED, _DOUBTFUL, _MISSED = "#12876f", "#a32ea8", "#d62728"
 # Views nearer to each other than this, m and in points of the drawing, are not both numbered.
 NUMBER_SPACING = 1.5
 NUMBER_POINTS = 36.0
 # Light, dashed on dark: one lies over the other where both agree.
 _ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
-_FREE, _FRONTIER = "#f1f4ee", "#1a5ce0"
+_MISSED = css(LIGHT.keep_out)
 # Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
 SEEN = 0.1
-# Of the drawing, inches.
+# Of the drawing, inches; and how small and how large a symbol may be, points.
 _WIDTH = 11.0
-_POINTS_PER_INCH = 72.0
+POINTS_PER_INCH = 72.0
+SYMBOLS = 0.4, 2.0
 
 
 def run_figure(
@@ -73,33 +75,22 @@ def run_figure(
     figure, axes, symbol = _canvas(title, np.vstack(shown))
 
     if world is not None:
-        # Grey and wide below lines, but a thin colour on the grey of cells.
-        color, width = (_WALL, 3.0) if grid is None else (_BARE, 1.0)
-        walls = list(world.walls.reshape(-1, 2, 2))
-        axes.add_collection(LineCollection(walls, colors=color, linewidths=width, label="true wall"))
+        draw(axes, np.zeros(3), [Layer("wall", world.walls)], symbol)
     if grid is not None:
-        draw_grid(axes, X_WM, grid)
-        for color, label in (("black", "occupied cell"), ("white", "free cell"), ("0.5", "unknown cell")):
-            axes.plot([], [], "s", color=color, markeredgecolor="0.5", markersize=6, label=label)
-    mapped = np.zeros(0, dtype=np.int64)
-    if tfg is not None:
-        draw_surfaces(axes, X_WM, tfg)
-    if with_walls is not None:
-        _draw_walls(axes, X_WM, with_walls, 0.4 * symbol)
+        draw(axes, X_WM, layers("grid", scene.grid_cells(grid), cell=grid.resolution), symbol)
+    draw_known(axes, X_WM, estimate, tfg, with_walls, symbol)
     if len(X_WB_estimated):
         axes.plot(*X_WB_estimated[:, :2].T, color=_ESTIMATE, linewidth=2.4, label="estimated path")
     if len(X_WB_true):
         (truth,) = axes.plot(*X_WB_true[:, :2].T, color=_TRUTH, linewidth=1.3, label="true path", zorder=4.95)
         truth.set_linestyle((0, (3, 2)))
     if estimate is not None:
-        mapped = estimate.ids
-        draw_landmarks(axes, X_WM, estimate, symbol)
         _draw_views(axes, X_WM, estimate.X_MA)
     if world is not None and grid is None:
-        missed = world.p_WT[reachable & ~np.isin(world.tag_ids, mapped)]
+        missed = world.p_WT[reachable & ~np.isin(world.tag_ids, () if estimate is None else estimate.ids)]
         if len(missed):
             label = "tag missed"
-            axes.plot(*missed.T, "X", color=_MISSED, markersize=1.5 * symbol, markeredgewidth=0, label=label)
+            axes.plot(*missed.T, "X", color=_MISSED, markersize=4.0 * symbol, markeredgewidth=0, label=label)
     start = X_WB_estimated[0] if len(X_WB_estimated) else X_WM
     axes.plot(*start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
@@ -122,12 +113,8 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     X_WM, tfg = saved.X_WM, saved.tfg
     shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
     figure, axes, symbol = _canvas(title, transform(X_WM, np.vstack(shown)))
-    draw_free_space(axes, X_WM, tfg)
-    draw_surfaces(axes, X_WM, tfg)
-    _draw_walls(axes, X_WM, saved.graph, 0.4 * symbol)
-    draw_landmarks(axes, X_WM, saved, symbol)
+    draw_known(axes, X_WM, saved, tfg, saved.graph, symbol)
     _draw_views(axes, X_WM, saved.X_MA)
-    draw_frontiers(axes, X_WM, tfg, symbol)
     write_figure(path, _with_legend(figure))
 
 
@@ -142,7 +129,12 @@ def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
     axes.tick_params(labelsize=8, colors="0.35")
     axes.spines[:].set_visible(False)
     axes.set_title(title, loc="left", fontsize=10)
-    return figure, axes, float(np.clip(0.2 * _WIDTH * _POINTS_PER_INCH / (x_max - x_min), 1.2, 6.0))
+    return figure, axes, symbol_of(_WIDTH, x_max - x_min)
+
+
+def symbol_of(width: float, shown: float) -> float:
+    """A symbol's size, points, in a drawing so wide, inches, that shows so much, m."""
+    return float(np.clip(SYMBOL * width * POINTS_PER_INCH / shown, *SYMBOLS))
 
 
 def _with_legend(figure: Figure) -> Figure:
@@ -156,84 +148,55 @@ def _corners(grid: GridMap) -> FloatArray:
     return np.stack([grid.origin, grid.origin + grid.resolution * np.array([columns, rows])])
 
 
-def draw_free_space(axes: Axes, X_WM: FloatArray, tfg: TfgMap) -> None:
-    """The free space of a map onto axes of W."""
-    stars = np.split(transform(X_WM, tfg.star_vertices), tfg.star_offsets[1:-1])
-    axes.add_collection(PolyCollection(stars, facecolors=_FREE, edgecolors="none", label="free space", zorder=0))
+def draw_known(
+    axes: Axes,
+    X_WM: FloatArray,
+    known: MapEstimate | SavedMap | None,
+    tfg: TfgMap | None,
+    walls: MapEstimate | KeyframeGraph | None,
+    symbol: float,
+) -> None:
+    """What is known of a map onto axes of W: free space, surfaces, frontiers, and landmarks with their deviations, all
+    MAGNIFIED where most could not be seen. walls: with those that are landmarks. symbol: see `draw`."""
+    deviations = [np.zeros(0)]
+    if known is not None:
+        deviations.append(np.sqrt(np.linalg.eigvalsh(known.landmark_covariance)[:, -1]))
+    if walls is not None:
+        deviations.append(known_walls(walls)[2].max(axis=1))
+    all_of_them = np.concatenate(deviations)
+    times = MAGNIFIED if len(all_of_them) and 3.0 * float(np.median(all_of_them)) < SEEN else 1.0
+    if tfg is not None:
+        draw(axes, X_WM, of_free_space(tfg), symbol)
+    draw(axes, X_WM, of_map(known, tfg, walls, 3.0 * times), symbol, times)
 
 
-def draw_frontiers(axes: Axes, X_WM: FloatArray, tfg: TfgMap, symbol: float) -> None:
-    """The frontiers of a map onto axes of W. symbol: the size of one, points."""
-    if len(tfg.frontiers):
-        p_WF = transform(X_WM, tfg.frontiers)
-        axes.plot(*p_WF.T, "D", color=_FRONTIER, markersize=symbol, markeredgewidth=0, label="frontier")
+def draw(axes: Axes, X_WM: FloatArray, shown: Iterable[Layer], symbol: float, times: float = 1.0) -> None:
+    """Layers onto axes of W, what is higher above the rest, with their names for a legend.
 
-
-def draw_surfaces(axes: Axes, X_WM: FloatArray, tfg: TfgMap, width: float = 1.1) -> None:
-    """The surfaces of a map onto axes of W, those without a landmark in a colour of their own."""
-    pieces = np.stack([transform(X_WM, tfg.segments[:, :2]), transform(X_WM, tfg.segments[:, 2:])], axis=1)
-    tagged = tfg.segment_kind < 2
-    for mask, colour, label in ((tagged, _EDGE, "mapped surface"), (~tagged, _BARE, "surface without landmark")):
-        if mask.any():
-            axes.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=width, label=label))
-    if len(tfg.keep_out):
-        lines = list(transform(X_WM, tfg.keep_out.reshape(-1, 2)).reshape(-1, 2, 2))
-        axes.add_collection(LineCollection(lines, colors=_MISSED, linewidths=0.6, label="keep-out area"))
-
-
-def _draw_walls(axes: Axes, X_WM: FloatArray, known: MapEstimate | KeyframeGraph, size: float) -> None:
-    """The walls that are landmarks onto axes of W: a line from point to point that is seen on both sides of what it is
-    the wall of, and three deviations to either side, see MAGNIFIED."""
-    _, p_ML, deviation = known_walls(known)
-    if not len(p_ML):
-        return
-    p_WL = transform(X_WM, p_ML.reshape(-1, 2))
-    three, times = _three(deviation.max(axis=1))
-    outlines, pieces = spreads(p_WL.reshape(-1, 4), deviation, three), p_WL.reshape(-1, 2, 2)
-    colour = css(LIGHT.wall_landmark)
-    axes.add_collection(PolyCollection(list(outlines), facecolors=colour, edgecolors="none", alpha=0.3, zorder=1.9))
-    label = f"wall (landmark), {times}"
-    axes.add_collection(LineCollection(list(pieces), colors=colour, linewidths=3.0, zorder=1.95))
-    axes.plot([], [], "o-", color=colour, linewidth=3.0, markersize=size, markeredgewidth=0, label=label)
-    axes.plot(*p_WL.T, "o", color=colour, markersize=size, markeredgewidth=0, zorder=2.1)
-
-
-def _three(deviations: FloatArray) -> tuple[float, str]:
-    """How many standard deviations are drawn for deviations (n,), m, and the words for it; see MAGNIFIED."""
-    small = len(deviations) > 0 and 3.0 * float(np.median(deviations)) < SEEN
-    return (3.0 * MAGNIFIED, f"3\u03c3 \u00d7 {MAGNIFIED:g}") if small else (3.0, "3\u03c3")
-
-
-def draw_landmarks(axes: Axes, X_WM: FloatArray, known: MapEstimate | SavedMap, symbol: float) -> None:
-    """The landmarks of a map onto axes of W, with the ellipses of their covariances, see MAGNIFIED; doubtful ones in
-    another colour. symbol: a landmark's size, points."""
-    R_WM, blocks, doubtful = rotation(float(X_WM[2])), known.landmark_covariance, known.is_doubtful
-    p_WL = transform(X_WM, known.p_ML)
-    three, times = _three(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))
-    outlines = ellipses(p_WL, R_WM @ blocks @ R_WM.T, three)
-    # Thin where there are many on little room.
-    width = min(0.9, 0.2 * symbol)
-    for some, colour, what in ((~doubtful, _MAPPED, "mapped"), (doubtful, _DOUBTFUL, "doubtful")):
-        if not some.any():
+    Args:
+        axes, X_WM: the axes, and the pose (3,) of the layers' frame in W.
+        shown: the layers.
+        symbol: a symbol's size, points.
+        times: standard deviations are drawn so many times as large.
+    """
+    for layer in shown:
+        look, colour = layer.look, css(layer.look.colour)
+        places = [transform(X_WM, np.reshape(shape, (-1, 2))) for shape in layer.shapes]
+        if not places:
             continue
-        label = f"tag {what}, {times}"
-        axes.plot(*p_WL[some].T, "o", color=colour, markersize=symbol, markeredgewidth=0, label=label, zorder=4)
-        rings = PolyCollection(list(outlines[some]), facecolors="none", edgecolors=colour, linewidths=width, zorder=4.5)
-        axes.add_collection(rings)
-
-
-def draw_grid(axes: Axes, X_WM: FloatArray, grid: GridMap) -> None:
-    """A grid's probabilities as an image from white (free) to black (occupied), turned from M into W."""
-    (x_min, y_min), (x_max, y_max) = _corners(grid)
-    limits = axes.axis()
-    # Black, as dense as the probability, over the true walls.
-    ink = np.zeros((*grid.probability.shape, 4))
-    ink[..., 3] = grid.probability
-    extent = (x_min, x_max, y_min, y_max)
-    image = axes.imshow(ink, extent=extent, origin="lower", interpolation="nearest", zorder=0.7)
-    (a, c), (b, d) = rotation(float(X_WM[2]))
-    image.set_transform(Affine2D.from_values(a, b, c, d, X_WM[0], X_WM[1]) + axes.transData)
-    axes.axis(limits)
+        label = look.words + (f" \u00d7 {times:g}" if layer.name.endswith(SPREAD) and times > 1.0 else "")
+        # What stands is translucent in space only, for the sake of what is behind it.
+        opacity = look.opacity if look.high == look.bottom else 1.0
+        style: dict[str, Any] = {"label": label or None, "alpha": opacity, "zorder": 1.0 + look.high}
+        if layer.kind == "points":
+            size = 2.0 * look.size * symbol
+            axes.plot(*np.vstack(places).T, "o", color=colour, markersize=size, markeredgewidth=0, **style)
+        elif layer.kind == "lines":
+            axes.add_collection(LineCollection(places, colors=colour, linewidths=look.size * symbol, **style))
+        else:
+            # Cells side by side hang together by their edges.
+            edges = {"edgecolors": colour, "linewidths": 0.2} if opacity == 1.0 else {"edgecolors": "none"}
+            axes.add_collection(PolyCollection(places, facecolors=colour, **edges, **style))
 
 
 def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]
@@ -242,7 +205,7 @@ def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: igno
     if not len(views):
         return
     x_min, x_max = axes.get_xlim()
-    spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * _POINTS_PER_INCH))
+    spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * POINTS_PER_INCH))
     numbered: list[int] = []
     # The last first: where the robot came back, the newer number says so.
     for number in range(len(views) - 1, -1, -1):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
 # A symbol's size in pictures of true size, m: a line is about as wide as a skirting board.
-SYMBOL = 0.04
+SYMBOL = 0.05
 # Tops of what stands, m above the floor: of surfaces, of the lines of walls on these, and of tags.
 SURFACE, ON_SURFACE, TAG = 0.4, 0.41, 0.45
 

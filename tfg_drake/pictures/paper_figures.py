@@ -12,7 +12,9 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.pictures.figure import draw_free_space, draw_frontiers, draw_surfaces
+from tfg_drake.pictures.figure import draw, symbol_of
+from tfg_drake.pictures.layers import of_free_space, of_map
+from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
@@ -20,9 +22,8 @@ from tfg_drake.planning.information_gain import Gains
 # which its text varies, and their number on a metre of frontier, which its caption varies.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.001}
 DENSITIES = {"high": 2.0, "medium": 0.2, "low": 0.0}
-_LANDMARK, _FRONTIER, _VIEW = "#12876f", "#1a5ce0", "#8a8f98"
+_VIEW = css(LIGHT.wall_end)
 _COLOURS = "coolwarm"
-_SYMBOL = 2.0  # a landmark or frontier, points
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 
 
@@ -77,7 +78,9 @@ def draw_tfg(stage: Stage) -> Figure:
     X_MA, estimate = stage.estimate.X_MA, stage.estimate
     seen = estimate.p_ML[np.isin(estimate.ids, estimate.observation.ids)]
     rays = [(X_MA[-1, :2], p) for p in seen]
-    axis.add_collection(LineCollection(rays, colors=_FRONTIER, linewidths=0.3, alpha=0.5, label="seen from the newest"))
+    axis.add_collection(
+        LineCollection(rays, colors=css(LIGHT.frontier), linewidths=0.3, alpha=0.5, label="seen from the newest")
+    )
     axis.plot(*X_MA[:, :2].T, "o", color=_VIEW, markersize=7, markeredgewidth=0, label="goal point", zorder=5)
     for number, (x, y, _) in enumerate(X_MA, start=1):
         axis.text(x, y, str(number), fontsize=5, color="white", ha="center", va="center", zorder=6)
@@ -115,11 +118,8 @@ def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
 
 def _draw_map(axis: Axes, stage: Stage) -> None:
     """Free space, surfaces, landmarks, frontiers."""
-    X_MM = np.zeros(3)
-    draw_free_space(axis, X_MM, stage.tfg)
-    draw_surfaces(axis, X_MM, stage.tfg, width=0.8)
-    draw_frontiers(axis, X_MM, stage.tfg, _SYMBOL)
-    axis.plot(*stage.estimate.p_ML.T, "o", color=_LANDMARK, markersize=_SYMBOL, markeredgewidth=0, label="landmark")
+    shown = [*of_free_space(stage.tfg), *of_map(stage.estimate, stage.tfg, None)]
+    draw(axis, np.zeros(3), shown, symbol_of(_WIDTH, np.ptp(axis.get_xlim())))
 
 
 def _draw_samples(figure: Figure, axis: Axes, points: FloatArray, values: FloatArray) -> PathCollection:

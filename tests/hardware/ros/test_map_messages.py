@@ -106,7 +106,7 @@ def test_markers(room):
 
     assert places("landmark") == [(-1.0, -1.52), (-2.02, 0.5)]
     assert [one["text"] for one in found[1:] if one["ns"] == "landmark labels"] == ["7", "12"]
-    x = [x for x, _ in places("landmark_3sigma")[:40]]
+    x = [x for x, _ in places("landmark_3sigma")[:48]]
     assert (min(x), max(x)) == pytest.approx((-1.06, -0.94), abs=1e-7)
     assert places("edge") == [(-2.02, -1.52), (0.5, -1.52)]
     assert {"wall_end", "bare_surface"} < set(by_name)
