@@ -29,17 +29,27 @@ def test_the_plan_is_the_map_to_scale(small_map):
         [x, y, x + width, y + height], [low[0] - 1, -high[1] - 1, high[0] + 1, 1 - low[1]], atol=2e-3
     )
     parts = {part.get("id"): part for part in root if part.get("id")}
-    assert list(parts) == ["free_space", "edge", "wall_end", "bare_surface", "frontier", "tags", "scale"]
+    assert set(parts) == {
+        *("free_space", "edge", "wall_end", "bare_surface", "keep_out", "frontier", "wall_landmark"),
+        *("landmark", "doubtful", "wall_landmark_3sigma", "landmark_3sigma", "doubtful_3sigma", "scale"),
+    }
     down = np.array([1.0, -1.0])
-    for found, star in zip(polylines(parts["free_space"]), stars_of(tfg), strict=True):
-        np.testing.assert_allclose(found, star * down, atol=1e-3)
+    for found, star, centre in zip(polylines(parts["free_space"][0]), stars_of(tfg), tfg.star_centers, strict=True):
+        np.testing.assert_allclose(found, np.vstack([centre, star, star[:1]]) * down, atol=1e-3)
     for kind, name in enumerate(("edge", "wall_end", "bare_surface")):
         pieces = tfg.segments[tfg.segment_kind == kind].reshape(-1, 2, 2) * down
-        np.testing.assert_allclose(polylines(parts[name]), pieces, atol=1e-3)
-    dots = [(float(dot.get("cx")), float(dot.get("cy"))) for dot in parts["tags"].iter(f"{SVG}circle")]
+        np.testing.assert_allclose(polylines(parts[name][0]), pieces, atol=1e-3)
+    dots = [(float(dot.get("cx")), float(dot.get("cy"))) for dot in parts["landmark"].iter(f"{SVG}circle")]
     np.testing.assert_allclose(dots, p_WL * down, atol=1e-3)
-    assert [text.text for text in parts["tags"].iter(f"{SVG}text")] == ["10", "11", "12", "13"]
+    assert [text.text for text in parts["landmark"].iter(f"{SVG}text")] == ["10", "11", "12", "13"]
     assert "h5" in parts["scale"].get("d")
+
+
+def test_walls_that_are_landmarks_are_in_the_plan(walled_map):
+    root = ElementTree.fromstring(plan_svg(walled_map))
+    (wall,) = (part for part in root if part.get("id") == "wall_landmark")
+    # From (1, 1) to (4, 5) in M.
+    np.testing.assert_allclose(polylines(wall[0]), [[[4.0, -4.0], [0.0, -7.0]]], atol=1e-3)
 
 
 def test_a_map_of_tags_alone_has_a_plan(small_map):

@@ -98,7 +98,7 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
         ncols=3,
         fontsize=_SMALL,
         frameon=False,
-        markerscale=3.0,
+        markerscale=1.5,
     )
     return figure
 

@@ -71,7 +71,7 @@ def run_figure(
     else:
         shown.append(X_WB_estimated[:, :2])
         shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
-        shown += [_corners(grid)] if grid is not None else []
+        shown += [scene.grid_cells(grid)["free"].reshape(-1, 2)] if grid is not None else []
     figure, axes, symbol = _canvas(title, np.vstack(shown))
 
     if world is not None:
@@ -140,12 +140,6 @@ def symbol_of(width: float, shown: float) -> float:
 def _with_legend(figure: Figure) -> Figure:
     figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
     return figure
-
-
-def _corners(grid: GridMap) -> FloatArray:
-    """Two opposite corners (2, 2) of what a grid covers, in M, m."""
-    rows, columns = grid.probability.shape
-    return np.stack([grid.origin, grid.origin + grid.resolution * np.array([columns, rows])])
 
 
 def draw_known(
