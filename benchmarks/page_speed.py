@@ -73,8 +73,6 @@ class Building:
         others = np.roll(self.points.reshape(self.rooms, TAGS, 2), -1, axis=1)
         self.segments = np.hstack([self.points, others.reshape(-1, 2)])
         self.kind = (self.rng.random(len(self.points)) < 0.1).astype(np.uint8)
-        self.facing = np.repeat(np.array([[0, 1], [-1, 0], [0, -1], [1, 0]], dtype=np.float32), TAGS // 4, axis=0)
-        self.facing = np.tile(self.facing, (self.rooms, 1))
         turn = np.linspace(0.0, 2.0 * np.pi, STAR, endpoint=False)
         reach = 0.5 * ROOM / np.maximum(np.abs(np.cos(turn)), np.abs(np.sin(turn)))
         ring = reach[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -113,12 +111,10 @@ class Building:
         points, segments = self.points[:count], self.segments[:count]
         tags = {"points": points, "covariance": covariance, "doubtful": doubtful, "ids": ids}
         walls = {"segments": segments, "kind": self.kind[:count]}
-        sides = {"facing": self.facing[:count], "ids": ids}
         part = EVERYWHERE if number % WHOLE == 1 else Near(place, NEAR)
         told = {"stage": number, "entropy": -5.0 * count, "views": number}
         writer.write_rows("map", now, Table(tags, points, points / POSITION, ids), part, **told)
         writer.write_rows("tfg", now, Table(walls, points, segments / POSITION), part)
-        writer.write_rows("facing", now, Table(sides, points, self.facing[:count], ids), part)
         some = segments[max(0, count - 200) :]
         writer.write_rows("frontiers", now, Table({"segments": some}, some[:, :2], some / POSITION))
         middles = self.corner[:rooms] + 0.5 * ROOM

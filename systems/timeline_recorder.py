@@ -38,7 +38,7 @@ _WHOLE_RATE = 40e3
 _LAYERS = {
     "map": ("map", "wall_landmarks"),
     "goal": ("goal", "gains"),
-    "tfg": ("tfg", "facing", "frontiers"),
+    "tfg": ("tfg", "frontiers"),
     "roadmap": ("nodes", "roadmap"),
 }
 
@@ -159,8 +159,7 @@ class TimelineRecorder(LeafSystem):
         if name == "map":
             self._WriteMap(message, context, now, EVERYWHERE)
         elif name == "tfg":
-            estimate = self._Get(context, "map")
-            self._WriteTfg(message, estimate, now, EVERYWHERE)
+            self._WriteTfg(message, now, EVERYWHERE)
             self._WriteStars(message, np.arange(len(message.star_centers)), now)
         elif name == "roadmap":
             self._WriteRows("nodes", now, tables.nodes(message))
@@ -192,7 +191,7 @@ class TimelineRecorder(LeafSystem):
         views = np.flatnonzero(within(tfg.star_centers, here, radius))
         estimate, tfg = local(estimate, tfg, radius, 0.0)
         self._WriteMap(estimate, context, now, near)
-        self._WriteTfg(tfg, estimate, now, near)
+        self._WriteTfg(tfg, now, near)
         self._WriteStars(tfg, views, now)
 
     def _WriteMap(self, estimate: MapEstimate, context: Context, now: float, near: Near) -> None:
@@ -202,10 +201,8 @@ class TimelineRecorder(LeafSystem):
         if with_walls is not None:
             self._WriteRows("wall_landmarks", now, tables.wall_landmarks(with_walls), near)
 
-    def _WriteTfg(self, tfg: TfgMap, estimate: MapEstimate | None, now: float, near: Near) -> None:
+    def _WriteTfg(self, tfg: TfgMap, now: float, near: Near) -> None:
         self._WriteRows("tfg", now, tables.surfaces(tfg), near)
-        if estimate is not None and len(estimate.ids) == len(tfg.facing):
-            self._WriteRows("facing", now, tables.facing(tfg, estimate.ids, estimate.p_ML), near)
         self._WriteRows("frontiers", now, tables.frontiers(tfg), near)
 
     def _WriteRows(self, layer: str, now: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:

@@ -76,10 +76,8 @@ def stage(writer, number, time):
     walls = np.array([[-0.9, -2.0, 1.5, -2.0], [5.0, -2.0, 5.0, 0.5]])[: number - 1]
     known = {"segments": walls, "deviation": np.array([[0.1, 0.3], [1e-4, 1e-4]], dtype=np.float32)[: number - 1]}
     writer.write_rows("wall_landmarks", time, Table(known, walls[:, :2], walls, k[1:]))
-    facing = np.tile(np.array([0.0, 1.0], dtype=np.float32), (number, 1))
     kind = np.append(k, 3).astype(np.uint8)
     writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, segments[:, :2], 1e3 * segments))
-    writer.write_rows("facing", time, Table({"ids": k, "facing": facing}, points, facing, k))
     bars = np.array([[3.0, -1.0, 3.0, -0.6], [3.2, 0.0, 3.2, 0.4]])
     writer.write_rows("frontiers", time, Table({"segments": bars}, bars[:, :2], bars))
     star = np.array([[1.0, 0.0], [-0.8, -1.8], [2.0 + number, -1.8], [2.0 + number, 1.8], [-0.8, 1.8]])

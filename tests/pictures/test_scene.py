@@ -91,19 +91,6 @@ def test_a_frontier_is_a_bar_across_its_normal():
     np.testing.assert_allclose(0.5 * (bare[:2] + bare[2:]), tfg.frontiers[1])
 
 
-def test_a_tag_faces_away_from_the_longest_wall_that_it_is_on():
-    segments = np.array([[0, 0, 2, 0], [2, 0, 2, 3], [5, 5, 5, 5]], dtype=float)
-    tfg = replace(
-        make_messages(3)["tfg"],
-        segments=segments,
-        segment_ids=np.array([[3, 7], [7, -1], [9, 9]]),
-        facing=np.array([[0.6, 0.8], [0.6, 0.8], [0.0, -1.0]]),
-    )
-    np.testing.assert_allclose(scene.tag_normals(tfg, np.array([3, 7, 9])), [[0, 1], [-1, 0], [0, -1]])
-    nothing = replace(tfg, facing=np.zeros((0, 2)))
-    assert scene.tag_normals(nothing, np.zeros(0, dtype=int)).shape == (0, 2)
-
-
 def test_free_space_is_told_again_only_where_it_has_moved():
     tfg = make_messages()["tfg"]
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0], [6.0, 5.0], [6.0, 6.0]])

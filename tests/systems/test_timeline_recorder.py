@@ -51,7 +51,6 @@ def test_what_does_not_change_is_written_once_and_what_moves_again_and_again(wri
     once = [
         "map",
         "tfg",
-        "facing",
         "frontiers",
         "nodes",
         "roadmap",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tfg_drake.io.files import write_atomic
+from tfg_drake.pictures.layers import LOOKS
 from tfg_drake.pictures.palette import DARK, GAINS, LIGHT, css
 
 FILE_NAME = "mission.html"
@@ -71,6 +72,7 @@ def _page(title: str, source: dict[str, Any] | None, data: str) -> str:
         "TITLE": html.escape(title),
         "STYLE": (folder / "page.css").read_text(encoding="utf-8"),
         "COLOURS": json.dumps(colours),
+        "LOOKS": json.dumps({name: {"size": look.size, "high": look.high} for name, look in LOOKS.items()}),
         "SOURCE": json.dumps(source),
         "SCRIPT": "\n".join(
             (folder / "script" / f"{name}.js").read_text(encoding="utf-8") for name in [*SCRIPT.split(), "begin"]

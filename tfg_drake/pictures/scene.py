@@ -37,8 +37,6 @@ Layer = Mapping[str, NDArray[Any]]
 
 # A star polygon is drawn anew when one of its corners has moved so far, m: less than a pixel of a whole building.
 STAR_TOLERANCE = 0.03
-# A shorter piece of surface has no direction, m.
-SHORT = 0.05
 # Of a candidate: the parts of its gain and all of it, nats.
 GAINS = ("exploitation", "exploration", "pose_price", "gain")
 # How many candidates besides the chosen one are explained.
@@ -48,22 +46,6 @@ NEXT_BEST = 3
 def walls(world: World) -> Layer:
     """segments: (m, 4) true walls. tags: (n, 2) and tag_facing: (n,) rad, ids: (n,)."""
     return {"segments": world.walls, "tags": world.p_WT, "tag_facing": world.tag_facing, "ids": world.tag_ids}
-
-
-def tag_normals(tfg: TfgMap, ids: IntArray) -> FloatArray:
-    """The normals (n, 2) of the tags with these ids (n,), ascending: of the longest surface that a tag is on or, where
-    it is on none, towards where it was seen from."""
-    normals = tfg.facing.copy()
-    along = tfg.segments[:, 2:] - tfg.segments[:, :2]
-    length = np.hypot(along[:, 0], along[:, 1])
-    order = np.argsort(length)[np.count_nonzero(length < SHORT) :]
-    # Every piece of surface was seen from its left.
-    left = np.stack([-along[order, 1], along[order, 0]], axis=1) / length[order, None]
-    # Of both ends of each, the shorter ones first: what is written last stays.
-    ends, left = tfg.segment_ids[order].ravel(), np.repeat(left, 2, axis=0)
-    there = np.isin(ends, ids)
-    normals[np.searchsorted(ids, ends[there])] = left[there]
-    return normals
 
 
 def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:

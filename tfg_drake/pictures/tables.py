@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.pictures import scene
+from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures.rows import Table
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.tfg.frontier import PUSH, SPACING
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 POSITION = 0.01
 # The same of the nodes of the roadmap, which are thousands, m.
 NODE = 0.05
-# Of a variance's logarithm, that is a tenth of a standard deviation; of a correlation; of a unit vector's components.
-VARIANCE, CORRELATION, DIRECTION = 0.2, 0.2, 0.05
+# Of a variance's logarithm, that is a tenth of a standard deviation, and of a correlation.
+VARIANCE = 0.2
 # Of the most gain: a fifth of the way from one shade to the next.
 SHARE = 0.04
 # Added to variances, m^2: below a tenth of a millimetre they are all alike.
@@ -36,7 +35,7 @@ def landmarks(estimate: MapEstimate | SavedMap) -> Table:
     covariance, doubtful = estimate.landmark_covariance[:, [0, 0, 1], [0, 1, 1]], estimate.is_doubtful
     xx, xy, yy = covariance.T + np.array([[LEAST], [0.0], [LEAST]])
     spread = np.column_stack([np.log(xx), np.log(yy)]) / VARIANCE
-    correlation = xy / np.sqrt(xx * yy) / CORRELATION
+    correlation = xy / np.sqrt(xx * yy) / VARIANCE
     values = np.column_stack([estimate.p_ML / POSITION, spread, correlation, 2.0 * doubtful])
     told = {"covariance": covariance.astype(np.float32), "doubtful": doubtful}
     return Table({"points": estimate.p_ML, **told, "ids": estimate.ids}, estimate.p_ML, values, estimate.ids)
@@ -55,12 +54,6 @@ def surfaces(tfg: TfgMap) -> Table:
     segments, kind = tfg.obstacles, np.append(tfg.segment_kind, np.full(len(tfg.keep_out), 3))
     values = np.column_stack([segments / POSITION, 2.0 * kind])
     return Table({"segments": segments, "kind": kind.astype(np.uint8)}, _middles(segments), values)
-
-
-def facing(tfg: TfgMap, ids: IntArray, p_ML: FloatArray) -> Table:
-    """ids: (n,) of the landmarks, facing: (n, 2) their normals, see `scene.tag_normals`. p_ML: (n, 2) m."""
-    normals = scene.tag_normals(tfg, ids)
-    return Table({"ids": ids, "facing": normals.astype(np.float32)}, p_ML, normals / DIRECTION, ids)
 
 
 def frontiers(tfg: TfgMap) -> Table:

@@ -200,6 +200,5 @@ def write_map_timeline(saved: SavedMap, path: Path, title: str) -> None:
         writer.write_rows("map", now, table, stage=saved.stage, entropy=saved.entropy, views=views)
         writer.write_rows("wall_landmarks", now, tables.wall_landmarks(saved.graph))
         writer.write_rows("tfg", now, tables.surfaces(tfg))
-        writer.write_rows("facing", now, tables.facing(tfg, saved.ids, saved.p_ML))
         writer.write_rows("frontiers", now, tables.frontiers(tfg))
         writer.write("free", now, scene.packed_stars(stars, np.arange(len(stars))))

@@ -11,18 +11,14 @@ const draw = {
     put(
       groups.walls,
       "walls",
-      segments && boxes(segments, null, Math.max(0.06, 1.1 * unit), flat ? 0.002 : WALL_HEIGHT, Z.free, look),
+      segments && boxes(segments, null, Math.max(0.06, LOOKS.wall.size * unit), flat ? 0.002 : WALL_HEIGHT, Z.free, look),
     );
     put(groups.walls, "tags", tags && discs(tags, null, 0.8 * unit, 0.004, material("wall")));
   },
 
   map(record) {
-    const { points, covariance, doubtful, ids } = arrays(record),
+    const { points, covariance, doubtful } = arrays(record),
       count = points.length / 2;
-    const sides = flat ? null : timeline.at("facing", time),
-      { ids: tags, facing } = sides ? arrays(sides) : {};
-    const faces = new Map(); // of each tag its row in facing
-    if (facing) tags.forEach((id, row) => faces.set(id, 2 * row));
     for (const [name, value] of [
       ["landmark", 0],
       ["doubtful", 1],
@@ -32,29 +28,17 @@ const draw = {
         groups.map,
         name,
         flat
-          ? discs(points, some, 1.5 * unit, MAP_HEIGHT + 0.02, material(name))
-          : copies(UPRIGHT, material(name, { lit: true }), some.length, (i, m) => {
-              const p = 2 * some[i],
-                side = Math.max(0.2, 2.2 * unit);
-              const row = faces.get(ids[some[i]]);
-              const fx = row === undefined ? 1 : facing[row],
-                fy = row === undefined ? 0 : facing[row + 1];
-              m[0] = -fy * side;
-              m[1] = fx * side;
-              m[4] = -fx;
-              m[5] = -fy;
-              if (!fx && !fy) {
-                m[0] = side;
-                m[5] = 1;
-              }
-              m[10] = side;
-              m[12] = points[p] + 0.08 * fx;
-              m[13] = points[p + 1] + 0.08 * fy;
-              m[14] = Z.tags + 0.1;
+          ? discs(points, some, LOOKS[name].size * unit, MAP_HEIGHT + 0.02, material(name))
+          : copies(count > MANY ? UPRIGHT : POST, material(name, { lit: true }), some.length, (i, m) => {
+              m[0] = m[5] = LOOKS[name].size * unit;
+              m[10] = LOOKS[name].high;
+              m[14] = 0.5 * m[10];
+              m[12] = points[2 * some[i]];
+              m[13] = points[2 * some[i] + 1];
             }),
       );
       // What the tag's own symbol hides is not drawn.
-      const seen = some.filter((i) => 9 * (covariance[3 * i] + covariance[3 * i + 2]) > (1.4 * unit) ** 2);
+      const seen = some.filter((i) => 9 * (covariance[3 * i] + covariance[3 * i + 2]) > (LOOKS[name].size * unit) ** 2);
       put(
         groups.uncertainty,
         name,
@@ -70,7 +54,7 @@ const draw = {
 
   wall_landmarks(record) {
     const { segments, deviation } = arrays(record),
-      width = 0.6 * unit,
+      width = LOOKS.wall_landmark.size * unit,
       spread = [];
     for (let i = 0; 2 * i < deviation.length; i++) {
       const [x0, y0, x1, y1] = segments.slice(4 * i, 4 * i + 4),
@@ -93,13 +77,13 @@ const draw = {
     ["edge", "wall_end", "bare_surface", "keep_out"].forEach((name, value) => {
       const some = rows(kind.length, (i) => kind[i] === value),
         look = flat ? material(name) : material(value ? name : "edge_in_space", { lit: true });
-      put(groups[name] ?? groups.map, name, boxes(segments, some, Math.max(0.05, unit), MAP_HEIGHT, 0, look));
+      put(groups[name] ?? groups.map, name, boxes(segments, some, Math.max(0.05, LOOKS[name].size * unit), MAP_HEIGHT, 0, look));
     });
   },
 
   frontiers(record) {
     const { segments } = arrays(record);
-    put(groups.frontiers, "frontiers", boxes(segments, null, 1.6 * unit, 0.01, Z.frontiers, material("frontier")));
+    put(groups.frontiers, "frontiers", boxes(segments, null, LOOKS.frontier.size * unit, 0.01, Z.frontiers, material("frontier")));
   },
 
   gains(record) {
@@ -141,14 +125,14 @@ const draw = {
     put(
       groups.path,
       "path",
-      boxes(arrays(record).segments, null, 1.1 * unit, 0.004, Z.path, material("path", { above: true }), 5),
+      boxes(arrays(record).segments, null, LOOKS.path.size * unit, 0.004, Z.path, material("path", { above: true }), 5),
     );
   },
 
   goal(record) {
     const { tour = [], legs = [] } = arrays(record),
       look = material("path", { above: true, opacity: 0.55 });
-    put(groups.tour, "legs", boxes(legs, null, 0.6 * unit, 0.004, Z.tour, look, 5));
+    put(groups.tour, "legs", boxes(legs, null, LOOKS.leg.size * unit, 0.004, Z.tour, look, 5));
     put(groups.tour, "stops", badges(tour, "stop", 4.4 * unit));
     put(
       groups.path,

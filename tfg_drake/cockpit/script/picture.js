@@ -37,7 +37,6 @@ function show(t) {
       drawn[name] = record;
       if (record) draw[name](record, t);
       else clear(name);
-      if (name === "facing" && !flat && drawn.map) draw.map(drawn.map, t);
     }
   }
   const pose = interpolated("pose", t),

@@ -19,23 +19,22 @@ world.add(sky, sun);
 const map = new T.Group();
 world.add(map);
 
-// Heights of what lies flat, so that nothing fights for the same pixel.
+// Heights of what lies flat, so that nothing fights for the same pixel: those of LOOKS, and what only the page has
+// between them.
 const Z = {
-  free: 0,
-  grid: 0.005,
-  camera: 0.012,
-  roadmap: 0.016,
-  trail: 0.02,
-  gains: 0.03,
-  frontiers: 0.04,
-  uncertainty: 0.05,
-  tour: 0.055,
-  path: 0.06,
-  scan: 0.2,
-  tags: 0.3,
+  free: LOOKS.free_space.high,
+  camera: LOOKS.free_space.high + 0.003,
+  roadmap: LOOKS.free_space.high + 0.006,
+  trail: LOOKS.trail.high,
+  gains: LOOKS.gain_0.high,
+  frontiers: LOOKS.frontier.high,
+  tour: LOOKS.path.high - 0.003,
+  path: LOOKS.path.high,
+  uncertainty: LOOKS.landmark_3sigma.high,
+  scan: LOOKS.scan.high,
 };
-const WALL_HEIGHT = 1.0,
-  MAP_HEIGHT = 0.5;
+const WALL_HEIGHT = LOOKS.wall.high,
+  MAP_HEIGHT = LOOKS.edge.high;
 // Few corners: without a graphics card every triangle is felt.
 const MANY = 2000; // Of more than so many each is drawn with fewer still.
 const PLATE = new T.PlaneGeometry(1, 1),
@@ -46,6 +45,7 @@ const DISC = new T.CircleGeometry(1, 12),
 const BOX = new T.BoxGeometry(1, 1, 1);
 BOX.setIndex([...BOX.index.array.slice(0, 30)]);
 BOX.clearGroups();
+const POST = new T.CylinderGeometry(1, 1, 1, 8).rotateX(Math.PI / 2);
 const OVAL = new T.CircleGeometry(1, 20),
   RING = new T.RingGeometry(0.86, 1, 24, 1);
 
