@@ -12,14 +12,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tfg_drake.geometry.raster import draw_segments, fill_polygon
 from tfg_drake.geometry.se2 import compose, inverse, pose_at
 from tfg_drake.grid.frontier import FREE as FREE_CELL
 from tfg_drake.grid.frontier import OCCUPIED as OCCUPIED_CELL
-from tfg_drake.grid.frontier import classify
+from tfg_drake.grid.frontier import CellArray, classify
 from tfg_drake.hardware.ros.preset import Frames
+from tfg_drake.mapfile.occupancy_grid import CELL, rasterised
 from tfg_drake.messages import (
     FloatArray,
     GridMap,
@@ -32,10 +31,7 @@ from tfg_drake.pictures.drawing import outline_segments
 from tfg_drake.pictures.layers import SYMBOL, Layer, Look
 
 Fields = dict[str, Any]
-Cells = NDArray[np.int8]
 
-# Side of a cell of /map, m.
-CELL = 0.05
 # nav_msgs/OccupancyGrid.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
@@ -45,33 +41,20 @@ OUTLINE, LETTER = 0.01, 0.2
 
 
 def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:
-    """nav_msgs/OccupancyGrid of the TFG: free where a cell's centre is in a star polygon, occupied along surfaces.
-
-    cell: side of a cell, m. The grid's corner is a multiple of it, so that cells keep their place as the map grows.
-    """
-    points = np.vstack([tfg.star_vertices, tfg.segments.reshape(-1, 2)])
-    if not len(points):
-        return _grid(np.zeros((0, 0), dtype=np.int8), cell, np.zeros(2), stamp, frames)
-    low = np.floor(points.min(axis=0) / cell) - 1.0
-    width, height = (np.floor(points.max(axis=0) / cell) - low + 2.0).astype(int)
-    cells = np.full((height, width), UNKNOWN, dtype=np.int8)
-    for j in range(len(tfg.star_centers)):
-        star = tfg.star_vertices[tfg.star_offsets[j] : tfg.star_offsets[j + 1]]
-        fill_polygon(cells, star / cell - low, FREE)
-    draw_segments(cells, tfg.segments / cell - np.tile(low, 2), OCCUPIED)
-    return _grid(cells, cell, low * cell, stamp, frames)
+    """nav_msgs/OccupancyGrid of the TFG, see `mapfile.occupancy_grid.rasterised`. cell: side of a cell, m."""
+    kinds, corner = rasterised(tfg, cell)
+    return _grid(kinds, cell, corner, stamp, frames)
 
 
 def grid_of_cells(grid: GridMap, stamp: float, frames: Frames) -> Fields:
     """nav_msgs/OccupancyGrid of a grid that is kept as one, its cells decided."""
-    kinds = classify(grid)
+    return _grid(classify(grid), grid.resolution, grid.origin, stamp, frames)
+
+
+def _grid(kinds: CellArray, cell: float, corner: FloatArray, stamp: float, frames: Frames) -> Fields:
+    height, width = kinds.shape
     cells = np.full(kinds.shape, UNKNOWN, dtype=np.int8)
     cells[kinds == FREE_CELL], cells[kinds == OCCUPIED_CELL] = FREE, OCCUPIED
-    return _grid(cells, grid.resolution, grid.origin, stamp, frames)
-
-
-def _grid(cells: Cells, cell: float, corner: FloatArray, stamp: float, frames: Frames) -> Fields:
-    height, width = cells.shape
     return {
         "header": _header(stamp, frames.map),
         "info": {

@@ -150,7 +150,7 @@ def draw_known(
     walls: MapEstimate | KeyframeGraph | None,
     symbol: float,
 ) -> None:
-    """What is known of a map onto axes of W: free space, surfaces, frontiers, and landmarks with their deviations, all
+    """The layers of a map onto axes of W: free space, surfaces, frontiers, and landmarks with their deviations, all
     MAGNIFIED where most could not be seen. walls: with those that are landmarks. symbol: see `draw`."""
     deviations = [np.zeros(0)]
     if known is not None:

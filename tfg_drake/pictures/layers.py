@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tfg_drake.mapfile.in_world import KINDS
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene, tables
 from tfg_drake.pictures.drawing import bands, circles, ellipses, spreads
@@ -28,7 +29,7 @@ SURFACE, ON_SURFACE, TAG = 0.4, 0.41, 0.45
 
 
 class Look(NamedTuple):
-    """What a layer looks like.
+    """Appearance of a layer.
 
     words: its name in a legend, "" where it has none. size: a line's width or a point's radius, in symbols of the
     picture. high, low: where its top and its bottom are in space, m; a sheet where they are the same. lit: its colour
@@ -89,7 +90,7 @@ LOOKS: dict[str, Look] = {
 # What the name of a layer of standard deviations ends with.
 SPREAD = "_3sigma"
 # Layers of surfaces by their kind (`tables.surfaces`), and those of the records that are segments of one look.
-SURFACES = ("edge", "wall_end", "bare_surface", "keep_out")
+SURFACES = (*KINDS, "keep_out")
 SEGMENTS = {"frontiers": "frontier", "path": "path"}
 
 
@@ -106,7 +107,7 @@ class Layer(NamedTuple):
 
     @property
     def look(self) -> Look:
-        """What it looks like."""
+        """Its appearance."""
         return LOOKS[self.name]
 
     @property
