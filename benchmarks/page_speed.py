@@ -28,7 +28,7 @@ from tfg_drake.cockpit.browser import SEEK, open_browser, wait_for_page
 from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
-from tfg_drake.pictures.rows import EVERYWHERE, Near, Table
+from tfg_drake.pictures.rows import Table
 from tfg_drake.pictures.tables import POSITION
 from tfg_drake.storage.timeline import TimelineWriter
 
@@ -37,7 +37,6 @@ TAGS = 20  # of a room
 RATE = 8.0  # poses a second
 STAGE = 2.0  # s
 NEAR = 12.0  # m: what is nearer is mapped a little more accurately by a stage
-WHOLE = 6  # stages: once in so many all of the map is told
 STAR = 96  # corners
 
 # Counts the pictures, each until its pixels are there, and notes the longest time between two.
@@ -101,8 +100,7 @@ class Building:
         writer.write("scan", now, {"rays": place + self.star, "met": np.ones(len(self.star) - 1, dtype=np.bool_)})
 
     def stage(self, writer: TimelineWriter, now: float, number: int, rooms: int, place: np.ndarray) -> None:
-        """A look, of so many rooms: what is near the robot has become a little more accurate. Now and then it is told
-        of all, else of what is near, as of a real mission."""
+        """A look, of so many rooms: what is near the robot has become a little more accurate."""
         count = TAGS * rooms
         near = np.hypot(*(self.points - place).T) < NEAR
         self.points[near] += self.rng.normal(0.0, POSITION, (int(near.sum()), 2))
@@ -111,10 +109,9 @@ class Building:
         points, segments = self.points[:count], self.segments[:count]
         tags = {"points": points, "covariance": covariance, "doubtful": doubtful, "ids": ids}
         walls = {"segments": segments, "kind": self.kind[:count]}
-        part = EVERYWHERE if number % WHOLE == 1 else Near(place, NEAR)
         told = {"stage": number, "entropy": -5.0 * count, "views": number}
-        writer.write_rows("map", now, Table(tags, points, points / POSITION, ids), part, **told)
-        writer.write_rows("tfg", now, Table(walls, points, segments / POSITION), part)
+        writer.write_rows("map", now, Table(tags, points, points / POSITION, ids), **told)
+        writer.write_rows("tfg", now, Table(walls, points, segments / POSITION))
         some = segments[max(0, count - 200) :]
         writer.write_rows("frontiers", now, Table({"segments": some}, some[:, :2], some / POSITION))
         middles = self.corner[:rooms] + 0.5 * ROOM

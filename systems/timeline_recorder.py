@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, System
 
 from tfg_drake.geometry.se2 import pose_at
-from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.messages import FloatArray, MapEstimate
 from tfg_drake.pictures import scene, tables
-from tfg_drake.pictures.rows import EVERYWHERE, Near, Table
-from tfg_drake.planning.local import local
+from tfg_drake.pictures.rows import Table
 from tfg_drake.planning.requested_goal import REASON
 from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.systems.ports import MessageInputs, connect_by_name
-from tfg_drake.tfg.near import radius_of, within
 
 # Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
 # lies between.
@@ -30,10 +28,6 @@ POSES_A_SCAN, POSES_A_LOOK = 4, 2
 _MESSAGES = ("map", "tfg", "roadmap", "goal", "path", "grid", "mission", "pose", "scan", "local_roadmap", "landmarks")
 # What it hears of the station.
 _HEARD_AS = {"scan": "scan.ranges", "enabled": "base.enabled", "truth": "truth.pose", "people": "truth.people"}
-# What is written of all of a large map, and how seldom: bytes a simulated second, so that a larger one is written less
-# often. Between, what is near the newest view is.
-_WHOLE = ("map", "tfg", "roadmap")
-_WHOLE_RATE = 40e3
 # The layers of a message that has several.
 _LAYERS = {
     "map": ("map", "wall_landmarks"),
@@ -52,7 +46,7 @@ class LayerWriter(Protocol):
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
         """Takes a record."""
 
-    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
+    def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
         """Takes how a table has changed."""
 
     def flush(self, *, all_of_it: bool = True) -> None:
@@ -87,8 +81,7 @@ class TimelineRecorder(LeafSystem):
     map is, all in M. scan: LaserScan. people: People, in W. pushes: Pushes, what somebody does to the base.
 
     Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
-    whether the base may move. truth: the true pose (x, y, theta, v, w) in W. Of a large map only what is near the
-    newest view is written at every stage, and all of it now and then.
+    whether the base may move. truth: the true pose (x, y, theta, v, w) in W.
 
     It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file.
     """
@@ -113,7 +106,6 @@ class TimelineRecorder(LeafSystem):
         """Nothing has been written."""
         self._newest: dict[str, object] = {}  # what stands in the file
         self._stars: dict[int, FloatArray] = {}  # the same, of each view
-        self._whole_due: dict[str, float] = {}  # when all of a large map is written again
         self._count = 0
 
     def _Write(self, everything: bool, context: Context) -> None:
@@ -131,12 +123,7 @@ class TimelineRecorder(LeafSystem):
 
     def _Look(self, context: Context, now: float, everything: bool) -> None:
         """Writes what has changed since the last look; everything: also what has been written too much lately."""
-        estimate, tfg = self._Get(context, "map"), self._Get(context, "tfg")
-        is_large = estimate is not None and not estimate.is_joint
         for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "pushes", "mission"):
-            is_whole = is_large and name in _WHOLE
-            if is_whole and not everything and (now < self._whole_due.get(name, now) or not self._IsDue(name, now)):
-                continue
             message = self._Get(context, name)
             before = self._newest.get(name)
             if message is None or message is before:
@@ -146,24 +133,29 @@ class TimelineRecorder(LeafSystem):
             if everything or self._IsDue(name, now):
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)
-        is_new = is_large and tfg is not None and tfg is not self._newest.get("near") and tfg.stage == estimate.stage
-        if is_new and (everything or (self._IsDue("map", now) and self._IsDue("tfg", now))):
-            self._newest["near"] = tfg
-            self._WriteNear(estimate, tfg, context, now)
 
     def _IsDue(self, name: str, now: float) -> bool:
         return all(self._writer.is_due(layer, now) for layer in _LAYERS.get(name, (name,)))
 
     def _WriteMessage(self, name: str, message: Any, now: float, context: Context) -> None:
-        write = self._writer.write
+        write, write_rows = self._writer.write, self._writer.write_rows
         if name == "map":
-            self._WriteMap(message, context, now, EVERYWHERE)
+            told = {"stage": message.stage, "entropy": message.entropy, "views": len(message.X_MA)}
+            write_rows("map", now, tables.landmarks(message), **told)
+            with_walls = self._Get(context, "landmarks")
+            if with_walls is not None:
+                write_rows("wall_landmarks", now, tables.wall_landmarks(with_walls))
         elif name == "tfg":
-            self._WriteTfg(message, now, EVERYWHERE)
-            self._WriteStars(message, np.arange(len(message.star_centers)), now)
+            write_rows("tfg", now, tables.surfaces(message))
+            write_rows("frontiers", now, tables.frontiers(message))
+            stars = scene.free_space(message)
+            changed = scene.changed_stars(self._stars, stars)
+            if len(changed):
+                write("free", now, scene.packed_stars(stars, changed))
+                self._stars |= {index: stars[index] for index in changed.tolist()}
         elif name == "roadmap":
-            self._WriteRows("nodes", now, tables.nodes(message))
-            self._WriteRows("roadmap", now, tables.edges(message))
+            write_rows("nodes", now, tables.nodes(message))
+            write_rows("roadmap", now, tables.edges(message))
         elif name == "goal":
             near = self._Get(context, "local_roadmap")
             roadmap = self._Get(context, "roadmap") if near is None else near
@@ -173,7 +165,7 @@ class TimelineRecorder(LeafSystem):
             write("goal", now, there, **told)
             if roadmap is not None:
                 told = {"explained": scene.explained(message, roadmap), "stage": message.stage}
-                self._WriteRows("gains", now, tables.gains(message, roadmap), **told)
+                write_rows("gains", now, tables.gains(message, roadmap), **told)
         elif name == "path":
             write("path", now, scene.path(message))
         elif name == "grid":
@@ -183,40 +175,6 @@ class TimelineRecorder(LeafSystem):
         else:
             told = {"phase": message.phase, "stage": message.stage, "outcome": message.outcome}
             write("mission", now, {}, **told, reason=message.reason, drives=message.drives)
-
-    def _WriteNear(self, estimate: MapEstimate, tfg: TfgMap, context: Context, now: float) -> None:
-        """Writes the last view's area."""
-        here, radius = estimate.X_MA[-1, :2], radius_of(estimate)
-        near = Near(here, radius)
-        views = np.flatnonzero(within(tfg.star_centers, here, radius))
-        estimate, tfg = local(estimate, tfg, radius, 0.0)
-        self._WriteMap(estimate, context, now, near)
-        self._WriteTfg(tfg, now, near)
-        self._WriteStars(tfg, views, now)
-
-    def _WriteMap(self, estimate: MapEstimate, context: Context, now: float, near: Near) -> None:
-        told = {"stage": estimate.stage, "entropy": estimate.entropy, "views": len(estimate.X_MA)}
-        self._WriteRows("map", now, tables.landmarks(estimate), near, **told)
-        with_walls = self._Get(context, "landmarks")
-        if with_walls is not None:
-            self._WriteRows("wall_landmarks", now, tables.wall_landmarks(with_walls), near)
-
-    def _WriteTfg(self, tfg: TfgMap, now: float, near: Near) -> None:
-        self._WriteRows("tfg", now, tables.surfaces(tfg), near)
-        self._WriteRows("frontiers", now, tables.frontiers(tfg), near)
-
-    def _WriteRows(self, layer: str, now: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
-        self._writer.write_rows(layer, now, table, near, **told)
-        if near is EVERYWHERE:
-            size = sum(array.nbytes for array in table.arrays.values())
-            self._whole_due[layer] = now + size / _WHOLE_RATE
-
-    def _WriteStars(self, tfg: TfgMap, views: IntArray, now: float) -> None:
-        stars, unknown = scene.free_space(tfg), np.zeros((0, 2))
-        changed = scene.changed_stars(tuple(self._stars.get(view, unknown) for view in views.tolist()), stars)
-        if len(changed):
-            self._writer.write("free", now, {**scene.packed_stars(stars, changed), "index": views[changed]})
-            self._stars |= {int(views[i]): stars[i] for i in changed}
 
     def _WriteMoving(self, context: Context, now: float, scans: bool) -> None:
         pose = self._Get(context, "pose")

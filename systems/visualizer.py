@@ -22,7 +22,7 @@ from tfg_drake.pictures import scene
 from tfg_drake.pictures.drawing import MAGNIFIED, bands, circles, ellipses, polyline_segments
 from tfg_drake.pictures.layers import LOOKS, Layer, layers
 from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
-from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.pictures.rows import StandingRows, Table
 from tfg_drake.pictures.solids import numerals, wavefront
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.systems.rendered_world import PlanarPose
@@ -31,6 +31,8 @@ from tfg_drake.world.world import World
 
 # What of a map has changed is drawn anew in squares of this side, m.
 CHUNK = 20.0
+# Name of the rows' places among their arrays.
+PLACES = "places"
 # Of words and legend, m: above Meshcat's own grid.
 PLATE_HEIGHT = 0.05
 # Height of a stop's number, symbols; how many standard deviations are drawn.
@@ -156,12 +158,12 @@ class MeshcatScene:
         """Draws a record."""
         self._attempt(functools.partial(self._Write, layer, time, arrays, told))
 
-    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
-        """Draws how a table has changed; near: where it is told, elsewhere it is as it was."""
+    def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
+        """Draws how a table has changed."""
         if layer not in TABLES or self._lost:
             return
         rows = self._rows.setdefault(layer, _Rows())
-        for chunk, arrays in rows.change(table, near):
+        for chunk, arrays in rows.change(table):
             shown = layers(layer, arrays, SIGMAS)
             self._attempt(functools.partial(self._Show, f"{layer}/{chunk}", time, layer, shown))
 
@@ -355,16 +357,16 @@ class _Rows:
         self._standing = StandingRows()
         self._arrays: dict[str, NDArray[Any]] = {}
 
-    def change(self, table: Table, near: Near) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+    def change(self, table: Table) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         """Takes a change down; yields name and rows of each square that has changed."""
-        numbers, places = self._standing.numbers, self._standing.places
-        added, gone = self._standing.change(table, near)
-        stays = ~np.isin(numbers, gone)
-        changed = np.unique(_squares(np.vstack([places[~stays], table.places[added]])), axis=0)
-        for name, array in table.arrays.items():
-            self._arrays[name] = np.concatenate([self._arrays.get(name, array[:0])[stays], array[added]])
-        squares = _squares(self._standing.places)
-        for x, y in changed.tolist():
+        numbers, before = self._standing.numbers, self._arrays
+        added, gone = self._standing.change(table)
+        stays, now = ~np.isin(numbers, gone), {**table.arrays, PLACES: table.places}
+        was = before or {name: array[:0] for name, array in now.items()}
+        self._arrays = {name: np.concatenate([was[name][stays], array[added]]) for name, array in now.items()}
+        squares = _squares(self._arrays[PLACES])
+        changed = np.vstack([_squares(was[PLACES][~stays]), _squares(table.places[added])])
+        for x, y in np.unique(changed, axis=0).tolist():
             here = (squares == (x, y)).all(axis=1)
             yield f"{x}_{y}", {name: array[here] for name, array in self._arrays.items()}
 

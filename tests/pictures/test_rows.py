@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.pictures.rows import StandingRows, Table
 
 
 class Reader:
@@ -12,19 +12,16 @@ class Reader:
     def __init__(self):
         self.standing, self.rows, self.written = StandingRows(), {}, 0
 
-    def tell(self, values, keys=None, near=EVERYWHERE):
+    def tell(self, values, keys=None):
         """Returns how many rows are written, and how many gone."""
         values = np.asarray(values, dtype=float)
-        added, gone = self.standing.change(Table({}, values[:, :2], values, keys), near)
+        added, gone = self.standing.change(Table({}, values[:, :2], values, keys))
         for number in gone:
             del self.rows[number]
         for row in added:
             self.rows[self.written] = values[row]
             self.written += 1
         return len(added), len(gone)
-
-    def now(self):
-        return np.array(sorted(map(list, self.rows.values())))
 
 
 @pytest.mark.parametrize("keyed", [True, False])
@@ -55,17 +52,3 @@ def test_only_what_has_changed_is_written():
     assert reader.tell(values[1:] + 1.1, keys[1:]) == (0, 1)
     assert reader.tell(np.zeros((0, 2)), keys[:0]) == (0, 2)
     assert reader.tell(values, keys) == (3, 0)
-
-
-@pytest.mark.parametrize("keyed", [True, False])
-def test_what_is_told_of_a_part_leaves_the_rest(keyed):
-    reader = Reader()
-    keys = np.array([1, 2, 3]) if keyed else None
-    reader.tell([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]], keys)
-    near = Near(np.array([20.0, 0.0]), 5.0)
-    new = np.array([[0.0, 0.0], [24.0, 3.0]])
-    assert reader.tell(new, np.array([1, 4]) if keyed else None, near) == (1, 1)
-    np.testing.assert_array_equal(reader.now(), [[0, 0], [10, 0], [24, 3]])
-    if keyed:  # What has come from elsewhere is no longer there.
-        assert reader.tell([[22.0, 0.0], [24.0, 3.0]], np.array([2, 4]), near) == (1, 1)
-        np.testing.assert_array_equal(reader.now(), [[0, 0], [22, 0], [24, 3]])

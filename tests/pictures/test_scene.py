@@ -101,10 +101,10 @@ def test_free_space_is_told_again_only_where_it_has_moved():
         star_centers=np.array([[0.5, 0.2], [5.5, 5.2]]),
     )
     before = scene.free_space(tfg)
-    assert list(scene.changed_stars((), before)) == [0, 1]
+    assert list(scene.changed_stars({}, before)) == [0, 1]
     moved = replace(tfg, star_vertices=corners + np.array([[0.01, 0]] * 3 + [[0.05, 0]] * 3))
     now = scene.free_space(moved)
-    assert list(scene.changed_stars(before, now)) == [1]
+    assert list(scene.changed_stars(dict(enumerate(before)), now)) == [1]
     packed = scene.packed_stars(now, np.array([1]))
     assert list(packed["count"]) == [4]
     np.testing.assert_allclose(packed["points"], [[5.5, 5.2], [5.05, 5.0], [6.05, 5.0], [6.05, 6.0]])

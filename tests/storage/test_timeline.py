@@ -221,3 +221,12 @@ def test_walls_that_are_landmarks_are_there(walled_map, tmp_path):
     np.testing.assert_allclose(records["wall_landmarks"].arrays["segments"], [[1.0, 1.0, 4.0, 5.0]], atol=1e-3)
     np.testing.assert_allclose(records["wall_landmarks"].arrays["deviation"], [[0.02, 0.3]], rtol=1e-5)
     assert len(records["map"].arrays["ids"]) == 4  # the tags
+
+
+def test_a_large_table_is_told_less_often_even_where_nothing_has_changed(tmp_path):
+    points = np.zeros((100_000, 2))
+    with TimelineWriter(tmp_path / FILE_NAME) as writer:
+        for time_now, keys in ((0.0, np.arange(len(points))), (1e3, np.arange(len(points)))):
+            writer.write_rows("map", time_now, Table({"points": points}, points, points, keys))
+        assert not writer.is_due("map", 1e3 + 3.9)
+        assert writer.is_due("map", 1e3 + 4.1)

@@ -140,52 +140,28 @@ def test_a_map_is_written_when_it_grows_and_not_while_there_is_no_view(writer, t
     assert times(make_map(0, 0), make_map(0, 0)) == [(0.0, 0)]
 
 
-def test_of_a_large_map_what_is_near_is_written_at_every_stage_and_all_of_it_seldom(writer, tmp_path):
-    estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [90.0, 0.0]]))
-    # Not all of it is known jointly.
-    estimate = replace(estimate, local=np.zeros(1, dtype=np.int64), covariance=estimate.covariance[2:, 2:])
-    tfg = replace(make_messages()["tfg"], stage=1)
-    there = replace(estimate, stage=2, X_MA=np.vstack([estimate.X_MA, [[89.0, 0.0, 0.0]]]))
-    builder = DiagramBuilder()
-    recorder = builder.AddSystem(TimelineRecorder(writer))
-    for name, messages in (("map", (estimate, there)), ("tfg", (tfg, replace(tfg, stage=2)))):
-        builder.Connect(builder.AddSystem(GrowingMap(*messages)).get_output_port(), recorder.GetInputPort(name))
-    recorder._whole_due |= {"map": 0.75, "tfg": 0.75}  # All of it has just been written.
-    Simulator(builder.Build()).AdvanceTo(0.6)
-    maps = [record for record in recorded(writer, tmp_path) if record.layer == "map"]
-    assert [record.time for record in maps] == [0.0, 0.5]
-    assert [record.arrays["ids"].tolist() for record in maps] == [estimate.ids[:1].tolist(), estimate.ids.tolist()]
-
-
 def test_walls_that_are_landmarks_are_written_with_the_map(writer, tmp_path):
-    """Walls near the newest view are written of a large map, too."""
-
     def estimates(x):
-        """At two stages, tags alone and with walls at some x, seen from (89, 0) at the second."""
-        estimate = replace(make_map(2, 1), p_ML=np.array([[1.0, 0.0], [90.0, 0.0]]))
-        estimate = replace(estimate, local=np.zeros(1, dtype=np.int64), covariance=estimate.covariance[2:, 2:])
+        """At two stages, tags alone and with walls at some x."""
+        estimate = make_map(2, 1)
         ids, none = WALLS_BELOW - len(x) + np.arange(len(x)), np.zeros((len(estimate.ids), 2))
         walls, anchor, reach = walls_between([[[at, -1.0], [at, 1.0]] for at in x])
-        blocks = known_at_their_ends(reach, 0.3)
         with_walls = replace(
             estimate,
             ids=np.append(ids, estimate.ids),
             p_ML=np.vstack([walls, estimate.p_ML]),
             anchor=np.vstack([anchor, none]),
             reach=np.vstack([reach, none]),
-            landmark_covariance=np.concatenate([blocks, estimate.landmark_covariance]),
-            local=estimate.local + len(ids),
+            landmark_covariance=np.concatenate([known_at_their_ends(reach, 0.3), estimate.landmark_covariance]),
         )
-        X_MA = np.vstack([estimate.X_MA, [[89.0, 0.0, 0.0]]])
-        return [(one, replace(one, stage=2, X_MA=X_MA)) for one in (estimate, with_walls)]
+        return estimate, with_walls
 
-    tfg = replace(make_messages()["tfg"], stage=1)
-    ports = dict(zip(("map", "landmarks", "tfg"), [*estimates([0.0, 91.0]), (tfg, replace(tfg, stage=2))], strict=True))
+    first, second = estimates([0.0]), estimates([0.0, 91.0])
     builder = DiagramBuilder()
     recorder = builder.AddSystem(TimelineRecorder(writer))
-    for name, messages in ports.items():
-        builder.Connect(builder.AddSystem(GrowingMap(*messages)).get_output_port(), recorder.GetInputPort(name))
-    recorder._whole_due |= {"map": 0.75, "tfg": 0.75}  # All of it has just been written.
+    for k, name in enumerate(("map", "landmarks")):
+        source = builder.AddSystem(GrowingMap(first[k], replace(second[k], stage=2)))
+        builder.Connect(source.get_output_port(), recorder.GetInputPort(name))
     Simulator(builder.Build()).AdvanceTo(0.6)
     walls = [record for record in recorded(writer, tmp_path) if record.layer == "wall_landmarks"]
     assert [record.time for record in walls] == [0.0, 0.5]

@@ -386,7 +386,7 @@ def test_redraws_a_stage_once_and_only_when_it_changes(meshcat, monkeypatch):
     diagram = growing(meshcat)
     scene = diagram.GetSystems()[1]._scene
     shown = []
-    monkeypatch.setattr(scene, "write_rows", lambda layer, time, table, near=None, **told: shown.append(told["stage"]))
+    monkeypatch.setattr(scene, "write_rows", lambda layer, time, table, **told: shown.append(told["stage"]))
     Simulator(diagram).AdvanceTo(1.0)
     assert shown == [1, 2]
     # What is drawn belongs to the simulation: a new one begins anew.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,22 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tfg_drake.messages import BoolArray, FloatArray, IntArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Near:
-    """Area of a table: within reach, m, of center, (2,) m."""
-
-    center: FloatArray
-    reach: float
-
-    def holds(self, places: FloatArray) -> BoolArray:
-        """Mask (n,) of the places (n, 2), m, in it."""
-        return np.asarray(np.hypot(*(places - self.center).T) <= self.reach)
-
-
-EVERYWHERE = Near(np.zeros(2), math.inf)
+from tfg_drake.messages import FloatArray, IntArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,47 +30,27 @@ class Table:
 
 @dataclasses.dataclass(eq=False)
 class StandingRows:
-    """The rows of a layer that stand in a file.
-
-    numbers: (n,) of each row, how many were written before it. places: (n, 2) m, where each is.
-    """
+    """The rows of a layer that stand in a file. numbers: (n,) of each row, how many were written before it."""
 
     _count: int = 0
     numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    places: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
     _values: FloatArray | None = None
     _keys: IntArray | None = None
 
-    def change(self, table: Table, near: Near = EVERYWHERE) -> tuple[IntArray, IntArray]:
-        """Makes what stands like a table, as far as the table tells.
-
-        Args:
-            table: what is there now.
-            near: where the table is told; rows elsewhere stand as they did.
-
-        Returns:
-            The rows of the table that have to be written, and the numbers of those that no longer stand.
-        """
-        there = np.flatnonzero(near.holds(table.places))
-        values = table.values.take(there, axis=0)
-        keys = None if table.keys is None else table.keys[there]
-        before = np.zeros((0, values.shape[1])) if self._values is None else self._values
-        told = near.holds(self.places)
-        if keys is not None and self._keys is not None and not told.all():
-            told |= np.isin(self._keys, keys)
-        old = np.flatnonzero(told)
-        old_keys = None if keys is None or self._keys is None else self._keys[old]
-        same = _alike(before.take(old, axis=0), values, old_keys, keys)
-        stays = ~told
-        stays[old[same[same >= 0]]] = True
-        new = same < 0
-        gone, added = self.numbers[~stays], there[new]
+    def change(self, table: Table) -> tuple[IntArray, IntArray]:
+        """Makes what stands like a table; returns the rows of the table that have to be written, and the numbers of
+        those that no longer stand."""
+        before = table.values[:0] if self._values is None else self._values
+        same = _alike(before, table.values, self._keys, table.keys)
+        stays = np.zeros(len(before), dtype=np.bool_)
+        stays[same[same >= 0]] = True
+        gone, added = self.numbers[~stays], np.flatnonzero(same < 0)
         self.numbers = np.append(self.numbers[stays], self._count + np.arange(len(added)))
         self._count += len(added)
-        self.places = np.vstack([self.places.compress(stays, axis=0), table.places.take(added, axis=0)])
-        self._values = np.vstack([before.compress(stays, axis=0), values.compress(new, axis=0)])
-        if keys is not None:
-            self._keys = keys[new] if self._keys is None else np.append(self._keys[stays], keys[new])
+        self._values = np.vstack([before.compress(stays, axis=0), table.values.take(added, axis=0)])
+        if table.keys is not None:
+            keys = table.keys[added]
+            self._keys = keys if self._keys is None else np.append(self._keys[stays], keys)
         return added, gone
 
 

@@ -55,16 +55,14 @@ def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
     return tuple(points[begin:end].copy() for begin, end in itertools.pairwise(ends))
 
 
-def changed_stars(before: tuple[FloatArray, ...], now: tuple[FloatArray, ...]) -> IntArray:
+def changed_stars(before: Mapping[int, FloatArray], now: tuple[FloatArray, ...]) -> IntArray:
     """The indices of those star polygons that are new or have moved by more than STAR_TOLERANCE."""
-    changed = [
-        i
-        for i, star in enumerate(now)
-        if i >= len(before)
-        or star.shape != before[i].shape
-        or (star is not before[i] and np.abs(star - before[i]).max(initial=0.0) > STAR_TOLERANCE)
-    ]
-    return np.array(changed, dtype=np.int64)
+
+    def has_changed(index: int) -> bool:
+        old, star = before.get(index), now[index]
+        return old is None or star.shape != old.shape or bool(np.abs(star - old).max(initial=0.0) > STAR_TOLERANCE)
+
+    return np.array([index for index in range(len(now)) if has_changed(index)], dtype=np.int64)
 
 
 def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from tfg_drake.config import RobotConfig
 from tfg_drake.io.files import FileError, open_inside
 from tfg_drake.pictures import scene, tables
-from tfg_drake.pictures.rows import EVERYWHERE, Near, StandingRows, Table
+from tfg_drake.pictures.rows import StandingRows, Table
 
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
@@ -45,6 +45,8 @@ MAGIC = b"tfg_drake timeline 2\n\n\n\n"
 FLUSH_PERIOD, WATCHED_PERIOD = 1.0, 0.08
 # Of a layer no more is written on average, bytes a simulated second: what changes more is told less often.
 LAYER_RATE = 8e3
+# And of a table no more is compared with what stands there, bytes a simulated second: a large map is told less often.
+COMPARED_RATE = 400e3
 # Layers of many points of which nobody sees a centimetre.
 COARSE = ("scan", "free", "path")
 # zlib's: the quickest; more takes twice the time and saves a twentieth.
@@ -154,11 +156,13 @@ class TimelineWriter:
         self._due[layer] = due + len(record) / LAYER_RATE
         self._records.append(record)
 
-    def write_rows(self, layer: str, time: float, table: Table, near: Near = EVERYWHERE, **told: Any) -> None:
-        """Adds a record of how a table has changed; near: where it is told, elsewhere it is as it was."""
-        added, gone = self._rows.setdefault(layer, StandingRows()).change(table, near)
+    def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
+        """Adds a record of how a table has changed."""
+        added, gone = self._rows.setdefault(layer, StandingRows()).change(table)
         rows = {name: array[added] for name, array in table.arrays.items()}
         self.write(layer, time, {**rows, "gone": gone}, **told)
+        size = sum(array.nbytes for array in table.arrays.values())
+        self._due[layer] = max(self._due.get(layer, time), time + size / COMPARED_RATE)
 
     def flush(self, *, all_of_it: bool = True) -> None:
         """Put on the disk what there is, all of it or only when it is time to."""
