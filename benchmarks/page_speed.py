@@ -29,7 +29,7 @@ from tfg_drake.cockpit.page import export_page
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.missions.run import viewer_script
 from tfg_drake.pictures.rows import Table
-from tfg_drake.pictures.tables import POSITION
+from tfg_drake.pictures.scene import POSITION
 from tfg_drake.storage.timeline import TimelineWriter
 
 ROOM = 6.0  # m, of a wall

@@ -39,10 +39,10 @@ PLATE_HEIGHT = 0.05
 NUMBER, SIGMAS = 3.0, 3.0 * MAGNIFIED
 # Where nothing is, for Meshcat to tell whether it records.
 PROBE = "/tfg/recorded"
-# Between two scans that a recording keeps, s.
-RECORDED_SCANS = 2.0
-# Of the trail a piece has so many steps of this length, m; the words are written so often, s, or recorded.
-TRAIL_STEPS, TRAIL_STEP, WORDS, RECORDED_WORDS = 16, 0.25, 1.0, 2.0
+# Between two scans, or lines of words, that a recording keeps, s.
+RECORDED = 2.0
+# Of the trail a piece has so many steps of this length, m; the words are written so often, s.
+TRAIL_STEPS, TRAIL_STEP, WORDS = 16, 0.25, 1.0
 # Of a layer a recording takes no more on average, bytes a simulated second: a grid changes all the time.
 RECORDED_RATE = 50e3
 # The camera: what it sees from top to bottom, rad, how steeply it looks down, rad, and the narrowest window, width over
@@ -250,7 +250,7 @@ class MeshcatScene:
         if not self.is_due("words", time):
             return
         path = self._NextVersion("words", time, "/tfg")
-        self._due["words"] = time + (RECORDED_WORDS if self._recorded else WORDS)
+        self._due["words"] = time + (RECORDED if self._recorded else WORDS)
         said = ", ".join([f"{time:.0f} s", *(self._said[name] for name in ("mission", "goal") if name in self._said)])
         self._ShowPlate(path, words_plate(said), *self._words_y)
 
@@ -274,7 +274,7 @@ class MeshcatScene:
     def _ShowScan(self, points: FloatArray, time: float) -> None:
         if self._IsRecorded() and not self.is_due("scan", time):
             return
-        self._due["scan"] = time + RECORDED_SCANS
+        self._due["scan"] = time + RECORDED
         cloud, look = PointCloud(len(points)), LOOKS["scan"]
         cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), look.high)]).T
         path = self._NextVersion("scan", time)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.mapfile.in_world import corners_of, tfg_in_world
+from tfg_drake.mapfile.in_world import tfg_in_world
 from tfg_drake.mapfile.occupancy_grid import CELL, keep_out_files, map_server_files
 from tfg_drake.tfg.graph import empty_map
 from tfg_drake.world.map_server import load_map_server
@@ -46,7 +46,9 @@ def test_the_projects_own_reader_reads_it(small_map, tmp_path):
     p_MP = np.array([[0.0, 0.0], [1.9, 0.5], [2.1, 0.5], [2.0, 0.5], [2.4, 1.1], [-1.1, 0.0]])
     assert found.is_free(transform(small_map.X_WM, p_MP)).tolist() == [True, True, True, False, False, False]
     # The walls are as far off the border of free space as cells make them, and all of it has one.
-    low, high = corners_of(np.zeros((0, 2)), tfg_in_world(small_map))
+    tfg = tfg_in_world(small_map)
+    shown = np.vstack([tfg.segments.reshape(-1, 2), tfg.star_vertices])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     ends = found.walls.reshape(-1, 2)
     assert np.all((ends > low - CELL) & (ends < high + CELL))
     assert np.count_nonzero(found.free) * CELL**2 == pytest.approx(6.25 + 1.5, rel=0.1)

@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from tfg_drake.mapfile.in_world import corners_of, landmarks_in_world, stars_of, tfg_in_world
+from tfg_drake.mapfile.in_world import landmarks_in_world, stars_of, tfg_in_world
 from tfg_drake.pictures.plan import plan_svg
 from tfg_drake.tfg.graph import empty_map
 
@@ -24,10 +24,9 @@ def test_the_plan_is_the_map_to_scale(small_map):
     x, y, width, height = map(float, root.get("viewBox").split())
     # A metre is a centimetre; y is up in the world and down in the picture.
     assert (root.get("width"), root.get("height")) == (f"{10.0 * width:.2f}mm", f"{10.0 * height:.2f}mm")
-    low, high = corners_of(p_WL, tfg)
-    np.testing.assert_allclose(
-        [x, y, x + width, y + height], [low[0] - 1, -high[1] - 1, high[0] + 1, 1 - low[1]], atol=2e-3
-    )
+    shown = np.vstack([p_WL, tfg.segments.reshape(-1, 2), tfg.star_vertices])
+    low, high = np.array([x, -y - height]), np.array([x + width, -y])
+    assert np.all((shown > low + 1.0 - 1e-3) & (shown < high - 1.0 + 1e-3))
     parts = {part.get("id"): part for part in root if part.get("id")}
     assert set(parts) == {
         *("free_space", "edge", "wall_end", "bare_surface", "keep_out", "frontier", "wall_landmark"),

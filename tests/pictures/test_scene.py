@@ -102,7 +102,7 @@ def test_free_space_is_told_again_only_where_it_has_moved():
     )
     before = scene.free_space(tfg)
     assert list(scene.changed_stars({}, before)) == [0, 1]
-    moved = replace(tfg, star_vertices=corners + np.array([[0.01, 0]] * 3 + [[0.05, 0]] * 3))
+    moved = replace(tfg, star_vertices=corners + np.array([[0.009, 0]] * 3 + [[0.05, 0]] * 3))
     now = scene.free_space(moved)
     assert list(scene.changed_stars(dict(enumerate(before)), now)) == [1]
     packed = scene.packed_stars(now, np.array([1]))

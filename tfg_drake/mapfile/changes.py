@@ -15,9 +15,9 @@ from tfg_drake.slam.keyframe import rows_of
 
 # A tag was moved where it is at least so far from its old place, m, and so many standard deviations of the two.
 MOVED, DEVIATIONS = 0.15, 4.0
-# A piece of surface is new, or gone, where all of it is farther than this from what is there in the other map, m, and
-# the other map has free space this far before it on both sides; pieces this long are judged by themselves, m.
-APART, BEFORE, PIECE = 0.2, 0.1, 0.2
+# A piece of surface, this long at most, m, is new, or gone, where all of it is farther than this from what is there in
+# the other map and that has free space half as far before it on both sides.
+APART = 0.2
 
 
 def map_changes(before: SavedMap, after: SavedMap) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def _only_in(one: SavedMap, other: SavedMap) -> list[list[float]]:
     apart = np.ones(len(pieces), dtype=bool)
     for point in (pieces[:, :2], middle, pieces[:, 2:]):
         apart &= point_distance(point, other.tfg.segments) > APART
-    for side in (-BEFORE, BEFORE):
+    for side in (-0.5 * APART, 0.5 * APART):
         apart &= inside_any(middle + side * normal, other.tfg.star_offsets, other.tfg.star_vertices)
     ends = transform(one.X_WM, pieces[apart].reshape(-1, 2)).reshape(-1, 4)
     return [[round(value, 3) for value in piece] for piece in ends.tolist()]
@@ -75,6 +75,6 @@ def _only_in(one: SavedMap, other: SavedMap) -> list[list[float]]:
 
 def _cut(segment: FloatArray) -> FloatArray:
     """A segment (4,) in pieces (k, 4)."""
-    n = max(1, round(float(np.hypot(*(segment[2:] - segment[:2]))) / PIECE))
+    n = max(1, round(float(np.hypot(*(segment[2:] - segment[:2]))) / APART))
     ends = segment[:2] + np.linspace(0.0, 1.0, n + 1)[:, None] * (segment[2:] - segment[:2])
     return np.hstack([ends[:-1], ends[1:]])

@@ -9,13 +9,11 @@ import numpy as np
 from ezdxf.enums import TextEntityAlignment
 
 from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
-from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 from tfg_drake.mapfile.wall_lines import wall_lines
 
 # The layers with their colours by AutoCAD's numbers: black or white, grey, green, violet, blue.
 LAYERS = {"WALL": 7, "SURFACE": 8, "tag": 94, "doubtful_tag": 200, "frontier": 5}
-# TfgMap.segment_kind of those without a landmark.
-BARE = 2
 # Length of the line that says which side a tag faces, and height of its number, m.
 FACING, NUMBER = 0.2, 0.12
 
@@ -37,7 +35,8 @@ def _drawing(saved: SavedMap) -> ezdxf.document.Drawing:
     space = drawing.modelspace()
     for name, colour in LAYERS.items():
         drawing.layers.add(name, color=colour)
-    walls, bare = np.unique(tfg.segment_ids[:, 0][tfg.segment_kind < BARE]), tfg.segment_kind == BARE
+    bare = tfg.segment_kind == KINDS.index("bare_surface")
+    walls = np.unique(tfg.segment_ids[:, 0][~bare])
     parts = [("WALL", (tfg.segment_ids[:, 0] == wall) & ~bare) for wall in walls]
     for layer_name, of_part in (*parts, ("SURFACE", bare)):
         for line in wall_lines(tfg.segments[of_part]):

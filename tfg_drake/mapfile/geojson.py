@@ -8,8 +8,8 @@ from typing import Any
 
 import shapely
 
-from tfg_drake.mapfile.in_world import KINDS, landmarks_in_world, stars_of, tfg_in_world
-from tfg_drake.mapfile.saved_map import SavedMap
+from tfg_drake.mapfile.in_world import landmarks_in_world, stars_of, tfg_in_world
+from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 
 # W as a coordinate system of its own, in metres, in OGC's WKT: without one a reader takes them for degrees.
 CRS = 'LOCAL_CS["W",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'

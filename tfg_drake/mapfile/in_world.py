@@ -11,9 +11,6 @@ from tfg_drake.mapfile.saved_map import PLACES, SavedMap
 from tfg_drake.messages import FloatArray, TfgMap, replace
 from tfg_drake.table import take
 
-# Kinds of surface (TfgMap.segment_kind) by number.
-KINDS = ("edge", "wall_end", "bare_surface")
-
 
 def landmarks_in_world(saved: SavedMap) -> tuple[FloatArray, FloatArray]:
     """Positions of the landmarks in W (n, 2), m, and their covariances (n, 2, 2), m^2."""
@@ -40,10 +37,3 @@ def tfg_in_world(saved: SavedMap) -> TfgMap:
 def stars_of(tfg: TfgMap) -> list[FloatArray]:
     """The free polygons, (v, 2) each, anticlockwise."""
     return [star for star in np.split(tfg.star_vertices, tfg.star_offsets[1:-1]) if len(star) > 2]
-
-
-def corners_of(p_WL: FloatArray, tfg: TfgMap) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest x and y (2,) of landmarks and TFG, m; of nothing the origin, twice."""
-    shown = np.vstack([p_WL, tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices])
-    shown = shown if len(shown) else np.zeros((1, 2))
-    return shown.min(axis=0), shown.max(axis=0)

@@ -40,8 +40,8 @@ SCATTER = "graph.keyframes.scatter"
 # These are read, too; the arrays that they had more, of tags seen on the way.
 OLDER = (13, 14)
 GONE = re.compile(r"tfg_graph\.(sighted|viewpoints)\.|tfg_graph\.\w+\.id$|tfg\.viewpoints$")
-# Kinds of a TfgMap's segments.
-KINDS_OF_SEGMENTS = 3
+# Kinds of a TfgMap's segments (segment_kind) by number.
+KINDS = ("edge", "wall_end", "bare_surface")
 # Fields of the TfgMap that are places.
 PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up")
 
@@ -268,7 +268,7 @@ def _contradiction(saved: SavedMap) -> str:
             f"tfg_graph.{name} does not fit tfg_graph.stage": _is_beyond(view, tfg_graph.stage)
             for name, view in views.items()
         },
-        "tfg.segment_kind is no kind": _is_beyond(tfg.segment_kind, KINDS_OF_SEGMENTS),
+        "tfg.segment_kind is no kind": _is_beyond(tfg.segment_kind, len(KINDS)),
         "tfg.facing or tfg_graph.tag_facing is no direction": not np.isin(lengths, (0.0, 1.0)).all(),
         "X_WM or graph.landmark_covariance is not finite": not (is_finite and np.isfinite(saved.X_WM).all()),
         "graph.landmark_covariance is no covariance": is_finite

@@ -20,7 +20,7 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 
 # Deviations that the map does not know: of the height, m, and the directions, rad, of a tag that somebody hung.
-HUNG_HEIGHT, HUNG_TURN = 0.05, 0.05
+HUNG = 0.05
 # Of the map in W, m and rad: none, but TagSLAM needs some.
 FIXED = 1e-4
 
@@ -31,12 +31,12 @@ def tagslam_yaml(saved: SavedMap, height: float, size: float) -> str:
     for tag, p, R_WT, P in _hung(saved, height):
         across = R_WT[:2, [0, 2]]
         deviation = np.sqrt(np.einsum("ik,ij,jk->k", across, P, across))
-        noise = np.array([deviation[0], HUNG_HEIGHT, deviation[1]])
-        tags.append({"id": tag, "size": size, "pose": _tagslam_pose(p, R_WT, noise, HUNG_TURN)})
+        noise = np.array([deviation[0], HUNG, deviation[1]])
+        tags.append({"id": tag, "size": size, "pose": _tagslam_pose(p, R_WT, noise, HUNG)})
     body = {"type": "simple", "is_static": True, "default_tag_size": size, "tags": tags}
     body["pose"] = _tagslam_pose(np.zeros(3), np.eye(3), np.full(3, FIXED), FIXED)
     rig = {"type": "simple", "is_static": False, "default_tag_size": size}
-    defaults = {"position_noise": HUNG_HEIGHT, "rotation_noise": HUNG_TURN}
+    defaults = {"position_noise": HUNG, "rotation_noise": HUNG}
     return dump_yaml({"body_defaults": defaults, "default_body": "map", "bodies": [{"map": body}, {"rig": rig}]})
 
 

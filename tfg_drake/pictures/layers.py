@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tfg_drake.mapfile.in_world import KINDS
+from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene, tables
 from tfg_drake.pictures.drawing import bands, circles, ellipses, spreads
 from tfg_drake.pictures.palette import FREE, GAINS, LIGHT, Colour
 
 if TYPE_CHECKING:
-    from tfg_drake.mapfile.saved_map import SavedMap
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
 # A symbol's size in pictures of true size, m: a line is about as wide as a skirting board.

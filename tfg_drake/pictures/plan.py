@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.mapfile.in_world import corners_of, landmarks_in_world, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.layers import SYMBOL, Layer, of_free_space, of_map
@@ -22,8 +21,10 @@ MARGIN, BAR, LETTER = 1.0, 5, 0.25
 def plan_svg(saved: SavedMap) -> str:
     """The file's contents: a group for each layer, named like it (`layers.LOOKS`), with ellipses and bands of three
     standard deviations, and a scale. A unit is a metre, x as in the world frame W, y the other way."""
-    (p_WL, _), tfg = landmarks_in_world(saved), tfg_in_world(saved)
-    low, high = corners_of(p_WL, tfg)
+    shown = sorted([*of_free_space(saved.tfg), *of_map(saved, saved.tfg, saved.graph)], key=lambda one: one.look.high)
+    places = [np.reshape(shape, (-1, 2)) for layer in shown for shape in layer.shapes]
+    corners = transform(saved.X_WM, np.vstack([saved.X_MA[:, :2], *places]))
+    low, high = corners.min(axis=0), corners.max(axis=0)
     (x, bottom), (width, height) = low - MARGIN, high - low + 2.0 * MARGIN
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:.3f} {-bottom - height:.3f} {width:.3f} {height:.3f}"'
@@ -31,8 +32,7 @@ def plan_svg(saved: SavedMap) -> str:
         ' font-family="sans-serif" text-anchor="middle" stroke-width="0.05">',
         f'<rect x="{x:.3f}" y="{-bottom - height:.3f}" width="100%" height="100%" fill="white"/>',
     ]
-    shown = [*of_free_space(saved.tfg), *of_map(saved, saved.tfg, saved.graph)]
-    for layer in sorted(shown, key=lambda one: one.look.high):
+    for layer in shown:
         lines += _group(layer, saved.X_WM)
     lines.append(
         f'<path id="scale" stroke="black" d="M{x + 0.5:.3f} {-bottom - 0.3:.3f}h{BAR}"/>'

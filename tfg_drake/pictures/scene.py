@@ -35,8 +35,8 @@ from tfg_drake.world.world import World
 
 Layer = Mapping[str, NDArray[Any]]
 
-# A star polygon is drawn anew when one of its corners has moved so far, m: less than a pixel of a whole building.
-STAR_TOLERANCE = 0.03
+# Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
+POSITION = 0.01
 # Of a candidate: the parts of its gain and all of it, nats.
 GAINS = ("exploitation", "exploration", "pose_price", "gain")
 # How many candidates besides the chosen one are explained.
@@ -56,11 +56,11 @@ def free_space(tfg: TfgMap) -> tuple[FloatArray, ...]:
 
 
 def changed_stars(before: Mapping[int, FloatArray], now: tuple[FloatArray, ...]) -> IntArray:
-    """The indices of those star polygons that are new or have moved by more than STAR_TOLERANCE."""
+    """The indices of those star polygons that are new or have moved by more than POSITION."""
 
     def has_changed(index: int) -> bool:
         old, star = before.get(index), now[index]
-        return old is None or star.shape != old.shape or bool(np.abs(star - old).max(initial=0.0) > STAR_TOLERANCE)
+        return old is None or star.shape != old.shape or bool(np.abs(star - old).max(initial=0.0) > POSITION)
 
     return np.array([index for index in range(len(now)) if has_changed(index)], dtype=np.int64)
 

@@ -11,6 +11,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures.rows import Table
+from tfg_drake.pictures.scene import POSITION
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.tfg.frontier import PUSH, SPACING
 
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
-# Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
-POSITION = 0.01
-# The same of the nodes of the roadmap, which are thousands, m.
-NODE = 0.05
 # Of a variance's logarithm, that is a tenth of a standard deviation, and of a correlation.
 VARIANCE = 0.2
 # Of the most gain: a fifth of the way from one shade to the next.
@@ -73,7 +70,7 @@ def frontiers(tfg: TfgMap) -> Table:
 def nodes(roadmap: Roadmap) -> Table:
     """points: (n, 2) m. ids: (n,) of the nodes."""
     ids = roadmap.node_ids(np.arange(len(roadmap.points)))
-    return Table({"points": roadmap.points, "ids": ids}, roadmap.points, roadmap.points / NODE, ids)
+    return Table({"points": roadmap.points, "ids": ids}, roadmap.points, roadmap.points / POSITION, ids)
 
 
 def edges(roadmap: Roadmap) -> Table:
@@ -89,7 +86,7 @@ def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
     known = rows >= 0
     best = max(float(np.max(choice.gain, initial=0.0)), 1e-9)
     points, share = roadmap.points[rows[known]], np.clip(choice.gain / best, 0.0, 1.0)[known]
-    values = np.column_stack([points / NODE, share / SHARE])
+    values = np.column_stack([points / POSITION, share / SHARE])
     arrays: dict[str, NDArray[Any]] = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
     return Table(arrays, points, values, choice.candidates[known])
 
