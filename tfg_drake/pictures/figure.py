@@ -23,9 +23,8 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
 
-# Views nearer to each other than this, m and in points of the drawing, are not both numbered.
-NUMBER_SPACING = 1.5
-NUMBER_POINTS = 36.0
+# Views nearer to each other than this, points of the drawing, are not both numbered.
+NUMBER_SPACING = 36.0
 # Light, dashed on dark: one lies over the other where both agree.
 _ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
 _MISSED = css(LIGHT.keep_out)
@@ -199,7 +198,7 @@ def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: igno
     if not len(views):
         return
     x_min, x_max = axes.get_xlim()
-    spacing = max(NUMBER_SPACING, NUMBER_POINTS * (x_max - x_min) / (_WIDTH * POINTS_PER_INCH))
+    spacing = NUMBER_SPACING * (x_max - x_min) / (_WIDTH * POINTS_PER_INCH)
     numbered: list[int] = []
     # The last first: where the robot came back, the newer number says so.
     for number in range(len(views) - 1, -1, -1):

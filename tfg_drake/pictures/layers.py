@@ -7,10 +7,9 @@ is called and looks like stands in LOOKS.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
@@ -125,7 +124,7 @@ class Layer(NamedTuple):
         return bands(shapes, size) if self.kind == "lines" else circles(shapes, size)
 
 
-def layers(record: str, arrays: Mapping[str, NDArray[Any]], sigmas: float = 3.0, cell: float = 0.0) -> Iterator[Layer]:
+def layers(record: str, arrays: scene.Record, sigmas: float = 3.0, cell: float = 0.0) -> Iterator[Layer]:
     """The layers of a record. sigmas: how many standard deviations are drawn. cell: a side of a grid's cells, m."""
     if record in SEGMENTS:
         yield Layer(SEGMENTS[record], arrays["segments"])

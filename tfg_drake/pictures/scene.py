@@ -1,8 +1,8 @@
-"""A mission as a scene: each message becomes a layer of flat shapes, whoever draws them.
+"""A mission as a scene: each message becomes a record of flat shapes, whoever draws them.
 
-A layer is a mapping from names to arrays. Positions and lengths are in metres, in the frame of the message: M of what
-the robot knows, W of what is true. `tfg_drake.systems.visualizer` turns layers into Drake's Meshcat,
-`tfg_drake.systems.timeline_recorder` writes them for the page of `tfg_drake.cockpit`.
+A record is a mapping from names to arrays. Positions and lengths are in metres, in the frame of the message: M of what
+the robot knows, W of what is true. `tfg_drake.systems.timeline_recorder` writes records for the page of
+`tfg_drake.cockpit`, `tfg_drake.pictures.layers` makes the layers of all other pictures of them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tfg_drake.pictures.drawing import polyline_segments
 from tfg_drake.planning.shortest_ways import joined
 from tfg_drake.world.world import World
 
-Layer = Mapping[str, NDArray[Any]]
+Record = Mapping[str, NDArray[Any]]
 
 # Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
 POSITION = 0.01
@@ -43,7 +43,7 @@ GAINS = ("exploitation", "exploration", "pose_price", "gain")
 NEXT_BEST = 3
 
 
-def walls(world: World) -> Layer:
+def walls(world: World) -> Record:
     """segments: (m, 4) true walls. tags: (n, 2) and tag_facing: (n,) rad, ids: (n,)."""
     return {"segments": world.walls, "tags": world.p_WT, "tag_facing": world.tag_facing, "ids": world.tag_ids}
 
@@ -65,7 +65,7 @@ def changed_stars(before: Mapping[int, FloatArray], now: tuple[FloatArray, ...])
     return np.array([index for index in range(len(now)) if has_changed(index)], dtype=np.int64)
 
 
-def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Layer:
+def packed_stars(stars: tuple[FloatArray, ...], which: IntArray) -> Record:
     """index: (k,) which they are. count: (k,) points of each, its centre first. points: (sum of count, 2)."""
     some = [stars[i] for i in which]
     points = np.vstack(some) if some else np.zeros((0, 2))
@@ -99,12 +99,12 @@ def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
     return told
 
 
-def goal(choice: GoalChoice) -> Layer:
+def goal(choice: GoalChoice) -> Record:
     """points: (1, 2) the goal, (0, 2) where there is none."""
     return {"points": choice.p_MG[None] if choice.verdict == "goal" and choice.node >= 0 else np.zeros((0, 2))}
 
 
-def tour(choice: GoalChoice, roadmap: Roadmap) -> Layer:
+def tour(choice: GoalChoice, roadmap: Roadmap) -> Record:
     """tour: (s, 2) the stops of the tour, the goal first. done: (s,) s from the choice until each is done with. legs:
     (k, 4) the shortest ways along the roadmap from each stop to the next, straight where there is none."""
     rows, of_tour = roadmap.nodes(choice.tour), np.isin(choice.candidates, choice.tour)
@@ -130,12 +130,12 @@ def _legs(roadmap: Roadmap, stops: IntArray) -> FloatArray:
     return np.vstack(ways)
 
 
-def path(message: Path) -> Layer:
+def path(message: Path) -> Record:
     """segments: (p - 1, 4)."""
     return {"segments": polyline_segments(message.points)}
 
 
-def scan_rays(scan: LaserScan, pose: PoseEstimate) -> Layer:
+def scan_rays(scan: LaserScan, pose: PoseEstimate) -> Record:
     """rays: (r + 1, 2) where the scanner was, then the end of each ray of which something is known, at full range where
     it met nothing. met: (r,) whether it met something. There has been a scan: its stamp is finite."""
     known = ~np.isnan(scan.ranges)
@@ -145,7 +145,7 @@ def scan_rays(scan: LaserScan, pose: PoseEstimate) -> Layer:
     return {"rays": rays, "met": ranges < scan.range_max}
 
 
-def grid_cells(grid: GridMap) -> Layer:
+def grid_cells(grid: GridMap) -> Record:
     """free, occupied: (r, 4) runs of cells, as wide as a cell."""
     cells = classify(grid)
     return {name: row_runs(grid, cells == kind) for name, kind in (("free", FREE), ("occupied", OCCUPIED))}

@@ -117,7 +117,13 @@ def _primitives(layer: Layer) -> dict[str, Any]:
         return {"position": {"x": x, "y": y, "z": look.high + above}, "orientation": _UPRIGHT}
 
     texts = [
-        {"pose": at(*place.tolist(), _LETTER), "billboard": True, "font_size": _LETTER, "color": colour, "text": words}
+        {
+            "pose": at(float(place[0]), float(place[1]), _LETTER),
+            "billboard": True,
+            "font_size": _LETTER,
+            "color": colour,
+            "text": words,
+        }
         for words, place in layer.labels.items()
     ]
     if layer.kind == "points":
