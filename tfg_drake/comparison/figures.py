@@ -15,8 +15,9 @@ from tfg_drake.comparison.statistics import Spread
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, GridMap
 from tfg_drake.percent import percent
-from tfg_drake.pictures.figure import draw, draw_known, symbol_of
+from tfg_drake.pictures.figure import draw, draw_known
 from tfg_drake.pictures.layers import Layer, layers
+from tfg_drake.pictures.panels import panels
 from tfg_drake.pictures.scene import grid_cells
 from tfg_drake.world.world import World
 
@@ -79,13 +80,8 @@ def draw_maps(maps: Sequence[FinalMap]) -> Figure:
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
     points = np.vstack([p for one in maps for p in (one.world.walls.reshape(-1, 2), one.X_WB[:, :2])])
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 0.5, points.max(axis=0) + 0.5
-    panel = _WIDTH / columns
-    figure = _figure(float(np.clip(rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.25) + 0.45, 1.5, 9.5)))
-    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    symbol = symbol_of(panel, x_max - x_min)
+    figure, grid, symbol = panels(points, _WIDTH, 0.25 * rows + 0.45, rows, columns)
     for axes in grid:
-        axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
         axes.set_axis_off()
     for axes, one in zip(grid, maps, strict=False):
         _draw_final_map(axes, one, symbol)

@@ -6,18 +6,18 @@ import math
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from tfg_drake.datasets.recording import GroundTruth
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.pictures.palette import LIGHT, css
+from tfg_drake.pictures.panels import add_legend, plan
 
 _SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
+# Of the drawing, inches.
+_WIDTH = 9.0
 # Landmarks are named where there are no more than this.
 _MOST_NAMES = 100
 # Hits that are drawn: more are one grey.
@@ -50,7 +50,7 @@ def draw_slam(
     """
     known, path_true = np.isin(truth.ids, ids), truth.X_WB[:, :2]
     points = np.vstack([path_true, *trajectories.values(), p_WL, truth.p_WL[known], np.zeros((1, 2))])
-    figure, axes = _plan(title, points)
+    figure, axes, _ = plan(title, points, _WIDTH)
     if len(path_true):
         axes.plot(*path_true.T, color=_TRUTH, linewidth=1.8, label="true path")
     for (name, path_points), color in zip(trajectories.items(), (_SMOOTHED, _ONLINE), strict=False):
@@ -66,7 +66,7 @@ def draw_slam(
     for name in misfit_ids:
         ends = np.vstack([p_WL[ids == name], truth.p_WL[truth.ids == name]])
         axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
-    _write(path, figure)
+    write_figure(path, add_legend(figure, 5))
 
 
 def draw_laser_map(
@@ -88,7 +88,7 @@ def draw_laser_map(
     # A few scattered ones would make the building small.
     inside = np.all((shown > np.quantile(shown, 0.002, axis=0)) & (shown < np.quantile(shown, 0.998, axis=0)), axis=1)
     shown = shown[inside]
-    figure, axes = _plan(title, np.vstack([shown, p_MS]))
+    figure, axes, _ = plan(title, np.vstack([shown, p_MS]), _WIDTH)
     axes.plot(*shown.T, ".", color="0.45", alpha=0.5, markersize=1.5, markeredgewidth=0, rasterized=True)
     axes.plot([], [], ".", color="0.45", markersize=5, label="hits of the scans")
     if len(pieces := met(walls, p_MH)):
@@ -96,7 +96,7 @@ def draw_laser_map(
     if len(p_MS_true):
         axes.plot(*p_MS_true.T, color=_TRUTH, linewidth=1.8, label="reference path")
     axes.plot(*p_MS.T, color=_ONLINE, linewidth=0.7, label="path")
-    _write(path, figure)
+    write_figure(path, add_legend(figure, 5))
 
 
 def met(walls: FloatArray, p_MH: FloatArray) -> FloatArray:
@@ -109,22 +109,3 @@ def met(walls: FloatArray, p_MH: FloatArray) -> FloatArray:
         ends = np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2)
         pieces.append(np.stack([points[ends[:, 0]], points[ends[:, 1] - 1]], axis=1))
     return np.concatenate(pieces)
-
-
-def _plan(title: str, points: FloatArray) -> tuple[Figure, Axes]:
-    """An empty figure for points (n, 2) in the plane."""
-    width, height = np.ptp(points, axis=0) + 1.0
-    figure = Figure(figsize=(9.0, float(np.clip(9.0 * height / width, 4.0, 12.0)) + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axes.set_title(title, loc="left", fontsize=10)
-    axes.tick_params(labelsize=8, colors="0.35")
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    return figure, axes
-
-
-def _write(path: Path, figure: Figure) -> None:
-    figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False, labelcolor="0.25")
-    write_figure(path, figure)

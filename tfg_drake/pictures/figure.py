@@ -17,8 +17,9 @@ from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, TfgM
 from tfg_drake.pictures import scene
 from tfg_drake.pictures.drawing import MAGNIFIED
 from tfg_drake.pictures.figure_file import write_figure
-from tfg_drake.pictures.layers import SPREAD, SYMBOL, Layer, layers, of_free_space, of_map
+from tfg_drake.pictures.layers import SPREAD, Layer, layers, of_free_space, of_map
 from tfg_drake.pictures.palette import LIGHT, css
+from tfg_drake.pictures.panels import POINTS_PER_INCH, add_legend, plan
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
@@ -30,10 +31,8 @@ _ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
 _MISSED = css(LIGHT.keep_out)
 # Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
 SEEN = 0.1
-# Of the drawing, inches; and how small and how large a symbol may be, points.
+# Of the drawing, inches.
 _WIDTH = 11.0
-POINTS_PER_INCH = 72.0
-SYMBOLS = 0.4, 2.0
 
 
 def run_figure(
@@ -71,7 +70,7 @@ def run_figure(
         shown.append(X_WB_estimated[:, :2])
         shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
         shown += [scene.grid_cells(grid)["free"].reshape(-1, 2)] if grid is not None else []
-    figure, axes, symbol = _canvas(title, np.vstack(shown))
+    figure, axes, symbol = plan(title, np.vstack(shown), _WIDTH)
 
     if world is not None:
         draw(axes, np.zeros(3), [Layer("wall", world.walls)], symbol)
@@ -95,7 +94,7 @@ def run_figure(
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
     if len(way):
         axes.plot(*way[-1, :2], "s", color="0.1", markersize=6, label="end", zorder=6)
-    return _with_legend(figure)
+    return add_legend(figure)
 
 
 def draw_map(path: Path, title: str, saved: SavedMap) -> None:
@@ -111,34 +110,10 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     """
     X_WM, tfg = saved.X_WM, saved.tfg
     shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
-    figure, axes, symbol = _canvas(title, transform(X_WM, np.vstack(shown)))
+    figure, axes, symbol = plan(title, transform(X_WM, np.vstack(shown)), _WIDTH)
     draw_known(axes, X_WM, saved, tfg, saved.graph, symbol)
     _draw_views(axes, X_WM, saved.X_MA)
-    write_figure(path, _with_legend(figure))
-
-
-def _canvas(title: str, points: FloatArray) -> tuple[Figure, Axes, float]:
-    """Figure and axes for an area with some points (n, 2), m, and a symbol's size in points, from the scale of the
-    drawing."""
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    height = float(np.clip(_WIDTH * (y_max - y_min) / (x_max - x_min), 3.5, 12.0))
-    figure = Figure(figsize=(_WIDTH, height + 0.7 + 0.2 * len(title.splitlines())), layout="constrained")
-    axes = figure.add_subplot()
-    axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axes.tick_params(labelsize=8, colors="0.35")
-    axes.spines[:].set_visible(False)
-    axes.set_title(title, loc="left", fontsize=10)
-    return figure, axes, symbol_of(_WIDTH, x_max - x_min)
-
-
-def symbol_of(width: float, shown: float) -> float:
-    """A symbol's size, points, in a drawing so wide, inches, that shows so much, m."""
-    return float(np.clip(SYMBOL * width * POINTS_PER_INCH / shown, *SYMBOLS))
-
-
-def _with_legend(figure: Figure) -> Figure:
-    figure.legend(loc="outside lower left", ncols=6, fontsize=8, frameon=False, labelcolor="0.25")
-    return figure
+    write_figure(path, add_legend(figure))
 
 
 def draw_known(

@@ -12,9 +12,10 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
 from tfg_drake.messages import FloatArray, GoalChoice, IntArray, MapEstimate, Roadmap, TfgMap
-from tfg_drake.pictures.figure import draw, symbol_of
+from tfg_drake.pictures.figure import draw
 from tfg_drake.pictures.layers import of_free_space, of_map
 from tfg_drake.pictures.palette import LIGHT, css
+from tfg_drake.pictures.panels import panels
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
@@ -47,10 +48,10 @@ def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gain
 def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
     """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 4)."""
     nodes, gains = gain_field(stage, parameters)
-    figure, axes = _panels(stage.tfg, 1, 3)
+    figure, axes, symbol = _panels(stage.tfg, 1, 3)
     panels = (("Exploitation", gains.exploitation), ("Exploration", gains.exploration), ("Total", gains.gain))
     for axis, (title, values) in zip(axes, panels, strict=True):
-        _draw_map(axis, stage)
+        _draw_map(axis, stage, symbol)
         _draw_samples(figure, axis, stage.roadmap.points[nodes], values)
         axis.set_title(title, fontsize=9)
     return figure
@@ -58,14 +59,14 @@ def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
 
 def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
     """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 5)."""
-    figure, axes = _panels(stage.tfg, 2, len(PRIORS))
+    figure, axes, symbol = _panels(stage.tfg, 2, len(PRIORS))
     varied = [("prior", "prior_sigma", name, value, "m") for name, value in PRIORS.items()]
     varied += [("density", "density", name, value, "a metre") for name, value in DENSITIES.items()]
     for axis, (what, key, name, value, unit) in zip(axes, varied, strict=True):
         explorer = copy.copy(parameters.explorer)
         setattr(explorer, key, value)
         nodes, gains = gain_field(stage, dataclasses.replace(parameters, explorer=explorer))
-        _draw_map(axis, stage)
+        _draw_map(axis, stage, symbol)
         _draw_samples(figure, axis, stage.roadmap.points[nodes], gains.gain)
         axis.set_title(f"{name.capitalize()} {what}: {value:g} {unit}", fontsize=9)
     return figure
@@ -73,8 +74,8 @@ def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
 
 def draw_tfg(stage: Stage) -> Figure:
     """The topological feature graph with goal points and what the newest of them saw (the paper's Fig. 3)."""
-    figure, (axis,) = _panels(stage.tfg, 1, 1)
-    _draw_map(axis, stage)
+    figure, (axis,), symbol = _panels(stage.tfg, 1, 1)
+    _draw_map(axis, stage, symbol)
     X_MA, estimate = stage.estimate.X_MA, stage.estimate
     seen = estimate.p_ML[np.isin(estimate.ids, estimate.observation.ids)]
     rays = [(X_MA[-1, :2], p) for p in seen]
@@ -92,9 +93,9 @@ def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -
     """The map at some stages of one mission with the robot's way so far, its places p_MB (n, 2), m, at stamps (n,), s
     (the paper's Fig. 9)."""
     columns = 2
-    figure, axes = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
+    figure, axes, symbol = _panels(stages[-1].tfg, -(-len(stages) // columns), columns)
     for axis, stage in zip(axes, stages, strict=False):
-        _draw_map(axis, stage)
+        _draw_map(axis, stage, symbol)
         axis.plot(*p_MB[stamps <= stage.estimate.stamp].T, "-", color=_VIEW, linewidth=0.6, zorder=2)
         axis.plot(*stage.estimate.X_MA[:, :2].T, "o", color=_VIEW, markersize=3, markeredgewidth=0, zorder=5)
         text = f"stage {stage.estimate.stage}, {stage.estimate.stamp:.0f} s, {len(stage.estimate.ids)} landmarks"
@@ -102,24 +103,18 @@ def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -
     return figure
 
 
-def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """A figure of equal panels that all show the area of the map."""
+def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes], float]:
+    """A figure of equal panels that all show the area of the map, and a symbol's size, see `panels`."""
     points = np.vstack([tfg.segments.reshape(-1, 2), tfg.star_vertices])
-    (x_min, y_min), (x_max, y_max) = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    panel = _WIDTH / columns
-    height = rows * (panel * (y_max - y_min) / (x_max - x_min) + 0.55) + (0.4 if columns == 1 else 0.15)
-    figure = Figure(figsize=(_WIDTH, max(height, 1.5)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
+    figure, axes, symbol = panels(points, _WIDTH, 0.55 * rows + 0.4, rows, columns)
     for axis in axes:
-        axis.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xticks=[], yticks=[])
-        axis.spines[:].set_visible(False)
-    return figure, axes
+        axis.set(xticks=[], yticks=[])
+    return figure, axes, symbol
 
 
-def _draw_map(axis: Axes, stage: Stage) -> None:
+def _draw_map(axis: Axes, stage: Stage, symbol: float) -> None:
     """Free space, surfaces, landmarks, frontiers."""
-    shown = [*of_free_space(stage.tfg), *of_map(stage.estimate, stage.tfg, None)]
-    draw(axis, np.zeros(3), shown, symbol_of(_WIDTH, np.ptp(axis.get_xlim())))
+    draw(axis, np.zeros(3), [*of_free_space(stage.tfg), *of_map(stage.estimate, stage.tfg, None)], symbol)
 
 
 def _draw_samples(figure: Figure, axis: Axes, points: FloatArray, values: FloatArray) -> PathCollection:
