@@ -14,7 +14,7 @@ POINTS_PER_INCH = 72.0
 # may be, points.
 MARGIN = 1.0
 HEIGHTS = 1.5, 12.0
-SYMBOLS = 0.4, 2.0
+SYMBOLS = 0.7, 2.0
 
 
 def panels(

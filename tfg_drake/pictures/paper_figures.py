@@ -106,7 +106,7 @@ def draw_growth(stages: Sequence[Stage], stamps: FloatArray, p_MB: FloatArray) -
 def _panels(tfg: TfgMap, rows: int, columns: int) -> tuple[Figure, list[Axes], float]:
     """A figure of equal panels that all show the area of the map, and a symbol's size, see `panels`."""
     points = np.vstack([tfg.segments.reshape(-1, 2), tfg.star_vertices])
-    figure, axes, symbol = panels(points, _WIDTH, 0.55 * rows + 0.4, rows, columns)
+    figure, axes, symbol = panels(points, _WIDTH, 0.55 * rows + 0.3, rows, columns)
     for axis in axes:
         axis.set(xticks=[], yticks=[])
     return figure, axes, symbol
