@@ -44,4 +44,4 @@ def test_empty_inputs():
     assert outline_segments(np.zeros((0, 32, 2))).shape == (0, 4)
     assert polyline_segments(np.zeros((1, 2))).shape == (0, 4)
     assert bands(np.zeros((0, 4)), 0.1).shape == (0, 4, 2)
-    assert circles(nothing, 0.1).shape == (0, 16, 2)
+    assert circles(nothing, 0.1).shape == (0, 12, 2)

@@ -430,7 +430,7 @@ return { robot: place(at("map", "robot")), truth: place(at("truth")), people: pl
          landmarks: vertices(at("map", "map"), "landmark"),
          path: drives ? vertices(at("map", "driving"), "path") : [] };
 """
-CORNERS = 18  # of the top of a landmark: six triangles
+CORNERS = 30  # of the top of a landmark: ten triangles
 
 
 LONG_LOOK = ["reality.people=1", "explorer.first_look=20", "explorer.first_turns=3"]

@@ -59,6 +59,6 @@ def spreads(segments: FloatArray, deviations: FloatArray, sigmas: float = 3.0) -
     return np.stack([start - begin, finish - end, finish + end, start + begin], axis=1)
 
 
-def circles(centers: FloatArray, radius: float, corners: int = 16) -> FloatArray:
+def circles(centers: FloatArray, radius: float, corners: int = 12) -> FloatArray:
     """Regular polygons round centers (n, 2): outlines (n, corners, 2), anticlockwise."""
     return ellipses(centers, np.tile(np.eye(2), (len(centers), 1, 1)), radius, corners)
