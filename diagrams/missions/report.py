@@ -121,12 +121,10 @@ def figure_of(
     """A mission's building, a map of it and the way. reachable: (t,) of the world's tags, where that is known."""
     from tfg_drake.pictures.figure import run_figure  # Its libraries stay out of a mission's memory.
 
-    world, true_poses = mission.world_then, mission.true_poses()
-    if reachable is None:
-        reachable = np.zeros(0 if world is None else len(world.tag_ids), dtype=np.bool_)
-    X_WB, X_WB_true = mission.estimated_poses()[1], np.zeros((0, 3)) if true_poses is None else true_poses[1]
-    seen = (world, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM, mission.landmarks)
-    return run_figure(title, *seen)
+    X_WB, true_poses = mission.estimated_poses()[1], mission.true_poses()
+    X_WB_true = np.zeros((0, 3)) if true_poses is None else true_poses[1]
+    seen = (mission.world_then, estimate, tfg, mission.grid, X_WB, X_WB_true, reachable, mission.X_WM)
+    return run_figure(title, *seen, mission.landmarks)
 
 
 def write_map(folder: RunFolder, grid: GridMap | None, saved: SavedMap | None, *, final: bool = True) -> None:

@@ -33,19 +33,20 @@ _MISSED = css(LIGHT.keep_out)
 SEEN = 0.1
 # Of the drawing, inches.
 _WIDTH = 11.0
+NO_POSES = np.zeros((0, 3))
 
 
 def run_figure(
     title: str,
-    world: World | None,
-    estimate: MapEstimate | None,
-    tfg: TfgMap | None,
-    grid: GridMap | None,
-    X_WB_estimated: FloatArray,
-    X_WB_true: FloatArray,
-    reachable: BoolArray,
+    world: World | None = None,
+    estimate: MapEstimate | SavedMap | None = None,
+    tfg: TfgMap | None = None,
+    grid: GridMap | None = None,
+    X_WB_estimated: FloatArray = NO_POSES,
+    X_WB_true: FloatArray = NO_POSES,
+    reachable: BoolArray | None = None,
     X_WM: FloatArray | None = None,
-    with_walls: MapEstimate | None = None,
+    with_walls: MapEstimate | KeyframeGraph | None = None,
 ) -> Figure:
     """The building, the map made of it, and the way the robot went.
 
@@ -54,7 +55,7 @@ def run_figure(
         world: walls, tags and start, in W; None where it is not known.
         estimate, tfg, grid: the map in M; None where there is none (yet).
         X_WB_estimated, X_WB_true: (n, 3) and (m, 3) trajectories in W; may be empty.
-        reachable: (t,) of the world's tags: only these count as missed when they are not in the map.
+        reachable: (t,) of the world's tags: only these count as missed when they are not in the map; None for none.
         X_WM: (3,) pose of the map frame in W, that of the start where there is none.
         with_walls: the estimate with the walls that are landmarks, None where there are none.
 
@@ -63,13 +64,14 @@ def run_figure(
     grid = grid if grid is not None and grid.probability.size else None  # Nothing is mapped before the first scan.
     if X_WM is None:
         X_WM = world.start if world is not None else np.zeros(3)
-    shown = [X_WB_true[:, :2], X_WM[None, :2]]
+    shown, in_M = [X_WB_true[:, :2], X_WM[None, :2]], list[FloatArray]()
     if world is not None:
         shown.append(world.walls.reshape(-1, 2))
     else:
-        shown.append(X_WB_estimated[:, :2])
-        shown += [tfg.segments.reshape(-1, 2), tfg.star_vertices] if tfg is not None else []
-        shown += [scene.grid_cells(grid)["free"].reshape(-1, 2)] if grid is not None else []
+        in_M += [estimate.p_ML, estimate.X_MA[:, :2]] if estimate is not None else []
+        in_M += [tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices] if tfg is not None else []
+        in_M += [scene.grid_cells(grid)["free"].reshape(-1, 2)] if grid is not None else []
+        shown += [X_WB_estimated[:, :2], *(transform(X_WM, points) for points in in_M)]
     figure, axes, symbol = plan(title, np.vstack(shown), _WIDTH)
 
     if world is not None:
@@ -84,7 +86,7 @@ def run_figure(
         truth.set_linestyle((0, (3, 2)))
     if estimate is not None:
         _draw_views(axes, X_WM, estimate.X_MA)
-    if world is not None and grid is None:
+    if world is not None and grid is None and reachable is not None:
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, () if estimate is None else estimate.ids)]
         if len(missed):
             label = "tag missed"
@@ -108,12 +110,8 @@ def draw_map(path: Path, title: str, saved: SavedMap) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    X_WM, tfg = saved.X_WM, saved.tfg
-    shown = [saved.p_ML, saved.X_MA[:, :2], tfg.segments.reshape(-1, 2), tfg.frontiers, tfg.star_vertices]
-    figure, axes, symbol = plan(title, transform(X_WM, np.vstack(shown)), _WIDTH)
-    draw_known(axes, X_WM, saved, tfg, saved.graph, symbol)
-    _draw_views(axes, X_WM, saved.X_MA)
-    write_figure(path, add_legend(figure))
+    figure = run_figure(title, estimate=saved, tfg=saved.tfg, X_WM=saved.X_WM, with_walls=saved.graph)
+    write_figure(path, figure)
 
 
 def draw_known(
