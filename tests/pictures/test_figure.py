@@ -55,7 +55,7 @@ def like(path, colour, tolerance=8):
 
 
 def test_the_true_path_is_seen_where_the_estimated_one_is_the_same(tmp_path):
-    poses, blue, yellow = np.array([[1.0, 1.0, 0.0], [4.0, 1.0, 0.0]]), [0x1F, 0x4E, 0x9C], [0xFF, 0xC1, 0x07]
+    poses, blue, yellow = np.array([[1.0, 1.0, 0.0], [4.0, 1.0, 0.0]]), [26, 56, 107], [250, 204, 64]
     counts = []
     for truth in (np.zeros((0, 3)), poses):
         figure = run_figure("path", WORLD, None, None, None, poses, truth, np.zeros(2, dtype=bool))

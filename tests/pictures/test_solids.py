@@ -43,7 +43,7 @@ def areas(vertices, triangles):
 
 
 def test_a_solid_is_closed_but_for_its_bottom_and_faces_outwards(looks):
-    looks(box=Look("", BLUE, 2.0, 2.5, 0.5, 0.4))
+    looks(box=Look("", BLUE, 2.0, 2.0, stands=True, opacity=0.4))
     obj, materials = wavefront([Layer("box", np.array([[0.0, 0.0, 3.0, 4.0]]))], 0.5)
     vertices, faces = read(obj)
     assert set(faces) == {"box", "box_side"}
@@ -52,7 +52,7 @@ def test_a_solid_is_closed_but_for_its_bottom_and_faces_outwards(looks):
     np.testing.assert_allclose(np.linalg.norm(sides, axis=1).sum(), 2.0 * (6.0 + 6.0 + 1.0 + 1.0), rtol=1e-2)
     outwards = vertices[faces["box_side"]].mean(axis=1) - vertices.mean(axis=0)
     assert np.all(np.sum(sides * outwards, axis=1) > 0.0)
-    assert sorted(set(vertices[:, 2])) == [0.5, 2.5]
+    assert sorted(set(vertices[:, 2])) == [0.0, 2.0]
     top, side = (np.array(line.split()[1:], float) for line in materials.splitlines() if line.startswith("Ke"))
     assert np.all(side <= top)
     assert side[2] < top[2]
@@ -83,7 +83,7 @@ def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
     shown = drawn("tfg", {"segments": segments, "kind": np.array([0, 2, 2, 3])})
     counts = {name: len(one.shapes) for name, one in shown.items()}
     assert counts == {"edge": 1, "wall_end": 0, "bare_surface": 2, "keep_out": 1}
-    assert all(one.look.high > one.look.bottom == 0.0 for one in shown.values())
+    assert all(one.look.stands and one.look.high > 0.0 for one in shown.values())
 
     covariance = np.array([[1e-4, 0.0, 1e-4], [0.04, 0.0, 0.04]])
     arrays = {"points": segments[:2, :2], "covariance": covariance, "doubtful": np.array([True, False])}
@@ -94,7 +94,8 @@ def test_surfaces_stand_by_kind_and_doubtful_landmarks_apart():
     for name, sigma, center in (("doubtful", 0.01, segments[0, :2]), ("landmark", 0.2, segments[1, :2])):
         ellipse = shown[f"{name}_3sigma"]
         np.testing.assert_allclose(np.hypot(*(ellipse.shapes[0] - center).T), 30.0 * sigma)
-        assert ellipse.look.bottom == ellipse.look.high > shown[name].look.high
+        assert not ellipse.look.stands
+        assert ellipse.look.high > shown[name].look.high
 
 
 def test_a_wall_that_is_a_landmark_is_a_line_over_the_surfaces_and_a_band_over_that():
@@ -102,7 +103,8 @@ def test_a_wall_that_is_a_landmark_is_a_line_over_the_surfaces_and_a_band_over_t
     arrays["deviation"] = np.array([[0.02, 0.1], [0.001, 0.001]])
     line, band = layers("wall_landmarks", arrays, 30.0)
     assert (len(line.shapes), len(band.shapes)) == (2, 2)
-    assert band.look.bottom == band.look.high > line.look.high > LOOKS["edge"].high
+    assert not band.look.stands
+    assert band.look.high > line.look.high > LOOKS["edge"].high
     vertices, faces = read(wavefront([band], 0.1)[0])
     assert areas(vertices, faces[band.name]).sum(axis=0)[2] == pytest.approx(
         30.0 * (4.0 * (0.02 + 0.1) + 0.002), rel=1e-3

@@ -17,6 +17,7 @@ from tfg_drake.messages import FloatArray, GridMap
 from tfg_drake.percent import percent
 from tfg_drake.pictures.figure import draw, draw_known
 from tfg_drake.pictures.layers import Layer, layers
+from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.pictures.panels import panels
 from tfg_drake.pictures.scene import grid_cells
 from tfg_drake.world.world import World
@@ -25,7 +26,6 @@ from tfg_drake.world.world import World
 _NAMED = {"tfg": "#0072B2", "tfg-argmax": "#56B4E9", "tfg-nearest": "#D55E00", "grid-nearest": "#000000"}
 _NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
 _OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
-_PATH = "#1f4e9c"
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 _SMALL, _TEXT = 7, 8  # points
 # A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
@@ -133,7 +133,7 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
     if one.grid is not None:
         draw(axes, one.world.start, layers("grid", grid_cells(one.grid), cell=one.grid.resolution), symbol)
     if len(one.X_WB):
-        axes.plot(*one.X_WB[:, :2].T, color=_PATH, linewidth=0.4, alpha=0.6, label="true path", zorder=1)
+        axes.plot(*one.X_WB[:, :2].T, color=css(LIGHT.robot), linewidth=0.4, alpha=0.6, label="true path", zorder=1)
     if one.saved is not None:
         draw_known(axes, one.saved.X_WM, one.saved, one.saved.tfg, one.saved.graph, symbol)
 

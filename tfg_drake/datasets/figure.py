@@ -15,7 +15,7 @@ from tfg_drake.pictures.figure_file import write_figure
 from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.pictures.panels import add_legend, plan
 
-_SMOOTHED, _ONLINE, _TRUTH, _WRONG = "#1f4e9c", "#e8962e", "#7fb2e5", "#d62728"
+_SMOOTHED, _ONLINE, _TRUTH = css(LIGHT.robot), css(LIGHT.bare_surface), css(LIGHT.scan)
 # Of the drawing, inches.
 _WIDTH = 9.0
 # Landmarks are named where there are no more than this.
@@ -65,7 +65,7 @@ def draw_slam(
             axes.annotate(str(name), p, xytext=(4, 4), textcoords="offset points", fontsize=7, color="0.25")
     for name in misfit_ids:
         ends = np.vstack([p_WL[ids == name], truth.p_WL[truth.ids == name]])
-        axes.plot(*ends.T, "--", color=_WRONG, linewidth=0.8)
+        axes.plot(*ends.T, "--", color=css(LIGHT.keep_out), linewidth=0.8)
     write_figure(path, add_legend(figure, 5))
 
 

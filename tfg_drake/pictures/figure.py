@@ -27,8 +27,7 @@ from tfg_drake.world.world import World
 # Views nearer to each other than this, points of the drawing, are not both numbered.
 NUMBER_SPACING = 36.0
 # Light, dashed on dark: one lies over the other where both agree.
-_ESTIMATE, _TRUTH = "#1f4e9c", "#ffc107"
-_MISSED = css(LIGHT.keep_out)
+_ESTIMATE, _TRUTH = css(LIGHT.robot), css(LIGHT.camera)
 # Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
 SEEN = 0.1
 # Of the drawing, inches.
@@ -90,7 +89,9 @@ def run_figure(
         missed = world.p_WT[reachable & ~np.isin(world.tag_ids, () if estimate is None else estimate.ids)]
         if len(missed):
             label = "tag missed"
-            axes.plot(*missed.T, "X", color=_MISSED, markersize=4.0 * symbol, markeredgewidth=0, label=label)
+            axes.plot(
+                *missed.T, "X", color=css(LIGHT.keep_out), markersize=4.0 * symbol, markeredgewidth=0, label=label
+            )
     start = X_WB_estimated[0] if len(X_WB_estimated) else X_WM
     axes.plot(*start[:2], "^", color="0.1", markersize=7, label="start", zorder=6)
     way = X_WB_true if len(X_WB_true) else X_WB_estimated
@@ -152,7 +153,7 @@ def draw(axes: Axes, X_WM: FloatArray, shown: Iterable[Layer], symbol: float, ti
             continue
         label = look.words + (f" \u00d7 {times:g}" if layer.name.endswith(SPREAD) and times > 1.0 else "")
         # What stands is translucent in space only, for the sake of what is behind it.
-        opacity = look.opacity if look.high == look.bottom else 1.0
+        opacity = 1.0 if look.stands else look.opacity
         style: dict[str, Any] = {"label": label or None, "alpha": opacity, "zorder": 1.0 + look.high}
         if layer.kind == "points":
             size = 2.0 * look.size * symbol

@@ -20,7 +20,7 @@ from tfg_drake.pictures.palette import FREE, GAINS, LIGHT, Colour
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
-# A symbol's size in pictures of true size, m: a line is about as wide as a skirting board.
+# A symbol's size in pictures of true size, m.
 SYMBOL = 0.05
 # Tops of what stands, m above the floor: of surfaces, of the lines of walls on these, and of tags.
 SURFACE, ON_SURFACE, TAG = 0.4, 0.41, 0.45
@@ -30,45 +30,40 @@ class Look(NamedTuple):
     """Appearance of a layer.
 
     words: its name in a legend, "" where it has none. size: a line's width or a point's radius, in symbols of the
-    picture. high, low: where its top and its bottom are in space, m; a sheet where they are the same. lit: its colour
-    in space, where lamps and a dark ground change what is seen.
+    picture. high: where its top is in space, m above the floor. stands: on the floor; else it is a sheet. lit: its
+    colour in space, where lamps and a dark ground change what is seen.
     """
 
     words: str
     colour: Colour
     size: float = 0.0
     high: float = 0.0
-    low: float | None = None
+    stands: bool = False
     opacity: float = 1.0
     lit: Colour | None = None
 
     @property
     def in_space(self) -> Colour:
         """The colour in space."""
-        return self.colour if self.lit is None else self.lit
-
-    @property
-    def bottom(self) -> float:
-        """Where its bottom is, m."""
-        return self.high if self.low is None else self.low
+        return self.lit or self.colour
 
 
 # What lies on the floor is far enough apart for a browser to tell which is above.
 LOOKS: dict[str, Look] = {
     "floor": Look("", (0.80, 0.82, 0.85), high=0.01),
     "free_space": Look("free space", FREE, high=0.02),
-    "wall": Look("true wall", LIGHT.wall, 1.1, 0.35, 0.0, 0.6),
-    "true_tag": Look("", LIGHT.wall_end, 1.6, 0.3, 0.1),
-    "occupied": Look("occupied cell", LIGHT.edge, 0.0, SURFACE, 0.0),
-    "edge": Look("mapped surface", LIGHT.edge, 1.2, SURFACE, 0.0, lit=LIGHT.edge_in_space),
-    "wall_end": Look("past the last tag", LIGHT.wall_end, 1.2, SURFACE, 0.0),
-    "bare_surface": Look("without landmark", LIGHT.bare_surface, 1.2, SURFACE, 0.0),
-    "keep_out": Look("keep-out area", LIGHT.keep_out, 1.2, SURFACE, 0.0),
+    "wall": Look("true wall", LIGHT.wall, 1.1, 0.35, stands=True, opacity=0.6),
+    "true_tag": Look("", LIGHT.wall_end, 1.6, 0.3, stands=True),
+    "occupied": Look("occupied cell", LIGHT.edge, high=SURFACE, stands=True),
+    "edge": Look("mapped surface", LIGHT.edge, 1.2, SURFACE, stands=True, lit=LIGHT.edge_in_space),
+    "wall_end": Look("past the last tag", LIGHT.wall_end, 1.2, SURFACE, stands=True),
+    "bare_surface": Look("without landmark", LIGHT.bare_surface, 1.2, SURFACE, stands=True),
+    "keep_out": Look("keep-out area", LIGHT.keep_out, 1.2, SURFACE, stands=True),
     "wall_landmark": Look("wall (landmark)", LIGHT.wall_landmark, 0.6, ON_SURFACE),
     "wall_landmark_3sigma": Look("wall, 3\u03c3", LIGHT.wall_landmark, high=ON_SURFACE + 0.005, opacity=0.3),
-    "landmark": Look("tag", LIGHT.landmark, 1.4, TAG, 0.0),
+    "landmark": Look("tag", LIGHT.landmark, 1.4, TAG, stands=True),
     "landmark_3sigma": Look("tag, 3\u03c3", LIGHT.landmark, high=TAG + 0.02, opacity=0.3),
-    "doubtful": Look("doubtful tag", LIGHT.doubtful, 1.4, TAG, 0.0),
+    "doubtful": Look("doubtful tag", LIGHT.doubtful, 1.4, TAG, stands=True),
     "doubtful_3sigma": Look("doubtful tag, 3\u03c3", LIGHT.doubtful, high=TAG + 0.02, opacity=0.3),
     "trail": Look("way driven", LIGHT.trail, 0.6, 0.03),
     **{f"gain_{k}": Look("", GAINS[k], 0.4 + 0.3 * k, 0.04) for k in range(len(GAINS))},
@@ -79,11 +74,11 @@ LOOKS: dict[str, Look] = {
     "stop": Look("", LIGHT.path, 3.6, TAG + 0.05),
     "number": Look("", (1.0, 1.0, 1.0), 0.6, TAG + 0.06),
     "scan": Look("scan", LIGHT.scan, 0.6, 0.43),
-    "robot": Look("robot", LIGHT.robot, 0.0, 0.3, 0.0),
-    "heading": Look("", (1.0, 1.0, 1.0), 0.0, 0.33, 0.3),
+    "robot": Look("robot", LIGHT.robot, high=0.3, stands=True),
+    "heading": Look("", (1.0, 1.0, 1.0), high=0.33, stands=True),
     "robot_3sigma": Look("", LIGHT.robot, high=TAG + 0.02, opacity=0.4),
-    "truth": Look("robot (true)", LIGHT.truth, 0.0, 0.15, 0.0, 0.5),
-    "person": Look("person", LIGHT.person, 0.0, 1.6, 0.0, 0.8),
+    "truth": Look("robot (true)", LIGHT.truth, high=0.15, stands=True, opacity=0.5),
+    "person": Look("person", LIGHT.person, high=1.6, stands=True, opacity=0.8),
 }
 # What the name of a layer of standard deviations ends with.
 SPREAD = "_3sigma"

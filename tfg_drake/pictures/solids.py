@@ -45,8 +45,8 @@ def wavefront(shown: Iterable[Layer], unit: float) -> tuple[str, str]:
         count += n * c
         lines += _faces(name, top)
         materials.append(_material(name, look.in_space, look.opacity))
-        if look.high > look.bottom:
-            lines += _vertices(outlines, look.bottom)
+        if look.stands:
+            lines += _vertices(outlines, 0.0)
             low, count = top + n * c, count + n * c
             walls = np.stack([top, low, np.roll(low, -1, axis=1), np.roll(top, -1, axis=1)], axis=2)
             lines += _faces(f"{name}_side", walls.reshape(-1, 4))
