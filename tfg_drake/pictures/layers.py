@@ -54,7 +54,7 @@ LOOKS: dict[str, Look] = {
     "free_space": Look("free space", FREE, high=0.02),
     "wall": Look("true wall", LIGHT.wall, 1.1, 0.35, stands=True, opacity=0.6),
     "true_tag": Look("", LIGHT.wall_end, 1.6, 0.3, stands=True),
-    "occupied": Look("occupied cell", LIGHT.edge, high=SURFACE, stands=True),
+    "occupied": Look("occupied cell", LIGHT.edge, high=SURFACE, stands=True, lit=LIGHT.edge_in_space),
     "edge": Look("mapped surface", LIGHT.edge, 1.2, SURFACE, stands=True, lit=LIGHT.edge_in_space),
     "wall_end": Look("past the last tag", LIGHT.wall_end, 1.2, SURFACE, stands=True),
     "bare_surface": Look("without landmark", LIGHT.bare_surface, 1.2, SURFACE, stands=True),
