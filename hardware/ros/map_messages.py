@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,7 @@ from tfg_drake.messages import (
     PoseEstimate,
     TfgMap,
 )
-from tfg_drake.pictures.drawing import outline_segments
-from tfg_drake.pictures.layers import SYMBOL, Layer, Look
+from tfg_drake.pictures.layers import LETTER, Layer, Look
 
 Fields = dict[str, Any]
 
@@ -36,8 +35,6 @@ Fields = dict[str, Any]
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 # visualization_msgs/Marker: its types, and the action that clears a display.
 LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 5, 7, 9, 3
-# Width of an outline and height of letters, m.
-OUTLINE, LETTER = 0.01, 0.2
 
 
 def tfg_grid(tfg: TfgMap, stamp: float, frames: Frames, cell: float = CELL) -> Fields:
@@ -75,23 +72,23 @@ def markers(stamp: float, frames: Frames, shown: Iterable[Layer]) -> Fields:
     header = _header(stamp, frames.map)
     found: list[Fields] = [{"header": header, "action": DELETE_ALL}]
 
-    def add(ns: str, kind: int, scale: Fields, look: Look, **fields: Any) -> None:
-        marker = {"ns": ns, "id": len(found), "type": kind, "scale": scale, "color": _colour(look)}
+    def add(ns: str, kind: int, look: Look, scale: Fields, **fields: Any) -> None:
+        marker = {"ns": ns, "id": len(found), "type": kind, "scale": scale, "color": look.rgba}
         found.append({"header": header, "action": 0, "pose": pose_fields(np.zeros(3)), **marker, **fields})
 
     for layer in shown:
-        look, shapes, size = layer.look, layer.shapes, SYMBOL * layer.look.size
-        if not len(shapes):
+        look = layer.look
+        if not len(layer.shapes):
             continue
         if layer.kind == "points":
-            add(layer.name, SPHERE_LIST, dict.fromkeys("xyz", 2.0 * size), look, points=_points(shapes, look.high))
+            size = dict.fromkeys("xyz", 2.0 * look.width)
+            add(layer.name, SPHERE_LIST, look, size, points=_points(np.asarray(layer.shapes), look.high))
         else:  # Lines have no height and no thickness but x.
-            lines = outline_segments(np.asarray(shapes)) if layer.kind == "areas" else np.asarray(shapes)
-            points = _points(lines.reshape(-1, 2), look.high)
-            add(layer.name, LINE_LIST, {"x": size or OUTLINE, "y": 0.0, "z": 0.0}, look, points=points)
+            size = {"x": look.width, "y": 0.0, "z": 0.0}
+            add(layer.name, LINE_LIST, look, size, points=_points(layer.segments.reshape(-1, 2), look.high))
         for words, place in layer.labels.items():
             at = pose_fields(np.append(place, 0.0), height=look.high + LETTER)
-            add(f"{layer.name} labels", TEXT, dict.fromkeys("xyz", LETTER), look, text=words, pose=at)
+            add(f"{layer.name} labels", TEXT, look, dict.fromkeys("xyz", LETTER), text=words, pose=at)
     return {"markers": found}
 
 
@@ -139,10 +136,5 @@ def pose_fields(X: FloatArray, height: float = 0.0) -> Fields:
     return {"position": {"x": x, "y": y, "z": height}, "orientation": orientation}
 
 
-def _points(points: FloatArray | Sequence[FloatArray], height: float) -> list[Fields]:
-    return [{"x": x, "y": y, "z": height} for x, y in np.asarray(points).tolist()]
-
-
-def _colour(look: Look) -> Fields:
-    r, g, b = look.in_space
-    return {"r": r, "g": g, "b": b, "a": look.opacity}
+def _points(points: FloatArray, height: float) -> list[Fields]:
+    return [{"x": x, "y": y, "z": height} for x, y in points.tolist()]

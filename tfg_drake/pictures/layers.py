@@ -14,14 +14,14 @@ import numpy as np
 from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures import scene, tables
-from tfg_drake.pictures.drawing import bands, circles, ellipses, spreads
+from tfg_drake.pictures.drawing import bands, circles, ellipses, outline_segments, spreads
 from tfg_drake.pictures.palette import FREE, GAINS, LIGHT, Colour
 
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
-# A symbol's size in pictures of true size, m.
-SYMBOL = 0.05
+# In pictures of true size: a symbol's size, the width of an outline, and the height of letters, m.
+SYMBOL, OUTLINE, LETTER = 0.05, 0.01, 0.2
 # Tops of what stands, m above the floor: of surfaces, of the lines of walls on these, and of tags.
 SURFACE, ON_SURFACE, TAG = 0.4, 0.41, 0.45
 
@@ -46,6 +46,16 @@ class Look(NamedTuple):
     def in_space(self) -> Colour:
         """The colour in space."""
         return self.lit or self.colour
+
+    @property
+    def rgba(self) -> dict[str, float]:
+        """The same with its opacity, by the names that ROS and Foxglove have."""
+        return dict(zip("rgba", (*self.in_space, self.opacity), strict=True))
+
+    @property
+    def width(self) -> float:
+        """Width of its lines or outlines in pictures of true size, m."""
+        return SYMBOL * self.size or OUTLINE
 
 
 # What lies on the floor is far enough apart for a browser to tell which is above.
@@ -110,6 +120,12 @@ class Layer(NamedTuple):
         if not isinstance(shapes, np.ndarray) or shapes.ndim > 2:
             return "areas"
         return "lines" if shapes.shape[1] == 4 else "points"
+
+    @property
+    def segments(self) -> FloatArray:
+        """Lines, or the outlines of areas, as segments (k, 4)."""
+        shapes = np.asarray(self.shapes)
+        return outline_segments(shapes) if self.kind == "areas" else shapes
 
     def outlines(self, unit: float) -> FloatArray:
         """All shapes as outlines (n, c, 2) as large as they look where a symbol has a size, m."""

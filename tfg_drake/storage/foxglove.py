@@ -16,10 +16,9 @@ from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan as FoxgloveScan
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2
 
-from tfg_drake.messages import LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
+from tfg_drake.messages import FloatArray, LaserScan, MapEstimate, Path, PoseEstimate, TfgMap
 from tfg_drake.pictures import scene
-from tfg_drake.pictures.drawing import outline_segments
-from tfg_drake.pictures.layers import SYMBOL, Layer, layers, of_map
+from tfg_drake.pictures.layers import LETTER, Layer, layers, of_map
 
 MAP, BASE = "map", "base"
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
@@ -28,8 +27,6 @@ FIRST_OWN = 1000
 ONLY_ITS = frozenset(one.name for one in FoxgloveScan.DESCRIPTOR.fields) - {"ranges"}
 # A LinePrimitive of the lines between each two of its points.
 LINE_LIST = 2
-# Width of an outline and height of letters, m.
-_OUTLINE, _LETTER = 0.01, 0.2
 _UPRIGHT = {"w": 1.0}
 
 
@@ -110,29 +107,19 @@ def _scene(time: float, shown: Iterable[Layer]) -> bytes:
 
 def _primitives(layer: Layer) -> dict[str, Any]:
     """The parts of a SceneEntity that draw a layer."""
-    look, size = layer.look, SYMBOL * layer.look.size
-    colour = dict(zip("rgba", (*look.in_space, look.opacity), strict=True))
+    look, colour = layer.look, {"color": layer.look.rgba}
 
-    def at(x: float, y: float, above: float = 0.0) -> dict[str, Any]:
-        return {"position": {"x": x, "y": y, "z": look.high + above}, "orientation": _UPRIGHT}
+    def at(place: FloatArray, above: float = 0.0) -> dict[str, Any]:
+        x, y = place.tolist()
+        return {"pose": {"position": {"x": x, "y": y, "z": look.high + above}, "orientation": _UPRIGHT}, **colour}
 
-    texts = [
-        {
-            "pose": at(float(place[0]), float(place[1]), _LETTER),
-            "billboard": True,
-            "font_size": _LETTER,
-            "color": colour,
-            "text": words,
-        }
-        for words, place in layer.labels.items()
-    ]
+    letters = {"billboard": True, "font_size": LETTER}
+    texts = [{**at(place, LETTER), **letters, "text": words} for words, place in layer.labels.items()]
     if layer.kind == "points":
-        sizes = dict.fromkeys("xyz", 2.0 * size)
-        spheres = [{"pose": at(x, y), "size": sizes, "color": colour} for x, y in np.asarray(layer.shapes).tolist()]
-        return {"spheres": spheres, "texts": texts}
-    lines = outline_segments(np.asarray(layer.shapes)) if layer.kind == "areas" else np.asarray(layer.shapes)
-    points = [{"x": x, "y": y} for x, y in lines.reshape(-1, 2).tolist()]
-    line = {"type": LINE_LIST, "thickness": size or _OUTLINE, "color": colour, "points": points, "pose": at(0.0, 0.0)}
+        size = dict.fromkeys("xyz", 2.0 * look.width)
+        return {"spheres": [{**at(place), "size": size} for place in layer.shapes], "texts": texts}
+    points = [{"x": x, "y": y} for x, y in layer.segments.reshape(-1, 2).tolist()]
+    line = {**at(np.zeros(2)), "type": LINE_LIST, "thickness": look.width, "points": points}
     return {"lines": [line], "texts": texts}
 
 
