@@ -110,10 +110,10 @@ class Building:
         tags = {"points": points, "covariance": covariance, "doubtful": doubtful, "ids": ids}
         walls = {"segments": segments, "kind": self.kind[:count]}
         told = {"stage": number, "entropy": -5.0 * count, "views": number}
-        writer.write_rows("map", now, Table(tags, points, points / POSITION, ids), **told)
-        writer.write_rows("tfg", now, Table(walls, points, segments / POSITION))
+        writer.write_rows("map", now, Table(tags, points / POSITION, ids), **told)
+        writer.write_rows("tfg", now, Table(walls, segments / POSITION))
         some = segments[max(0, count - 200) :]
-        writer.write_rows("frontiers", now, Table({"segments": some}, some[:, :2], some / POSITION))
+        writer.write_rows("frontiers", now, Table({"segments": some}, some / POSITION))
         middles = self.corner[:rooms] + 0.5 * ROOM
         share = self.rng.integers(0, 256, rooms).astype(np.uint8)
         writer.write("gains", now, {"points": middles, "share": share}, explained=[])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,22 +17,18 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from tfg_drake.config import RobotConfig
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.messages import FloatArray, IntArray
+from tfg_drake.messages import FloatArray
 from tfg_drake.pictures import scene
 from tfg_drake.pictures.drawing import MAGNIFIED, bands, circles, ellipses, polyline_segments
 from tfg_drake.pictures.layers import LOOKS, Layer, layers
 from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
-from tfg_drake.pictures.rows import StandingRows, Table
+from tfg_drake.pictures.rows import Table
 from tfg_drake.pictures.solids import numerals, wavefront
 from tfg_drake.simulation.people import RADIUS
 from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
-# What of a map has changed is drawn anew in squares of this side, m.
-CHUNK = 20.0
-# Name of the rows' places among their arrays.
-PLACES = "places"
 # Of words and legend, m: above Meshcat's own grid.
 PLATE_HEIGHT = 0.05
 # Height of a stop's number, symbols; how many standard deviations are drawn.
@@ -142,7 +138,6 @@ class MeshcatScene:
 
     def begin(self, time: float = 0.0) -> None:
         """Show what there is before the mission begins, at a time, s."""
-        self._rows: dict[str, _Rows] = {}
         # Of each thing its newest version, and whether a recording has that.
         self._versions: dict[str, tuple[int, bool]] = {}
         self._old: list[str] = []
@@ -159,13 +154,10 @@ class MeshcatScene:
         self._attempt(functools.partial(self._Write, layer, time, arrays, told))
 
     def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
-        """Draws how a table has changed."""
-        if layer not in TABLES or self._lost:
-            return
-        rows = self._rows.setdefault(layer, _Rows())
-        for chunk, arrays in rows.change(table):
-            shown = layers(layer, arrays, SIGMAS)
-            self._attempt(functools.partial(self._Show, f"{layer}/{chunk}", time, layer, shown))
+        """Draws a table anew."""
+        if layer in TABLES:
+            shown = layers(layer, table.arrays, SIGMAS)
+            self._attempt(functools.partial(self._Show, layer, time, layer, shown))
 
     def _attempt(self, draw: Callable[[], None]) -> None:
         if self._lost:
@@ -348,32 +340,6 @@ class MeshcatScene:
         self._meshcat.SetCamera(camera)
         towards = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
         self._meshcat.SetCameraPose(target + distance * towards, target)
-
-
-class _Rows:
-    """The rows of a table as they are now, by squares of the ground."""
-
-    def __init__(self) -> None:
-        self._standing = StandingRows()
-        self._arrays: dict[str, NDArray[Any]] = {}
-
-    def change(self, table: Table) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
-        """Takes a change down; yields name and rows of each square that has changed."""
-        numbers, before = self._standing.numbers, self._arrays
-        added, gone = self._standing.change(table)
-        stays, now = ~np.isin(numbers, gone), {**table.arrays, PLACES: table.places}
-        was = before or {name: array[:0] for name, array in now.items()}
-        self._arrays = {name: np.concatenate([was[name][stays], array[added]]) for name, array in now.items()}
-        squares = _squares(self._arrays[PLACES])
-        changed = np.vstack([_squares(was[PLACES][~stays]), _squares(table.places[added])])
-        for x, y in np.unique(changed, axis=0).tolist():
-            here = (squares == (x, y)).all(axis=1)
-            yield f"{x}_{y}", {name: array[here] for name, array in self._arrays.items()}
-
-
-def _squares(places: FloatArray) -> IntArray:
-    """Column and row (n, 2) of the squares of the ground that places (n, 2) are in."""
-    return np.floor(places / CHUNK).astype(np.int64)
 
 
 def _words_of_goal(arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], X_WM: FloatArray) -> str:

@@ -69,23 +69,23 @@ def stage(writer, number, time):
     points = np.stack([1.5 * k, np.full(number, -1.9)], axis=1)
     covariance = np.tile(np.array([0.01, 0.002, 0.02], dtype=np.float32), (number, 1))
     doubtful = k == 2
-    tags = Table({"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k}, points, points, k)
+    tags = Table({"points": points, "covariance": covariance, "doubtful": doubtful, "ids": k}, points, k)
     writer.write_rows("map", time, tags, stage=number, entropy=-5.0 * number, views=number)
     segments = np.array([[-0.9, -2.0, 1.5, -2.0], [1.5, -2.0, 3.0, -2.0], [5.0, -2.0, 5.0, 0.5]])[:number]
     segments = np.vstack([segments, [[4.0, 0.0, 4.5, 0.5]]])  # of an area to keep out of
     walls = np.array([[-0.9, -2.0, 1.5, -2.0], [5.0, -2.0, 5.0, 0.5]])[: number - 1]
     known = {"segments": walls, "deviation": np.array([[0.1, 0.3], [1e-4, 1e-4]], dtype=np.float32)[: number - 1]}
-    writer.write_rows("wall_landmarks", time, Table(known, walls[:, :2], walls, k[1:]))
+    writer.write_rows("wall_landmarks", time, Table(known, walls, k[1:]))
     kind = np.append(k, 3).astype(np.uint8)
-    writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, segments[:, :2], 1e3 * segments))
+    writer.write_rows("tfg", time, Table({"segments": segments, "kind": kind}, 1e3 * segments))
     bars = np.array([[3.0, -1.0, 3.0, -0.6], [3.2, 0.0, 3.2, 0.4]])
-    writer.write_rows("frontiers", time, Table({"segments": bars}, bars[:, :2], bars))
+    writer.write_rows("frontiers", time, Table({"segments": bars}, bars))
     star = np.array([[1.0, 0.0], [-0.8, -1.8], [2.0 + number, -1.8], [2.0 + number, 1.8], [-0.8, 1.8]])
     writer.write("free", time, {"index": np.array([0]), "count": np.array([5]), "points": star})
     nodes = np.array([[0.0, 1.0], [2.0, 1.0], [2.0, -1.0], [3.5, 1.2]])
     ids, edges = np.array([2, 5, 6, 9]), np.array([[2, 5], [5, 6], [5, 9]])
-    writer.write_rows("nodes", time, Table({"points": nodes, "ids": ids}, nodes, nodes, ids))
-    writer.write_rows("roadmap", time, Table({"edges": edges}, nodes[1:], edges.astype(float)))
+    writer.write_rows("nodes", time, Table({"points": nodes, "ids": ids}, nodes, ids))
+    writer.write_rows("roadmap", time, Table({"edges": edges}, edges.astype(float)))
     stops = 3 - number if number > 1 else 3
     tour = {"tour": nodes[[3, 2, 0]][:stops], "done": np.array([6.0, 11.5, 21.0], dtype=np.float32)[:stops]}
     # By way of the roadmap's corner (2, 1), and straight on.

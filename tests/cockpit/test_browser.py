@@ -181,7 +181,7 @@ def test_a_table_is_put_together_at_any_time_from_what_has_changed(page, tmp_pat
         for time in range(40):
             ids = np.union1d(rng.choice(ids, len(ids) // 2, replace=False), rng.integers(0, 10 ** (2 + time // 10), 20))
             points = rng.normal(0.0, 1.0, (len(ids), 2))
-            table = Table({"points": points, "ids": ids, "kind": (ids % 3).astype(np.uint8)}, points, points, ids)
+            table = Table({"points": points, "ids": ids, "kind": (ids % 3).astype(np.uint8)}, points, ids)
             writer.write_rows("map", float(time), table)
             writer.write("scan", float(time), {"points": points})
     told = page(

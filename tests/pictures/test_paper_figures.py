@@ -25,6 +25,8 @@ PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), 
 @pytest.fixture
 def stage():
     estimate, tfg = half_known_room()
+    estimate = dataclasses.replace(estimate, landmark_covariance=np.tile(1e-2 * np.eye(2), (3, 1, 1)))
+    tfg = dataclasses.replace(tfg, segment_kind=np.zeros(3, dtype=int))
     return Stage(estimate, tfg, with_frontiers(roadmap(), estimate, tfg, PARAMETERS.sensor), empty_choice())
 
 

@@ -15,7 +15,7 @@ class Reader:
     def tell(self, values, keys=None):
         """Returns how many rows are written, and how many gone."""
         values = np.asarray(values, dtype=float)
-        added, gone = self.standing.change(Table({}, values[:, :2], values, keys))
+        added, gone = self.standing.change(Table({}, values, keys))
         for number in gone:
             del self.rows[number]
         for row in added:

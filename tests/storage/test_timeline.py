@@ -52,10 +52,10 @@ def test_a_table_is_read_whole_and_lines_of_many_points_to_the_centimetre(tmp_pa
     far = np.array([[-500.0, 0.0, 500.0, 0.25], [500.0, 0.25, -500.0, 0.0]])
     points, ids = np.array([[-1e3, 2.0], [400.004, 3.5], [0.0, 0.0]]), np.array([1, 2, 3])
     with TimelineWriter(tmp_path / FILE_NAME) as writer:
-        writer.write_rows("map", 1.0, Table({"points": points, "ids": ids}, points, points, ids), stage=1)
+        writer.write_rows("map", 1.0, Table({"points": points, "ids": ids}, points, ids), stage=1)
         points = points[1:] + np.array([[0.5, 0.5], [9.0, 9.0]])
-        writer.write_rows("map", 2.0, Table({"points": points, "ids": ids[1:]}, points, points, ids[1:]), stage=2)
-        writer.write_rows("map", 3.0, Table({"points": points[:0], "ids": ids[:0]}, points[:0], points[:0], ids[:0]))
+        writer.write_rows("map", 2.0, Table({"points": points, "ids": ids[1:]}, points, ids[1:]), stage=2)
+        writer.write_rows("map", 3.0, Table({"points": points[:0], "ids": ids[:0]}, points[:0], ids[:0]))
         writer.write("scan", 3.0, {"points": points})
         writer.write("path", 3.0, {"segments": far})
     one, two, none, scan, path = read_timeline(tmp_path)
@@ -227,6 +227,6 @@ def test_a_large_table_is_told_less_often_even_where_nothing_has_changed(tmp_pat
     points = np.zeros((100_000, 2))
     with TimelineWriter(tmp_path / FILE_NAME) as writer:
         for time_now, keys in ((0.0, np.arange(len(points))), (1e3, np.arange(len(points)))):
-            writer.write_rows("map", time_now, Table({"points": points}, points, points, keys))
+            writer.write_rows("map", time_now, Table({"points": points}, points, keys))
         assert not writer.is_due("map", 1e3 + 3.9)
         assert writer.is_due("map", 1e3 + 4.1)

@@ -169,15 +169,15 @@ def told(meshcat, words):
     return base64.b64encode(words_plate(words)) in drawn(meshcat, "words/1")
 
 
-STAGE_PATHS = [*(f"map/{layer}/0_0/1" for layer in ("map", "tfg", "frontiers", "gains")), "map/driving/path/1"]
+STAGE_PATHS = [*(f"map/{layer}/1" for layer in ("map", "tfg", "frontiers", "gains")), "map/driving/path/1"]
 
 
 def test_draws_everything_that_is_there(meshcat):
     Simulator(make_diagram(meshcat, make_messages(), make_world())).AdvanceTo(1.0)
     for path in [*STAGE_PATHS, "map/driving/goal/1", "map/scan/1", "map/robot", "truth", "world/walls", "world/floor"]:
         assert drawn(meshcat, path), path
-    assert b"usemtl edge" in drawn(meshcat, "map/tfg/0_0/1")
-    assert b"usemtl landmark_3sigma" in drawn(meshcat, "map/map/0_0/1")
+    assert b"usemtl edge" in drawn(meshcat, "map/tfg/1")
+    assert b"usemtl landmark_3sigma" in drawn(meshcat, "map/map/1")
 
 
 def test_a_tour_has_numbers_a_way_a_trail_and_words(meshcat):
@@ -230,7 +230,7 @@ def test_draws_walls_that_are_landmarks(meshcat):
     ids, reach = np.append(WALLS_BELOW - 1, [0, 1]), np.array([[-1.0, 2.0], [0, 0], [0, 0]])
     with_walls = replace(make_map(3), ids=ids, reach=reach)
     Simulator(make_diagram(meshcat, make_messages() | {"landmarks": with_walls}, make_world())).AdvanceTo(0.5)
-    assert b"usemtl wall_landmark_3sigma" in drawn(meshcat, "map/wall_landmarks/0_0/1")
+    assert b"usemtl wall_landmark_3sigma" in drawn(meshcat, "map/wall_landmarks/1")
 
 
 def make_people(p_WP):
@@ -308,10 +308,10 @@ def test_without_a_recording_a_map_that_grows_keeps_its_path():
     meshcat = Meshcat(MeshcatParams(host="localhost"))
     simulator = Simulator(growing(meshcat))
     simulator.AdvanceTo(0.25)
-    before = drawn(meshcat, "map/map/0_0/1")
+    before = drawn(meshcat, "map/map/1")
     simulator.AdvanceTo(1.0)
-    assert len(drawn(meshcat, "map/map/0_0/1")) > len(before)
-    assert not meshcat.HasPath("/tfg/map/map/0_0/2")
+    assert len(drawn(meshcat, "map/map/1")) > len(before)
+    assert not meshcat.HasPath("/tfg/map/map/2")
 
 
 def test_in_a_recording_it_has_a_path_a_version_until_there_is_another():
@@ -321,16 +321,16 @@ def test_in_a_recording_it_has_a_path_a_version_until_there_is_another():
     meshcat.StartRecording()
     simulator.AdvanceTo(0.75)
     meshcat.StopRecording()
-    assert [is_visible(meshcat, f"map/map/0_0/{k}") for k in (1, 2)] == [False, True]
+    assert [is_visible(meshcat, f"map/map/{k}") for k in (1, 2)] == [False, True]
     scene = simulator.get_system().GetSystems()[1]._scene
     for count in (3, 4):  # The third is written over.
         estimate = make_map(count, count)
         scene.write_rows("map", float(count), tables.landmarks(estimate))
-    assert [is_visible(meshcat, f"map/map/0_0/{k}") for k in (1, 2, 3)] == [False, False, True]
-    assert not meshcat.HasPath("/tfg/map/map/0_0/4")
+    assert [is_visible(meshcat, f"map/map/{k}") for k in (1, 2, 3)] == [False, False, True]
+    assert not meshcat.HasPath("/tfg/map/map/4")
     meshcat.StartRecording()
     scene.write_rows("map", 5.0, tables.landmarks(make_map(2, 2)))
-    assert [meshcat.HasPath(f"/tfg/map/map/0_0/{k}") for k in (1, 2, 3, 4)] == [False, False, True, True]
+    assert [meshcat.HasPath(f"/tfg/map/map/{k}") for k in (1, 2, 3, 4)] == [False, False, True, True]
 
 
 def test_a_lost_picture_is_told_once_and_ends_nothing(caplog):

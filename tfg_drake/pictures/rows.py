@@ -17,23 +17,22 @@ from tfg_drake.messages import FloatArray, IntArray
 class Table:
     """Rows of a layer.
 
-    arrays: each has n rows. places: (n, 2) m, where each row is. values: (n, k), two rows are alike where no value
-    differs by more than 1. keys: (n,) integers: rows with the same key are the same thing, earlier and later. Without
-    keys a row is told by its values alone.
+    arrays: each has n rows. values: (n, k), two rows are alike where no value differs by more than 1. keys: (n,)
+    integers: rows with the same key are the same thing, earlier and later. Without keys a row is told by its values
+    alone.
     """
 
     arrays: Mapping[str, NDArray[Any]]
-    places: FloatArray
     values: FloatArray
     keys: IntArray | None = None
 
 
 @dataclasses.dataclass(eq=False)
 class StandingRows:
-    """The rows of a layer that stand in a file. numbers: (n,) of each row, how many were written before it."""
+    """The rows of a layer that stand in a file. A row's number counts the rows that were written before it."""
 
     _count: int = 0
-    numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _numbers: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     _values: FloatArray | None = None
     _keys: IntArray | None = None
 
@@ -44,8 +43,8 @@ class StandingRows:
         same = _alike(before, table.values, self._keys, table.keys)
         stays = np.zeros(len(before), dtype=np.bool_)
         stays[same[same >= 0]] = True
-        gone, added = self.numbers[~stays], np.flatnonzero(same < 0)
-        self.numbers = np.append(self.numbers[stays], self._count + np.arange(len(added)))
+        gone, added = self._numbers[~stays], np.flatnonzero(same < 0)
+        self._numbers = np.append(self._numbers[stays], self._count + np.arange(len(added)))
         self._count += len(added)
         self._values = np.vstack([before.compress(stays, axis=0), table.values.take(added, axis=0)])
         if table.keys is not None:

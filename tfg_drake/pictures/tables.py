@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures.rows import Table
 from tfg_drake.pictures.scene import POSITION
 from tfg_drake.slam.walls import known_walls
@@ -35,7 +35,7 @@ def landmarks(estimate: MapEstimate | SavedMap) -> Table:
     correlation = xy / np.sqrt(xx * yy) / VARIANCE
     values = np.column_stack([estimate.p_ML / POSITION, spread, correlation, 2.0 * doubtful])
     told = {"covariance": covariance.astype(np.float32), "doubtful": doubtful}
-    return Table({"points": estimate.p_ML, **told, "ids": estimate.ids}, estimate.p_ML, values, estimate.ids)
+    return Table({"points": estimate.p_ML, **told, "ids": estimate.ids}, values, estimate.ids)
 
 
 def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
@@ -43,14 +43,14 @@ def wall_landmarks(known: MapEstimate | KeyframeGraph) -> Table:
     ids, p_ML, deviation = known_walls(known)
     segments = p_ML.reshape(-1, 4)
     values = np.column_stack([segments / POSITION, np.log(deviation**2 + LEAST) / VARIANCE])
-    return Table({"segments": segments, "deviation": deviation.astype(np.float32)}, _middles(segments), values, ids)
+    return Table({"segments": segments, "deviation": deviation.astype(np.float32)}, values, ids)
 
 
 def surfaces(tfg: TfgMap) -> Table:
     """segments: (m, 4) m. kind: (m,) 0 edge, 1 wall end, 2 surface without a landmark, 3 area not to be entered."""
     segments, kind = tfg.obstacles, np.append(tfg.segment_kind, np.full(len(tfg.keep_out), 3))
     values = np.column_stack([segments / POSITION, 2.0 * kind])
-    return Table({"segments": segments, "kind": kind.astype(np.uint8)}, _middles(segments), values)
+    return Table({"segments": segments, "kind": kind.astype(np.uint8)}, values)
 
 
 def frontiers(tfg: TfgMap) -> Table:
@@ -64,20 +64,19 @@ def frontiers(tfg: TfgMap) -> Table:
     # A point may stand for that of several views, which lies round about.
     half = 0.5 * np.minimum(tfg.frontier_length, SPACING)[:, None] * along
     segments = np.hstack([p - half, p + half])
-    return Table({"segments": segments}, tfg.frontiers, segments / POSITION)
+    return Table({"segments": segments}, segments / POSITION)
 
 
 def nodes(roadmap: Roadmap) -> Table:
     """points: (n, 2) m. ids: (n,) of the nodes."""
     ids = roadmap.node_ids(np.arange(len(roadmap.points)))
-    return Table({"points": roadmap.points, "ids": ids}, roadmap.points, roadmap.points / POSITION, ids)
+    return Table({"points": roadmap.points, "ids": ids}, roadmap.points / POSITION, ids)
 
 
 def edges(roadmap: Roadmap) -> Table:
     """edges: (e, 2) ids of nodes."""
     ends = roadmap.node_ids(roadmap.edges)
-    places = np.zeros((len(ends), 2))  # All of a roadmap is told at once.
-    return Table({"edges": ends}, places, np.zeros((len(ends), 0)), (ends[:, 0] << 32) + ends[:, 1])
+    return Table({"edges": ends}, np.zeros((len(ends), 0)), (ends[:, 0] << 32) + ends[:, 1])
 
 
 def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
@@ -88,8 +87,4 @@ def gains(choice: GoalChoice, roadmap: Roadmap) -> Table:
     points, share = roadmap.points[rows[known]], np.clip(choice.gain / best, 0.0, 1.0)[known]
     values = np.column_stack([points / POSITION, share / SHARE])
     arrays: dict[str, NDArray[Any]] = {"points": points, "share": np.rint(255.0 * share).astype(np.uint8)}
-    return Table(arrays, points, values, choice.candidates[known])
-
-
-def _middles(segments: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (segments[:, :2] + segments[:, 2:]))
+    return Table(arrays, values, choice.candidates[known])
