@@ -28,8 +28,9 @@ def rasterised(tfg: TfgMap, cell: float = CELL) -> tuple[CellArray, FloatArray]:
     points = np.vstack([tfg.star_vertices, tfg.segments.reshape(-1, 2)])
     if not len(points):
         return np.zeros((0, 0), dtype=np.uint8), np.zeros(2)
-    low = cell * (np.floor(points.min(axis=0) / cell) - 1.0)
-    width, height = (np.ceil((points.max(axis=0) - low) / cell) + 1.0).astype(int)
+    first = np.floor(points.min(axis=0) / cell) - 1.0
+    low = cell * first
+    width, height = (np.floor(points.max(axis=0) / cell) - first + 2.0).astype(int)
     cells = np.full((height, width), frontier.UNKNOWN, dtype=np.uint8)
     for star in stars_of(tfg):
         fill_polygon(cells, (star - low) / cell, frontier.FREE)
