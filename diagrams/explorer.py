@@ -238,7 +238,7 @@ def MapOfExplorer(
     Returns None before the first view is in the map and its surfaces are.
     """
     state, tfg = final or StateOfExplorer(explorer, context), explorer.GetOutputPort("tfg").Eval(context)
-    estimate = state.published or state.map
+    estimate = None if state.map is None else state.map.of_tags
     if estimate is None or estimate.stage == 0 or tfg.stage == 0:
         return None
     if not explorer.HasOutputPort("tfg_graph"):

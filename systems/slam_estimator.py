@@ -101,7 +101,7 @@ class SlamEstimator(LeafSystem):
         self._state.declare_outputs(
             self,
             pose=self._Pose,
-            map=lambda now: now.published or nothing,
+            map=lambda now: nothing if now.map is None else now.map.of_tags,
             landmarks=lambda now: now.map or nothing,
             hypotheses=lambda now: now.hypotheses,
         )

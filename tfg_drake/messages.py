@@ -11,6 +11,7 @@ covariance of a pose X_MB is that of (x, y) in M and theta.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
@@ -258,7 +259,7 @@ class MapEstimate:
         places[walls] = self.anchor[walls] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         return places
 
-    @property
+    @functools.cached_property
     def of_tags(self) -> MapEstimate:
         """The map without its walls."""
         tags = is_tag(self.ids)

@@ -62,7 +62,7 @@ def test_the_robot_finds_itself_wherever_it_is(known, small_map, X_MB):
     state = looked(known, small_map, X_MB)
     assert 0.0 <= state.placed < 0.5
     np.testing.assert_allclose(pose_estimate(state).X_MB, X_MB, atol=0.02)
-    np.testing.assert_allclose(state.published.p_ML, small_map.p_ML, atol=0.02)
+    np.testing.assert_allclose(state.map.of_tags.p_ML, small_map.p_ML, atol=0.02)
     assert (state.known, state.kidnapped) == (None, False)
 
 
@@ -78,7 +78,7 @@ def test_a_robot_that_sees_no_mapped_tag_maps_apart(known, small_map):
     state = looked(known, strange, np.array([1.0, 2.0, 0.5]))
     assert state.at is None
     assert state.known is known.known
-    np.testing.assert_array_equal(state.published.ids, strange.ids)
+    np.testing.assert_array_equal(state.map.of_tags.ids, strange.ids)
     np.testing.assert_allclose(pose_estimate(state).X_MB, np.zeros(3), atol=0.01)
 
 
@@ -88,7 +88,7 @@ def test_tags_that_hang_elsewhere_since_are_where_they_hang_now(known, small_map
     moved = replace(small_map, graph=replace(small_map.graph, p_ML=p_ML))
     state = looked(known, moved, np.array([1.0, 2.0, 0.5]))
     assert state.known is None
-    np.testing.assert_allclose(state.published.p_ML, p_ML, atol=0.03)
+    np.testing.assert_allclose(state.map.of_tags.p_ML, p_ML, atol=0.03)
 
 
 def test_nothing_has_changed_in_the_same_map(small_map):

@@ -93,7 +93,7 @@ def test_once_all_is_explored_landmarks_all_over_a_large_map_are_known_jointly(d
 
 
 @pytest.mark.parametrize(("seeds", "views"), [(2, 3), pytest.param(6, 5, marks=pytest.mark.slow)])
-def test_consistent_with_the_systematic_errors_of_a_run(drive, nees, seeds, views):
+def test_consistent_with_the_systematic_errors_of_a_run(drive, nees, caplog, seeds, views):
     landmarks, poses, online = [], [], []
 
     def check(robot, state):
@@ -106,7 +106,7 @@ def test_consistent_with_the_systematic_errors_of_a_run(drive, nees, seeds, view
     for seed in range(seeds):
         robot, state = explore(drive, seed, 1.0, views=views, check=check)
         estimate = state.map
-        assert len(state.rejected) == 0
+        assert "left out of the map" not in caplog.text
         landmarks.append(nees((estimate.p_ML - robot.p_ML(estimate.ids)).ravel(), estimate.covariance[:-3, :-3]))
         error = estimate.X_MD - robot.X_MB
         error[2] = se2.wrap_angle(error[2])

@@ -522,8 +522,8 @@ def test_a_robot_without_tags_knows_where_it_is():
     alone, _ = drive(initial_state(OdometryConfig(), 1.0, sheet, landmarks="tags"), 1, 1.0, ROUND)
     assert alone.map is not None
     assert not len(alone.map.ids)
-    assert walls.published is not None
-    assert not len(walls.published.ids)
+    assert walls.map is not None
+    assert not len(walls.map.of_tags.ids)
     by_walls, by_wheels = pose_estimate(walls), pose_estimate(alone)
     off = np.append(by_walls.X_MB[:2] - X_MB[:2], se2.wrap_angle(by_walls.X_MB[2] - X_MB[2]))
     assert np.hypot(*off[:2]) < 0.02

@@ -37,7 +37,6 @@ from tfg_drake.slam.estimator_state import (
     KIDNAPPED,
     EstimatorState,
     OpenObservation,
-    instant,
     opened,
     pose_now,
     reduced_now,
@@ -68,7 +67,7 @@ from tfg_drake.slam.localizer import corrected_by_walls, new_tags, placed_locali
 from tfg_drake.slam.loop_search import with_loops_closed
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
 from tfg_drake.slam.map_update import finished, is_looser, jointly_known, needs_solve, updated
-from tfg_drake.slam.odometry_model import BREAK, BREAK_RATE, arc, first_reckoning, reckon, reckoned_at
+from tfg_drake.slam.odometry_model import BREAK, BREAK_RATE, DeadReckoning, arc, first_reckoning, reckon, reckoned_at
 from tfg_drake.slam.relocalizer import (
     CONTRADICTIONS,
     PLACED,
@@ -149,9 +148,7 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
             return state  # From before the robot was carried.
         state = _kept(state, odometry)
         first = first_reckoning(odometry)
-        state = replace(
-            state, newest=odometry, odometry=(first,), stamp=first.stamp, clock=first.clock, X_OB=first.X_OB
-        )
+        state = replace(state, newest=odometry, odometry=(first,), instant=_instant(first))
         piece = opened(state)
         return replace(state, open=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
     if odometry.stamp <= state.newest.stamp:
@@ -275,7 +272,7 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         newest = state.odometry[-1]
         stamp, speed = newest.stamp, newest.V_B
         if stamp > state.stamp:
-            increment, dt = arc(state.X_OB, newest.X_OB), newest.clock - state.clock
+            increment, dt = arc(state.instant.X_OB, newest.X_OB), newest.clock - state.instant.clock
     X_MB, covariance = pose_now(state, increment, dt)
     if state.kidnapped and state.open is not None:
         covariance = covariance + np.diag(np.square(state.open.sigma))
@@ -317,8 +314,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
         _log.warning("%.2f s: taken back, for the map contradicts it: a sighting of tag %d", state.stamp, tag)
     evidence = disputed(state.evidence, wrong)
     estimate = with_doubts(estimate, evidence, graph)
-    published = estimate.of_tags
-    return replace(state, graph=graph, solved=graph, map=estimate, published=published, evidence=evidence)
+    return replace(state, graph=graph, solved=graph, map=estimate, evidence=evidence)
 
 
 def _kept(state: EstimatorState, message: Message) -> EstimatorState:
@@ -417,7 +413,8 @@ def _step(
     begin = max(after - 1, 0)
     earlier, later = state.odometry[begin], state.odometry[after]
     now = reckoned_at(earlier, later, stamp)
-    increment, dt, span = arc(state.X_OB, now.X_OB), now.clock - state.clock, later.stamp - earlier.stamp
+    increment, dt = arc(state.instant.X_OB, now.X_OB), now.clock - state.instant.clock
+    span = later.stamp - earlier.stamp
     twist = arc(earlier.X_OB, later.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     ranges = state.ranges if scan is None else compared(state.ranges, frame, scan, state.graph.shared)
@@ -450,9 +447,7 @@ def _step(
         state,
         odometry=state.odometry[begin:],
         ranges=ranges,
-        stamp=stamp,
-        clock=now.clock,
-        X_OB=now.X_OB,
+        instant=_instant(now),
         localizer=localizer,
         contradictions=contradictions,
         open=seen,
@@ -464,6 +459,11 @@ def _step(
     state = looked_for(state)
     seen, period = state.open, state.path_keyframe_period
     return _end_piece(state) if seen is not None and period and stamp - seen.begin.stamp >= period else state
+
+
+def _instant(now: DeadReckoning) -> TurnFrame:
+    """An instant at which nothing is seen."""
+    return TurnFrame(now.stamp, now.clock, now.X_OB, no_detections(now.stamp))
 
 
 def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
@@ -531,7 +531,7 @@ def _end_piece(state: EstimatorState) -> EstimatorState:
 def _reduced(state: EstimatorState, piece: OpenObservation) -> tuple[EstimatorState, Reduced, Sighted]:
     """The state that will learn its noise from a turn or piece, which ends now; that solved, and as a keyframe."""
     solution = reduced_now(state, piece)
-    of, by = (piece.begin, piece.frames, instant(state)), (state.graph.shared, state.noise.level, state.walls.floor)
+    of, by = (piece.begin, piece.frames, state.instant), (state.graph.shared, state.noise.level, state.walls.floor)
     seen = Sighted(solution.keyframe, solution.sightings, Source(of, *by))
     return replace(state, noise=state.noise.with_sample(solution.sample)), solution, seen
 
@@ -605,8 +605,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         graph, estimate, evidence, rejected, anew = _with_keyframe(graph, estimate, evidence, one, is_view=is_view)
         _tell("mapped anew, for more was seen of them elsewhere", state, anew)
         moved = moved or len(anew) > 0
-    rejected = rejected[is_tag(rejected)]
-    _tell("left out of the map, for they contradict it", state, rejected)
+    _tell("left out of the map, for they contradict it", state, rejected[is_tag(rejected)])
     gone = np.setdiff1d(state.watch.ids[missing(state.watch)], doubtful(evidence))
     _tell("not seen where the map has them", state, gone)
     evidence = disputed(evidence, gone)
@@ -650,7 +649,6 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         lost=False,
         walls=walls,
         evidence=evidence,
-        rejected=rejected,
         sources=sources,
         loops=loops,
     )
@@ -664,7 +662,7 @@ def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObser
     sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
     if np.all(sigma >= begun.sigma) or state.lost:
         return begun
-    way = se2.between(begun.begin.X_OB, state.X_OB)
+    way = se2.between(begun.begin.X_OB, state.instant.X_OB)
     return replace(begun, X_MB=se2.compose(X_MB, se2.inverse(way)), sigma=sigma)
 
 

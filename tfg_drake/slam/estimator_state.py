@@ -42,6 +42,8 @@ KIDNAPPED = np.array([100.0, 100.0, 10.0])
 NO_MOTION = np.zeros(3)
 # So many of the newest frames tell where the robot is.
 MOST_FRAMES = 50
+# The filters' instant before any message.
+BEFORE_ANY = TurnFrame(-np.inf, -np.inf, np.zeros(3), no_detections(-np.inf))
 # A camera that is mounted, and whose clock runs, as is believed.
 EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
 
@@ -116,18 +118,17 @@ class EstimatorState:
     graph: its landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve.
     ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags, and
     against them. watch: which of them should have been seen since. newest: the last odometry message. odometry: dead
-    reckoning from the localiser's instant on. pending: frames that wait for it. scans: the newest scans. stamp (s),
-    clock (s), X_OB (3,): the localiser's instant and the dead reckoning then. contradictions: frames that contradict
+    reckoning from the localiser's instant on. pending: frames that wait for it. scans: the newest scans. instant: the
+    localiser's, nothing seen. contradictions: frames that contradict
     the pose, less those that agree since. suspect: what was seen since the first that contradicts it, None where none
     does. lost: where the robot is since then is a guess. kidnapped: the robot was moved since the last view by
     something else than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in
     which it may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has
     mapped on without. open: the turn or piece of the way under way, turns: whether it is a turn, way: the pieces before
-    it since the last view. map: what has become of the solved graph since, None before the first view. rejected: (r,)
-    ids of known tags left out of the newest view. look: the first look, None once it is over. sources: of the newest
+    it since the last view. map: what has become of the solved graph since, None before the first view. look: the first look, None once it is over. sources: of the newest
     keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`.
     unread: scans that wait for odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by
-    something else than its wheels. published: the map without its walls, which all others get. straight: (2,) m of
+    something else than its wheels. straight: (2,) m of
     straight walls and of all surfaces that the scans of the last minutes have seen, nan once it was told that too
     little is straight. loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad.
     known: the map that the session began with, until it is part of this one for good; at: where in it that is, once it
@@ -148,9 +149,7 @@ class EstimatorState:
     odometry: tuple[DeadReckoning, ...] = ()
     pending: tuple[TagDetections, ...] = ()
     scans: tuple[LaserScan, ...] = ()
-    stamp: float = -np.inf
-    clock: float = -np.inf
-    X_OB: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    instant: TurnFrame = BEFORE_ANY
     contradictions: int = 0
     suspect: OpenObservation | None = None
     lost: bool = False
@@ -160,7 +159,6 @@ class EstimatorState:
     turns: bool = False
     way: tuple[Sighted, ...] = ()
     map: MapEstimate | None = None
-    rejected: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
     look: FirstLook | None = None
     sources: tuple[Source | None, ...] = ()
     walls: Walls = dataclasses.field(default_factory=no_walls)
@@ -168,13 +166,17 @@ class EstimatorState:
     unread: tuple[LaserScan, ...] = ()
     looked: float = -np.inf
     may_be_moved: bool = True
-    published: MapEstimate | None = None
     straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     loops: LoopSearch = dataclasses.field(default_factory=LoopSearch)
     deviation: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     known: KnownMap | None = None
     at: Placed | None = None
     hypotheses: Hypotheses = dataclasses.field(default_factory=lambda: empty(Hypotheses))
+
+    @property
+    def stamp(self) -> float:
+        """The filters' instant, s."""
+        return self.instant.stamp
 
     @property
     def turn(self) -> OpenObservation | None:
@@ -220,11 +222,6 @@ def initial_state(
     return state if np.isinf(path_keyframe_period) else replace(state, look=FirstLook(state))
 
 
-def instant(state: EstimatorState) -> TurnFrame:
-    """The filters' instant, nothing seen."""
-    return TurnFrame(state.stamp, state.clock, state.X_OB, no_detections(state.stamp))
-
-
 def pose_now(
     state: EstimatorState, increment: FloatArray = NO_MOTION, dt: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
@@ -235,7 +232,7 @@ def pose_now(
 def opened(state: EstimatorState) -> OpenObservation:
     """A turn or piece of the way that begins now."""
     X_MB, covariance = pose_now(state)
-    return OpenObservation(instant(state), X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
+    return OpenObservation(state.instant, X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
 
 
 def with_map(
@@ -250,7 +247,6 @@ def with_map(
         graph=graph,
         solved=solved,
         map=whole,
-        published=whole.of_tags,
         watch=renewed(state.watch, whole.of_tags.ids),
         localizer=start_localizer(of_tied(estimate, graph), state.walls),
         deviation=deviation_of(estimate) if solved is graph else state.deviation,
@@ -266,7 +262,7 @@ def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
 def reduced_now(state: EstimatorState, seen: OpenObservation) -> Reduced:
     """An observation, up to the filters' instant, solved by itself."""
     now, graph, floor = state.noise.now, state.graph, state.walls.floor
-    return reduced(now, (seen.begin, seen.frames, instant(state)), graph.shared, floor, graph.unevenness)
+    return reduced(now, (seen.begin, seen.frames, state.instant), graph.shared, floor, graph.unevenness)
 
 
 def newest_of(seen: OpenObservation) -> OpenObservation:

@@ -215,7 +215,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         x, y, turn = found.X - expected
         message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
         _log.warning(message, stamp, math.hypot(x, y), abs(float(se2.wrap_angle(turn))), found.by)
-    X_MB = se2.compose(found.X, se2.between(newest.begin.X_OB, state.X_OB))
+    X_MB = se2.compose(found.X, se2.between(newest.begin.X_OB, state.instant.X_OB))
     if not estimate.is_joint:
         graph = replace(graph, p_ML=estimate.p_ML)
         node = 1 + int(np.argmin(np.hypot(*(graph.X_MN[1:] - X_MB)[:, :2].T)))

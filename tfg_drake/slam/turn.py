@@ -161,12 +161,11 @@ def no_detections(stamp: float) -> TagDetections:
 @message
 class Reduced:
     """A turn or piece reduced. sightings: (n,) detections or looks behind each of its landmarks; walls have provisional
-    ids, see `walls`. dropped: number of detections left out as outliers. stamps: (t,) s and X_AB: (t, 3) its poses in
+    ids, see `walls`. stamps: (t,) s and X_AB: (t, 3) its poses in
     A. sample: what its noise is learnt from, None where nothing was seen or the wheels slipped."""
 
     keyframe: Keyframe
     sightings: IntArray
-    dropped: int
     stamps: FloatArray
     X_AB: FloatArray
     sample: Sample | None
@@ -274,7 +273,6 @@ def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unev
     return Reduced(
         keyframe=replace(one, points=points, scatter=scatter),
         sightings=np.append(walls, solution.sightings),
-        dropped=dropped,
         stamps=stamps,
         X_AB=X_AB,
         sample=solution.at if solution.unit != DISTANCE_SCALE and not slipped else None,
