@@ -63,7 +63,7 @@ def test_the_robot_finds_itself_wherever_it_is(known, small_map, X_MB):
     assert 0.0 <= state.placed < 0.5
     np.testing.assert_allclose(pose_estimate(state).X_MB, X_MB, atol=0.02)
     np.testing.assert_allclose(state.map.of_tags.p_ML, small_map.p_ML, atol=0.02)
-    assert (state.known, state.kidnapped) == (None, False)
+    assert (state.known, state.is_kidnapped) == (None, False)
 
 
 def test_a_carried_robot_finds_itself_anew(known, small_map):

@@ -73,7 +73,7 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     # From here on it is not found by its walls on the way.
     monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
     state = robot.drive(state, 0.2, 0.0, 10)
-    state = replace(state, kidnapped=True, way=(), open=replace(opened(state), sigma=KIDNAPPED))
+    state = replace(state, log=(replace(opened(state), sigma=KIDNAPPED, is_apart=True),))
     offset = np.array([0.0, carried, 0.0])
     robot.X_WB = robot.X_WB + offset
     robot.odometry = lambda speed=0.0, rate=0.0: Odometry(robot.time, robot.X_WB - offset, np.array([speed, rate]))
@@ -119,7 +119,8 @@ def test_what_a_turn_sees_is_held_against_the_map(monkeypatch):
     carried = replace(turned_round(np.array([1.2, 1.5, 0.8])), contradictions=0)
     suspicious = doubted(carried)
     assert (suspicious.contradictions, suspicious.suspect) == (CONTRADICTIONS, carried.turn)
-    for state in (replace(carried, may_be_moved=False), replace(carried, kidnapped=True), replace(carried, open=None)):
+    kidnapped = replace(carried, log=(replace(carried.turn, is_apart=True),))
+    for state in (replace(carried, may_be_moved=False), kidnapped, replace(carried, log=())):
         assert doubted(state) is state
 
 
@@ -127,7 +128,7 @@ def test_what_is_seen_where_the_map_has_not_looked_contradicts_no_pose(monkeypat
     """The next room, nothing of the first in view."""
     monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
     state = turned_round(np.zeros(3))
-    beyond = replace(state, contradictions=0, open=replace(state.open, X_MB=np.array([7.5, 0.0, 0.0])))
+    beyond = replace(state, contradictions=0, log=(replace(state.turn, X_MB=np.array([7.5, 0.0, 0.0])),))
     assert doubted(beyond) is beyond
 
 

@@ -315,6 +315,6 @@ def test_a_piece_that_began_nobody_knows_where_begins_where_the_robot_has_found_
     assert np.abs(off).max() < 0.1
     assert (found.sigma < 0.2).all()
     assert found.begin is guess.begin
-    assert _found_meanwhile(replace(tour.state, lost=True), guess) is guess
+    assert _found_meanwhile(replace(tour.state, contradictions=np.inf), guess) is guess
     surer = replace(guess, sigma=np.full(3, 1e-4))
     assert _found_meanwhile(tour.state, surer) is surer

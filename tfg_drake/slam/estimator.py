@@ -12,6 +12,7 @@ is suddenly elsewhere (a slip, a push, a kidnapping).
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import logging
 import math
 from collections.abc import Callable
@@ -36,7 +37,7 @@ from tfg_drake.notes import take_note
 from tfg_drake.slam.estimator_state import (
     KIDNAPPED,
     EstimatorState,
-    OpenObservation,
+    Stretch,
     opened,
     pose_now,
     reduced_now,
@@ -84,7 +85,7 @@ from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, uneve
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.turn import SAME_INSTANT, Reduced, Source, TurnFrame, no_detections, reduced
+from tfg_drake.slam.turn import SAME_INSTANT, Piece, Reduced, Source, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
@@ -135,9 +136,9 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 def carried(state: EstimatorState) -> EstimatorState:
     """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
     before_any: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(state)}
-    of_drive = ("newest", "odometry", "pending", "scans", "unread", "looked", "suspect", "open", "turns", "way")
+    of_drive = ("newest", "odometry", "pending", "scans", "unread", "suspect", "log")
     anew = {name: before_any[name] for name in of_drive}
-    return replace(state, contradictions=CONTRADICTIONS, kidnapped=True, placed=math.nan, **anew)
+    return replace(state, contradictions=math.inf, placed=math.nan, **anew)
 
 
 @kept_finite
@@ -150,7 +151,9 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
         first = first_reckoning(odometry)
         state = replace(state, newest=odometry, odometry=(first,), instant=_instant(first))
         piece = opened(state)
-        return replace(state, open=replace(piece, sigma=KIDNAPPED) if state.kidnapped else piece)
+        if math.isnan(state.placed):
+            piece = replace(piece, sigma=KIDNAPPED, is_apart=True)
+        return replace(state, log=(piece,))
     if odometry.stamp <= state.newest.stamp:
         return state
     if odometry.breaks != state.newest.breaks:
@@ -176,18 +179,17 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
         _kept(before, odometry),
         newest=odometry,
         odometry=(*before.odometry, reckoning),
-        pending=tuple(one for one in before.pending if one.stamp > odometry.stamp),
+        pending=tuple(one for one in before.pending if one.stamp - before.offset > odometry.stamp),
         unread=tuple(one for one in before.unread if one.stamp > odometry.stamp),
     )
     state = _step_to(state, odometry.stamp)
     X_MB, covariance = pose_now(state)
     if state.map is None:  # The map begins here.
-        state = replace(state, localizer=start_localizer(state.localizer.map, state.walls), way=())
-        return replace(state, open=opened(state))
+        state = replace(state, localizer=start_localizer(state.localizer.map, state.walls))
+        return replace(state, log=(replace(opened(state), is_turn=state.turn is not None),))
     sigma = np.minimum(np.sqrt(np.diag(covariance) + np.square(BREAK + dt * BREAK_RATE)), KIDNAPPED)
     state = replace(state, localizer=placed_localizer(state.map, state.walls, X_MB, sigma))
-    lost = bool(np.any(sigma > FOUND_WITHIN))
-    state = replace(state, contradictions=CONTRADICTIONS if lost else 0, suspect=None, lost=lost)
+    state = replace(state, contradictions=math.inf if np.any(sigma > FOUND_WITHIN) else 0.0, suspect=None)
     return begun_elsewhere(state, replace(opened(state), sigma=sigma))
 
 
@@ -196,8 +198,7 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
     """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
     ignored."""
     state = _kept(state, detections)
-    detections = replace(detections, stamp=detections.stamp - state.offset)
-    if not detections.stamp >= state.stamp or state.landmarks == "walls":
+    if not detections.stamp - state.offset >= state.stamp or state.landmarks == "walls":
         return state
     detections, impossible = sanitized(detections)
     if impossible:
@@ -226,10 +227,9 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
     """
     if not state.odometry:
         raise ValueError("A turn cannot begin before the first odometry message.")
-    if state.turns:
+    if state.turn is not None:
         raise ValueError("A turn is open already.")
-    state = _end_piece(_step_to(state, stamp))
-    return replace(state, open=opened(state), turns=True)
+    return _cut(_step_to(state, stamp), is_turn=True)
 
 
 @kept_finite
@@ -239,7 +239,7 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
     explored: everything is, so of a large map landmarks all over it are known jointly too. The stamp is brought into
     the span of the odometry at hand. Raises ValueError where no turn is open.
     """
-    if not state.turns:
+    if state.turn is None:
         raise ValueError("No turn is open.")
     state = doubted(_step_to(_first_looked(state), stamp))
     if state.contradictions >= CONTRADICTIONS:
@@ -255,10 +255,10 @@ def close_piece(state: EstimatorState, stamp: float, *, at_last: bool = False) -
     piece stays open, but at last. The stamp is brought into the span of the odometry at hand. Raises ValueError before
     any odometry, or where no piece is open.
     """
-    if state.open is None or state.turns or not math.isinf(state.path_keyframe_period):
+    if not state.log or state.turn is not None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
     state = _step_to(state, stamp)
-    suspect, in_doubt = state.suspect, state.lost or state.contradictions >= CONTRADICTIONS
+    suspect, in_doubt = state.suspect, state.contradictions >= CONTRADICTIONS
     if in_doubt and not at_last and suspect is not None and state.stamp - suspect.begin.stamp < LONGEST_DOUBT:
         return state
     return _add_view(state, 0)
@@ -274,8 +274,8 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
         if stamp > state.stamp:
             increment, dt = arc(state.instant.X_OB, newest.X_OB), newest.clock - state.instant.clock
     X_MB, covariance = pose_now(state, increment, dt)
-    if state.kidnapped and state.open is not None:
-        covariance = covariance + np.diag(np.square(state.open.sigma))
+    if state.is_kidnapped:
+        covariance = covariance + np.diag(np.square(state.mapped[0].sigma))
     estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     if state.at is not None:
@@ -337,14 +337,14 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     if scan.lines:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=NO_SCAN[0]) for frame in turn.frames)
-        state = replace(state, landmarks="tags", open=replace(turn, frames=frames), unread=())
+        state = replace(state, landmarks="tags", log=(replace(turn, frames=frames),), unread=())
     if tags.ahead:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
         state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=state.landmarks), tags.ahead)
         for message in look.messages:
             state = process[type(message)](state, message)
-            if not state.turns and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
+            if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
                 state = begin_turn(state, turn.begin.stamp)
     return replace(state, look=None)
 
@@ -355,7 +355,6 @@ def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
     graph = replace(state.graph, prior=prior, shared=prior)
     return replace(
         state,
-        offset=state.offset + ahead,
         sheet=prior,
         graph=graph,
         solved=graph,
@@ -367,12 +366,12 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
     """The state after all waiting frames that odometry has passed."""
     while state.odometry:
         scan = state.unread[0].stamp if state.unread else math.inf
-        frame = state.pending[0].stamp if state.pending else math.inf
+        frame = state.pending[0].stamp - state.offset if state.pending else math.inf
         if not min(scan, frame) < state.odometry[-1].stamp:
             break
         first, scanned = no_detections(scan), NO_SCAN
         if frame <= scan + SAME_INSTANT:
-            first, state = state.pending[0], replace(state, pending=state.pending[1:])
+            first, state = replace(state.pending[0], stamp=frame), replace(state, pending=state.pending[1:])
         if scan <= frame + SAME_INSTANT:
             newest = state.unread[0]
             lines, _ = scanned = scan_lines(newest), scan_points(newest)
@@ -418,11 +417,11 @@ def _step(
     twist = arc(earlier.X_OB, later.X_OB)[::2] / span if span > 0.0 else np.zeros(2)
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     ranges = state.ranges if scan is None else compared(state.ranges, frame, scan, state.graph.shared)
-    seen, every = state.open, 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
-    looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
+    seen, every = state.log[-1], 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
+    looks = (len(lines) > 0 or len(points) > 0) and stamp >= _last_look(seen) + every - SAME_INSTANT
     here = points if looks and _is_elsewhere(seen, now.X_OB) else NO_SCAN[1]
     taken = TurnFrame(stamp, now.clock, now.X_OB, frame, state.offset, lines if looks else NO_SCAN[0], only_scan, here)
-    if seen is not None and (looks or not only_scan):
+    if looks or not only_scan:
         seen = replace(seen, frames=(*seen.frames, taken))
     localizer, known, ignored = step_localizer(
         state.localizer, (increment, dt, state.noise.now.walks), one_of_many, (twist, state.offset)
@@ -437,12 +436,10 @@ def _step(
         elsewhere = mapped_elsewhere(state, localizer, frame)
         known, ignored = known + elsewhere, ignored + elsewhere
     contradictions = state.contradictions
-    if math.isnan(state.placed):
-        contradictions = CONTRADICTIONS
-    elif ignored > MOST_IGNORED * known:
-        contradictions += state.may_be_moved or state.kidnapped
-    elif known:
-        contradictions = max(contradictions - 1, 0) if known < LEAST_KNOWN else 0
+    if ignored > MOST_IGNORED * known:
+        contradictions += state.may_be_moved or state.is_kidnapped
+    elif known and math.isfinite(contradictions):
+        contradictions = max(contradictions - 1.0, 0.0) if known < LEAST_KNOWN else 0.0
     state = replace(
         state,
         odometry=state.odometry[begin:],
@@ -450,15 +447,15 @@ def _step(
         instant=_instant(now),
         localizer=localizer,
         contradictions=contradictions,
-        open=seen,
-        looked=stamp if looks else state.looked,
+        log=(*state.log[:-1], seen),
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
-    if (contradictions >= CONTRADICTIONS or state.lost) and (len(frame.ids) or looks):
+    if contradictions >= CONTRADICTIONS and (len(frame.ids) or looks):
         state = find_itself(state)
     state = looked_for(state)
-    seen, period = state.open, state.path_keyframe_period
-    return _end_piece(state) if seen is not None and period and stamp - seen.begin.stamp >= period else state
+    period = state.path_keyframe_period
+    is_over = period and state.turn is None and stamp - state.log[-1].begin.stamp >= period
+    return _cut(state) if is_over else state
 
 
 def _instant(now: DeadReckoning) -> TurnFrame:
@@ -466,10 +463,14 @@ def _instant(now: DeadReckoning) -> TurnFrame:
     return TurnFrame(now.stamp, now.clock, now.X_OB, no_detections(now.stamp))
 
 
-def _is_elsewhere(seen: OpenObservation | None, X_OB: FloatArray) -> bool:
-    """Whether the robot has moved on since the newest points of its open turn or piece."""
-    if seen is None:
-        return False
+def _last_look(seen: Stretch) -> float:
+    """When lines or points of a scan were last taken for a turn or piece, s; -inf for never."""
+    looks = (frame.stamp for frame in reversed(seen.frames) if len(frame.lines) or len(frame.points))
+    return next(looks, -math.inf)
+
+
+def _is_elsewhere(seen: Stretch, X_OB: FloatArray) -> bool:
+    """Whether the robot has moved on since the newest points of a turn or piece."""
     for frame in reversed(seen.frames):
         if len(frame.points):
             moved = se2.between(frame.X_OB, X_OB)
@@ -489,51 +490,51 @@ def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray,
 def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:
     """Which tags should have been seen, with a frame at the state's stamp and the robot's twist (2,) then."""
     scan = _scan_beside(state, frame, twist, NEARLY_THERE)
-    if scan is None or state.map is None or state.contradictions or state.lost or state.kidnapped:
+    if scan is None or state.map is None or state.contradictions or state.is_kidnapped:
         return state.watch
     yaw = float(state.graph.shared.mean[CAMERA_YAW])
     X_MC = state.localizer.X_MB + np.array([0.0, 0.0, yaw])
     return watched(state.watch, state.map.p_ML[is_tag(state.map.ids)], X_MC, yaw, frame, scan)
 
 
-def _suspect(state: EstimatorState, taken: TurnFrame) -> OpenObservation | None:
-    """The observation since the pose came into doubt, with the newest frame."""
-    suspect = state.suspect
-    if suspect is not None and not state.lost:
-        over = taken.stamp - suspect.begin.stamp > LONGEST_DOUBT
-        suspect = None if over or not state.contradictions else suspect
-    if suspect is not None:
-        return replace(suspect, frames=(*suspect.frames, taken))
-    if not state.contradictions or not (len(taken.detections.ids) or len(taken.lines)):
-        return None
-    return replace(opened(state), frames=(taken,))
+def _suspect(state: EstimatorState, taken: TurnFrame) -> Stretch | None:
+    """Where the pose came into doubt, which the newest frame may end or begin."""
+    suspect = state.suspect if state.contradictions else None
+    if (
+        suspect is not None
+        and taken.stamp - suspect.begin.stamp > LONGEST_DOUBT
+        and math.isfinite(state.contradictions)
+    ):
+        suspect = None
+    if suspect is None and state.contradictions and (len(taken.detections.ids) or len(taken.lines)):
+        return opened(state)
+    return suspect
 
 
-def _end_piece(state: EstimatorState) -> EstimatorState:
-    """The state with the open piece of the way, if it is one, solved and put to the others, unless the robot was
-    kidnapped, and the next one open."""
-    piece = state.open
-    if piece is None or state.turns:
-        return state
-    if state.map is None or state.stamp <= piece.begin.stamp:
-        return replace(state, open=opened(state))
-    if state.kidnapped:
-        X_MB, _ = pose_now(state)
-        way: tuple[Sighted, ...] = (Sighted(unknown_way(se2.between(state.map.X_MD, X_MB), piece.sigma)),)
-    else:
-        state, _, seen = _reduced(state, piece)
-        if not state.path_keyframe_period:
-            seen = seen.only(np.zeros(len(seen.frames), dtype=bool))
-        way = (*state.way, seen)
-    return replace(state, open=opened(state), way=way)
+def _cut(state: EstimatorState, *, is_turn: bool = False) -> EstimatorState:
+    """The state with the open piece of the way over, and the next one or a turn open. The way to the first view is not
+    mapped."""
+    piece, before = state.log[-1], () if state.map is None else state.log
+    if state.stamp <= piece.begin.stamp:
+        return replace(state, log=(*state.log[:-1], replace(piece, is_turn=is_turn)))
+    return replace(state, log=(*before, replace(opened(state), is_turn=is_turn)))
 
 
-def _reduced(state: EstimatorState, piece: OpenObservation) -> tuple[EstimatorState, Reduced, Sighted]:
-    """The state that will learn its noise from a turn or piece, which ends now; that solved, and as a keyframe."""
+def _reduced(state: EstimatorState, piece: Piece) -> tuple[EstimatorState, Reduced, Sighted]:
+    """The state that will learn its noise from a turn or piece; that solved, and as a keyframe."""
     solution = reduced_now(state, piece)
-    of, by = (piece.begin, piece.frames, state.instant), (state.graph.shared, state.noise.level, state.walls.floor)
-    seen = Sighted(solution.keyframe, solution.sightings, Source(of, *by))
+    source = Source(piece, state.graph.shared, state.noise.level, state.walls.floor)
+    seen = Sighted(solution.keyframe, solution.sightings, source)
     return replace(state, noise=state.noise.with_sample(solution.sample)), solution, seen
+
+
+def _way_known(state: EstimatorState) -> tuple[EstimatorState, tuple[Sighted, ...]]:
+    """The state that will learn its noise from the pieces of the way since the last view, and these as keyframes."""
+    way = []
+    for piece, later in itertools.pairwise(state.mapped):
+        state, _, seen = _reduced(state, (piece.begin, piece.frames, later.begin))
+        way.append(seen if state.path_keyframe_period else seen.only(np.zeros(len(seen.frames), dtype=bool)))
+    return state, tuple(way)
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -586,15 +587,15 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
 def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     """The state with the open turn or piece added to the map as a view, and the localiser at its end. spread: see
     `solve`."""
-    seen = state.open
-    assert seen is not None
-    state, solution, view = _reduced(state, seen)
+    state, way = _way_known(state)
+    first, seen = state.mapped[0], state.log[-1]
+    state, solution, view = _reduced(state, (seen.begin, seen.frames, state.instant))
     state = _with_scale_reported(replace(state, noise=state.noise.learnt()))
-    way, keyframe = state.way, view.keyframe
+    keyframe = view.keyframe
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)
-    if state.kidnapped and not state.turns and state.map is not None:
-        seen = _found_meanwhile(state, seen)
-        way = (Sighted(unknown_way(se2.between(state.map.X_MD, seen.X_MB), seen.sigma)),)
+    if first.is_apart and state.map is not None:
+        first = first if seen.is_turn else _found_meanwhile(state, first)
+        way = (Sighted(unknown_way(se2.between(state.map.X_MD, first.X_MB), first.sigma)), *way)
     before, known, way, hypotheses = found_again(state, way, keyframe)
     graph, estimate, evidence, moved = before, known, state.evidence, False
     sources, walls = state.sources, state.walls
@@ -614,7 +615,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     if (
         moved
         or anew_graph is not graph
-        or state.kidnapped
+        or state.is_kidnapped
         or before is not state.graph
         or adrift(graph) >= 0  # All that a heading which is not known tells is far from linear.
         or needs_solve(graph, solved, estimate)
@@ -633,20 +634,15 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         loops, closed, estimate = with_loops_closed(loops, graph, estimate, observation)
         if closed is not graph:
             graph = solved = closed
-    j, later = adrift(graph), state.offset - float(graph.shared.mean[CLOCK])
+    j = adrift(graph)
     if j >= 0:
         hypotheses = replace(hypotheses, X_KM=se2.compose(hypotheses.X_KM, se2.inverse(graph.X_MN[j + 1])))
     state = replace(
         state,
         hypotheses=state.hypotheses if state.known is not None else hypotheses,
-        offset=float(graph.shared.mean[CLOCK]),
-        pending=tuple(replace(frame, stamp=frame.stamp + later) for frame in state.pending),
-        way=(),
-        kidnapped=False,
         placed=math.inf if math.isnan(state.placed) else state.placed,
-        contradictions=0,
+        contradictions=0.0,
         suspect=None,
-        lost=False,
         walls=walls,
         evidence=evidence,
         sources=sources,
@@ -655,12 +651,12 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     return joined(with_map(state, graph, estimate, solved))
 
 
-def _found_meanwhile(state: EstimatorState, begun: OpenObservation) -> OpenObservation:
+def _found_meanwhile(state: EstimatorState, begun: Stretch) -> Stretch:
     """A piece that began after a way that is not known, its first pose by where the robot is by now, if that tells
     more: it has found itself among what is mapped. That is told again by what it has seen."""
     X_MB, covariance = pose_now(state)
     sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
-    if np.all(sigma >= begun.sigma) or state.lost:
+    if np.all(sigma >= begun.sigma) or math.isinf(state.contradictions):
         return begun
     way = se2.between(begun.begin.X_OB, state.instant.X_OB)
     return replace(begun, X_MB=se2.compose(X_MB, se2.inverse(way)), sigma=sigma)

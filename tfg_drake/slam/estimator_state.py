@@ -20,7 +20,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, renewed, with_doubts
+from tfg_drake.slam.evidence import Evidence, TagWatch, renewed, with_doubts
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import Keyframe, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, of_tied
@@ -32,7 +32,7 @@ from tfg_drake.slam.odometry_model import DeadReckoning, random_walks
 from tfg_drake.slam.place_search import Seen
 from tfg_drake.slam.scan_ranges import ScanRanges, none_compared
 from tfg_drake.slam.shared import CLOCK, LEAST_SIGMA, Shared, by_data_sheet
-from tfg_drake.slam.turn import Reduced, Source, TurnFrame, no_detections, reduced
+from tfg_drake.slam.turn import Piece, Reduced, Source, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, no_lines, no_walls
 from tfg_drake.table import empty
 
@@ -49,17 +49,20 @@ EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_dev
 
 
 @message
-class OpenObservation:
-    """An observation under way: a turn, or a piece of the way that is mapped like one.
+class Stretch:
+    """A stretch of the log: a turn, or a piece of the way that is mapped like one.
 
     begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
-    seen since.
+    seen since. is_apart: the way to it from the last view is not known better than that: the robot was moved by
+    something else than its wheels.
     """
 
     begin: TurnFrame
     X_MB: FloatArray
     sigma: FloatArray
-    frames: tuple[TurnFrame, ...]
+    frames: tuple[TurnFrame, ...] = ()
+    is_turn: bool = False
+    is_apart: bool = False
 
 
 @message
@@ -114,31 +117,28 @@ class EstimatorState:
     """All the estimator knows; the defaults are before any message.
 
     noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way that
-    are mapped as one piece; 0 where only its motion is. offset: s, the camera's clock is taken to be so much ahead.
-    graph: its landmarks as they lay at its last solve or when they were first seen, solved: the graph at that solve.
-    ranges: how the tags' ranges compare with those of scans. evidence: for the places where it has its tags, and
-    against them. watch: which of them should have been seen since. newest: the last odometry message. odometry: dead
-    reckoning from the localiser's instant on. pending: frames that wait for it. scans: the newest scans. instant: the
-    localiser's, nothing seen. contradictions: frames that contradict
-    the pose, less those that agree since. suspect: what was seen since the first that contradicts it, None where none
-    does. lost: where the robot is since then is a guess. kidnapped: the robot was moved since the last view by
-    something else than its wheels. placed: s, since when the robot knows where it is in a map that it began with, or in
-    which it may have been carried while nobody looked; nan as long as it does not in the latter, inf where it has
-    mapped on without. open: the turn or piece of the way under way, turns: whether it is a turn, way: the pieces before
-    it since the last view. map: what has become of the solved graph since, None before the first view. look: the first look, None once it is over. sources: of the newest
-    keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`.
-    unread: scans that wait for odometry. looked: s, when lines were last taken for a turn or piece. may_be_moved: by
-    something else than its wheels. straight: (2,) m of
-    straight walls and of all surfaces that the scans of the last minutes have seen, nan once it was told that too
-    little is straight. loops: the search for them. deviation: (2,) of the newest pose at the last solve, m and rad.
-    known: the map that the session began with, until it is part of this one for good; at: where in it that is, once it
-    is known; hypotheses: where in it that may be, none where that is anywhere or nowhere.
+    are mapped as one piece; 0 where only its motion is. graph: its landmarks as they lay at its last solve or when they
+    were first seen, solved: the graph at that solve. ranges: how the tags' ranges compare with those of scans.
+    evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
+    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames that
+    wait for it. scans: the newest scans. instant: the localiser's, nothing seen. contradictions: frames that contradict
+    the pose, less those that agree since, inf where it is a guess until the robot has found itself. suspect: where the
+    first that contradicts it was seen, without frames; None where none does. log: what was seen since the last view,
+    the pieces of the way and the turn after them; the newest is under way. placed: s, since when the robot knows where
+    it is in a map that it began with, or in which it may have been carried while nobody looked; nan as long as it does
+    not in the latter, inf where it has mapped on without. map: what has become of the solved graph since, None before
+    the first view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
+    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
+    odometry. may_be_moved: by something else than its wheels. straight: (2,) m of straight walls and of all surfaces
+    that the scans of the last minutes have seen, nan once it was told that too little is straight. loops: the search
+    for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session began
+    with, until it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in it that
+    may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
     sheet: Shared
     path_keyframe_period: float
-    offset: float
     localizer: Localizer
     graph: KeyframeGraph
     solved: KeyframeGraph
@@ -150,21 +150,16 @@ class EstimatorState:
     pending: tuple[TagDetections, ...] = ()
     scans: tuple[LaserScan, ...] = ()
     instant: TurnFrame = BEFORE_ANY
-    contradictions: int = 0
-    suspect: OpenObservation | None = None
-    lost: bool = False
-    kidnapped: bool = False
+    contradictions: float = 0.0
+    suspect: Stretch | None = None
     placed: float = -np.inf
-    open: OpenObservation | None = None
-    turns: bool = False
-    way: tuple[Sighted, ...] = ()
+    log: tuple[Stretch, ...] = ()
     map: MapEstimate | None = None
     look: FirstLook | None = None
     sources: tuple[Source | None, ...] = ()
     walls: Walls = dataclasses.field(default_factory=no_walls)
     landmarks: str = "both"
     unread: tuple[LaserScan, ...] = ()
-    looked: float = -np.inf
     may_be_moved: bool = True
     straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     loops: LoopSearch = dataclasses.field(default_factory=LoopSearch)
@@ -179,9 +174,34 @@ class EstimatorState:
         return self.instant.stamp
 
     @property
-    def turn(self) -> OpenObservation | None:
+    def offset(self) -> float:
+        """The camera's clock is taken to be so much ahead, s."""
+        return float(self.graph.shared.mean[CLOCK])
+
+    @property
+    def turn(self) -> Stretch | None:
         """The open turn, None while the way is mapped."""
-        return self.open if self.turns else None
+        return self.log[-1] if self.log and self.log[-1].is_turn else None
+
+    @property
+    def mapped(self) -> tuple[Stretch, ...]:
+        """What of the log the next view maps: all, or where the robot was moved by something else than its wheels what
+        it has seen since."""
+        return self.log[max((k for k, one in enumerate(self.log) if one.is_apart), default=0) :]
+
+    @property
+    def is_kidnapped(self) -> bool:
+        """Whether the robot was moved since the last view by something else than its wheels."""
+        return any(one.is_apart for one in self.log)
+
+    @property
+    def seen_in_doubt(self) -> Stretch | None:
+        """What was seen since the pose came into doubt."""
+        if self.suspect is None:
+            return None
+        begin = self.suspect.begin.stamp
+        frames = tuple(frame for one in self.log for frame in one.frames if frame.stamp >= begin)
+        return replace(self.suspect, frames=frames)
 
 
 def initial_state(
@@ -210,7 +230,6 @@ def initial_state(
         noise=noise_by_data_sheet(random_walks(config)),
         sheet=prior,
         path_keyframe_period=path_keyframe_period,
-        offset=float(prior.mean[CLOCK]),
         localizer=start_localizer(empty_map(prior)),
         graph=graph,
         solved=graph,
@@ -229,10 +248,10 @@ def pose_now(
     return localized_pose(state.localizer, state.noise.now.walks, increment, dt)
 
 
-def opened(state: EstimatorState) -> OpenObservation:
-    """A turn or piece of the way that begins now."""
+def opened(state: EstimatorState) -> Stretch:
+    """A piece of the way that begins now."""
     X_MB, covariance = pose_now(state)
-    return OpenObservation(state.instant, X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)), ())
+    return Stretch(state.instant, X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)))
 
 
 def with_map(
@@ -251,7 +270,7 @@ def with_map(
         localizer=start_localizer(of_tied(estimate, graph), state.walls),
         deviation=deviation_of(estimate) if solved is graph else state.deviation,
     )
-    return replace(state, open=opened(state), turns=False)
+    return replace(state, log=(opened(state),))
 
 
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
@@ -259,15 +278,14 @@ def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
     return way(X_DA, np.diag(sigma**2))
 
 
-def reduced_now(state: EstimatorState, seen: OpenObservation) -> Reduced:
-    """An observation, up to the filters' instant, solved by itself."""
-    now, graph, floor = state.noise.now, state.graph, state.walls.floor
-    return reduced(now, (seen.begin, seen.frames, state.instant), graph.shared, floor, graph.unevenness)
+def reduced_now(state: EstimatorState, piece: Piece) -> Reduced:
+    """A turn or piece of the way, solved by itself."""
+    return reduced(state.noise.now, piece, state.graph.shared, state.walls.floor, state.graph.unevenness)
 
 
-def newest_of(seen: OpenObservation) -> OpenObservation:
-    """The newest frames of an observation as one of their own, but for what was seen as it began: the robot may have
+def newest_of(seen: Stretch) -> Stretch:
+    """The newest frames of a stretch as one of their own, but for what was seen as it began: the robot may have
     been moved then."""
     frames = seen.frames[-MOST_FRAMES:]
     begin = replace(frames[0], detections=no_detections(frames[0].stamp), lines=no_lines())
-    return OpenObservation(begin, se2.compose(seen.X_MB, se2.between(seen.begin.X_OB, begin.X_OB)), seen.sigma, frames)
+    return Stretch(begin, se2.compose(seen.X_MB, se2.between(seen.begin.X_OB, begin.X_OB)), seen.sigma, frames)

@@ -33,8 +33,8 @@ from tfg_drake.slam.estimator_state import (
     KIDNAPPED,
     EstimatorState,
     KnownMap,
-    OpenObservation,
     Placed,
+    Stretch,
     newest_of,
     opened,
     reduced_now,
@@ -123,7 +123,7 @@ def looked_for(state: EstimatorState) -> EstimatorState:
     if count != FRAMES and (count < FRAMES or parts[0] == parts[1]):
         return state
     newest = newest_of(turn)
-    return _with_place(state, known, _seen_of(reduced_now(state, newest).keyframe, state, newest.X_MB))
+    return _with_place(state, known, _seen_of(_until_now(state, newest), state, newest.X_MB))
 
 
 def joined(state: EstimatorState) -> EstimatorState:
@@ -179,31 +179,31 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     at_last: what has been seen is about to be mapped, as if the robot were where it seems to be, unless it is found
     elsewhere or is known to be.
     """
-    estimate, suspect, stamp = state.map, state.suspect, state.stamp
-    if estimate is None or suspect is None:
+    estimate, suspect, stamp = state.map, state.seen_in_doubt, state.stamp
+    if estimate is None or suspect is None or not suspect.frames:
         return state
     by_surfaces = at_last or sum(len(frame.lines) > 0 for frame in suspect.frames) % LOOKS == 0
     if not by_surfaces and not len(suspect.frames[-1].detections.ids):
         return state
     newest = newest_of(suspect)
-    seen = _seen_of(reduced_now(state, newest).keyframe, state, np.zeros(3))
+    seen = _seen_of(_until_now(state, newest), state, np.zeros(3))
     by_surfaces = by_surfaces and tells_place(seen[1].points)
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
     begin = adrift(graph) + 1
     mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed)
-    sigma, carried = FROM_HERE if state.kidnapped else (DRIFTED, CARRIED)
+    sigma, carried = FROM_HERE if state.is_kidnapped else (DRIFTED, CARRIED)
     prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
     found, places = _where((known, mapped), seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
-    here = not state.kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
+    here = not state.is_kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
     # One that is lost, and maps apart, cannot be more lost.
-    if here or (begin and found is None and not state.kidnapped):
-        return replace(state, contradictions=0, suspect=None)
+    if here or (begin and found is None and not state.is_kidnapped):
+        return replace(state, contradictions=0.0, suspect=None)
     if found is None:
-        if state.kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
+        if state.is_kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
         _log.warning("%.2f s: what is in view contradicts the pose; the robot looks for itself", stamp)
         # Tags met before the robot was moved have another place relative to it now.
@@ -222,15 +222,15 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         _, estimate = solve(graph, estimate.stamp, estimate.observation, node=node)
     localizer = placed_localizer(estimate, state.walls, X_MB, PLACED)
     placed = stamp if anywhere else state.placed
-    state = replace(state, localizer=localizer, placed=placed, contradictions=0, lost=False, suspect=None)
+    state = replace(state, localizer=localizer, placed=placed, contradictions=0.0, suspect=None)
     return begun_elsewhere(state, replace(newest, X_MB=found.X, sigma=PLACED))
 
 
 def doubted(state: EstimatorState) -> EstimatorState:
     """The state at the end of a turn, which sees more than a scan: where the map contradicts it, for one has looked
     through what the other sees, the robot may be elsewhere."""
-    turn, graph, is_lost = state.turn, state.graph, state.kidnapped or state.lost
-    if turn is None or is_lost or not state.may_be_moved or math.isnan(state.placed) or adrift(graph) >= 0:
+    turn, graph = state.turn, state.graph
+    if turn is None or state.is_kidnapped or not state.may_be_moved or adrift(graph) >= 0:
         return state
     X_BS = graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     looks = [(se2.between(turn.begin.X_OB, frame.X_OB), frame.points) for frame in turn.frames if len(frame.points)]
@@ -243,15 +243,12 @@ def doubted(state: EstimatorState) -> EstimatorState:
     return replace(state, contradictions=CONTRADICTIONS, suspect=turn)
 
 
-def begun_elsewhere(state: EstimatorState, begun: OpenObservation) -> EstimatorState:
-    """The state of a kidnapped robot: the motion from the last view to the observation that has begun is unknown."""
-    if state.turn is None:
-        return replace(state, kidnapped=True, way=(), open=begun)
-    assert state.map is not None
-    if begun.begin.stamp < state.turn.begin.stamp:
+def begun_elsewhere(state: EstimatorState, begun: Stretch) -> EstimatorState:
+    """The state of a kidnapped robot: the motion from the last view to the stretch that has begun is unknown."""
+    turn = state.turn
+    if turn is not None and begun.begin.stamp < turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
-    way = unknown_way(se2.between(state.map.X_MD, begun.X_MB), begun.sigma)
-    return replace(state, kidnapped=True, way=(Sighted(way),), open=begun)
+    return replace(state, log=(*state.log, replace(begun, is_turn=turn is not None, is_apart=True)))
 
 
 def found_again(
@@ -290,6 +287,11 @@ def found_again(
     keyframes = (*graph.keyframes[:j], tie, *graph.keyframes[j + 1 :])
     graph = moved_part(replace(graph, keyframes=keyframes, X_MN=poses, p_ML=estimate.p_ML), since, found.X)
     return *solve(graph, estimate.stamp, estimate.observation), way, empty(Hypotheses)
+
+
+def _until_now(state: EstimatorState, seen: Stretch) -> Keyframe:
+    """A stretch as a keyframe that ends at the filters' instant."""
+    return reduced_now(state, (seen.begin, seen.frames, state.instant)).keyframe
 
 
 def _seen_of(one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen | None = None) -> Look:
