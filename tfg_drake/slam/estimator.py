@@ -12,7 +12,6 @@ is suddenly elsewhere (a slip, a push, a kidnapping).
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import logging
 import math
 from collections.abc import Callable
@@ -85,7 +84,7 @@ from tfg_drake.slam.scan_lines import on_uneven, scan_lines, surface_seen, uneve
 from tfg_drake.slam.scan_points import scan_points
 from tfg_drake.slam.scan_ranges import compared, great_error, scan_information
 from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
-from tfg_drake.slam.turn import SAME_INSTANT, Piece, Reduced, Source, TurnFrame, no_detections, reduced
+from tfg_drake.slam.turn import SAME_INSTANT, Reduced, Source, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
 # Without frames the filters follow odometry in steps of this length, s.
@@ -136,7 +135,7 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 def carried(state: EstimatorState) -> EstimatorState:
     """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
     before_any: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(state)}
-    of_drive = ("newest", "odometry", "pending", "scans", "unread", "suspect", "log")
+    of_drive = ("newest", "odometry", "pending", "scans", "unread", "looked", "suspect", "log")
     anew = {name: before_any[name] for name in of_drive}
     return replace(state, contradictions=math.inf, placed=math.nan, **anew)
 
@@ -418,7 +417,7 @@ def _step(
     scan, one_of_many = _scan_beside(state, frame, twist, SAME_PLACE), state.noise.now.in_a_row(frame)
     ranges = state.ranges if scan is None else compared(state.ranges, frame, scan, state.graph.shared)
     seen, every = state.log[-1], 0.0 if math.isinf(state.path_keyframe_period) else LINES_EVERY
-    looks = (len(lines) > 0 or len(points) > 0) and stamp >= _last_look(seen) + every - SAME_INSTANT
+    looks = (len(lines) > 0 or len(points) > 0) and stamp >= state.looked + every - SAME_INSTANT
     here = points if looks and _is_elsewhere(seen, now.X_OB) else NO_SCAN[1]
     taken = TurnFrame(stamp, now.clock, now.X_OB, frame, state.offset, lines if looks else NO_SCAN[0], only_scan, here)
     if looks or not only_scan:
@@ -448,6 +447,7 @@ def _step(
         localizer=localizer,
         contradictions=contradictions,
         log=(*state.log[:-1], seen),
+        looked=stamp if looks else state.looked,
     )
     state = replace(state, suspect=_suspect(state, taken), watch=_watched(state, frame, twist))
     if contradictions >= CONTRADICTIONS and (len(frame.ids) or looks):
@@ -461,12 +461,6 @@ def _step(
 def _instant(now: DeadReckoning) -> TurnFrame:
     """An instant at which nothing is seen."""
     return TurnFrame(now.stamp, now.clock, now.X_OB, no_detections(now.stamp))
-
-
-def _last_look(seen: Stretch) -> float:
-    """When lines or points of a scan were last taken for a turn or piece, s; -inf for never."""
-    looks = (frame.stamp for frame in reversed(seen.frames) if len(frame.lines) or len(frame.points))
-    return next(looks, -math.inf)
 
 
 def _is_elsewhere(seen: Stretch, X_OB: FloatArray) -> bool:
@@ -512,29 +506,26 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> Stretch | None:
 
 
 def _cut(state: EstimatorState, *, is_turn: bool = False) -> EstimatorState:
-    """The state with the open piece of the way over, and the next one or a turn open. The way to the first view is not
-    mapped."""
-    piece, before = state.log[-1], () if state.map is None else state.log
+    """The state with the open piece of the way over and solved, and the next one or a turn open. The way to the first
+    view is not mapped."""
+    piece, before = state.log[-1], state.log[:-1]
     if state.stamp <= piece.begin.stamp:
-        return replace(state, log=(*state.log[:-1], replace(piece, is_turn=is_turn)))
+        return replace(state, log=(*before, replace(piece, is_turn=is_turn)))
+    if state.map is not None:
+        state, _, seen = _reduced(state, piece)
+        if not state.path_keyframe_period:
+            seen = seen.only(np.zeros(len(seen.frames), dtype=bool))
+        before = (*before, replace(piece, solved=seen))
     return replace(state, log=(*before, replace(opened(state), is_turn=is_turn)))
 
 
-def _reduced(state: EstimatorState, piece: Piece) -> tuple[EstimatorState, Reduced, Sighted]:
-    """The state that will learn its noise from a turn or piece; that solved, and as a keyframe."""
+def _reduced(state: EstimatorState, seen: Stretch) -> tuple[EstimatorState, Reduced, Sighted]:
+    """The state that will learn its noise from a stretch of the log, which ends now; that solved, and as a keyframe."""
+    piece = (seen.begin, seen.frames, state.instant)
     solution = reduced_now(state, piece)
     source = Source(piece, state.graph.shared, state.noise.level, state.walls.floor)
-    seen = Sighted(solution.keyframe, solution.sightings, source)
-    return replace(state, noise=state.noise.with_sample(solution.sample)), solution, seen
-
-
-def _way_known(state: EstimatorState) -> tuple[EstimatorState, tuple[Sighted, ...]]:
-    """The state that will learn its noise from the pieces of the way since the last view, and these as keyframes."""
-    way = []
-    for piece, later in itertools.pairwise(state.mapped):
-        state, _, seen = _reduced(state, (piece.begin, piece.frames, later.begin))
-        way.append(seen if state.path_keyframe_period else seen.only(np.zeros(len(seen.frames), dtype=bool)))
-    return state, tuple(way)
+    one = Sighted(solution.keyframe, solution.sightings, source)
+    return replace(state, noise=state.noise.with_sample(solution.sample)), solution, one
 
 
 def _prior(state: EstimatorState) -> Shared:
@@ -587,9 +578,9 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
 def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     """The state with the open turn or piece added to the map as a view, and the localiser at its end. spread: see
     `solve`."""
-    state, way = _way_known(state)
     first, seen = state.mapped[0], state.log[-1]
-    state, solution, view = _reduced(state, (seen.begin, seen.frames, state.instant))
+    way = tuple(one.solved for one in state.mapped if one.solved is not None)
+    state, solution, view = _reduced(state, seen)
     state = _with_scale_reported(replace(state, noise=state.noise.learnt()))
     keyframe = view.keyframe
     observation = Observation(keyframe.ids[is_tag(keyframe.ids)], solution.stamps, solution.X_AB)

@@ -20,7 +20,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.evidence import Evidence, TagWatch, renewed, with_doubts
+from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, renewed, with_doubts
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import Keyframe, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, of_tied
@@ -54,7 +54,7 @@ class Stretch:
 
     begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
     seen since. is_apart: the way to it from the last view is not known better than that: the robot was moved by
-    something else than its wheels.
+    something else than its wheels. solved: as a keyframe, None while it is under way.
     """
 
     begin: TurnFrame
@@ -63,6 +63,7 @@ class Stretch:
     frames: tuple[TurnFrame, ...] = ()
     is_turn: bool = False
     is_apart: bool = False
+    solved: Sighted | None = None
 
 
 @message
@@ -129,11 +130,11 @@ class EstimatorState:
     not in the latter, inf where it has mapped on without. map: what has become of the solved graph since, None before
     the first view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
     none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
-    odometry. may_be_moved: by something else than its wheels. straight: (2,) m of straight walls and of all surfaces
-    that the scans of the last minutes have seen, nan once it was told that too little is straight. loops: the search
-    for them. deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session began
-    with, until it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in it that
-    may be, none where that is anywhere or nowhere.
+    odometry. looked: s, when lines were last taken for a stretch. may_be_moved: by something else than its wheels.
+    straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen, nan once it was
+    told that too little is straight. loops: the search for them. deviation: (2,) of the newest pose at the last solve,
+    m and rad. known: the map that the session began with, until it is part of this one for good; at: where in it that
+    is, once it is known; hypotheses: where in it that may be, none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -160,6 +161,7 @@ class EstimatorState:
     walls: Walls = dataclasses.field(default_factory=no_walls)
     landmarks: str = "both"
     unread: tuple[LaserScan, ...] = ()
+    looked: float = -np.inf
     may_be_moved: bool = True
     straight: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
     loops: LoopSearch = dataclasses.field(default_factory=LoopSearch)
