@@ -33,8 +33,6 @@ FULL = 25
 MOST_DEVIATION, WITH_POINTS = 0.02, 0.005
 # The newest keyframes stay as they are: a slip may still be found between them.
 UNFUSED = 4
-# Keyframes that fusing looks at, from the newest on.
-RECENT = 64
 
 
 @message
@@ -145,7 +143,7 @@ def fused(graph: KeyframeGraph, tried: int = 0) -> KeyframeGraph:
     """
     keyframes, X_MN = list(graph.keyframes), graph.X_MN
     view_keyframe, X_AV = graph.view_keyframe.copy(), graph.X_AV.copy()
-    j = max(len(keyframes) - RECENT, tried - UNFUSED - 2, 0)
+    j = max(tried - UNFUSED - 2, 0)
     while j < len(keyframes) - UNFUSED - 1:
         first, second = keyframes[j], keyframes[j + 1]
         shared = len(np.intersect1d(first.ids, second.ids))

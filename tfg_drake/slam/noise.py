@@ -26,10 +26,8 @@ MOST = np.array([1.6, 1.6, 1.6, 1.7, 2.5])
 # Samples kept. The noise is learnt anew when there have been so many times more.
 MOST_SAMPLES = 32
 GROWTH = 3
-# Steps of one learning at most, the longest, and that after which the next would be none, in deviations; step of the
-# differences.
+# Steps of one learning at most, and that after which the next would be none, in deviations; step of the differences.
 MOST_STEPS = 6
-LONGEST_STEP = 1.0
 SMALL = 1.0
 DIFFERENCE = 0.01
 
@@ -112,7 +110,7 @@ class LearntNoise:
             free = (gradient < 0.0) & (level < MOST) | (gradient > 0.0) & (level > LEAST)
             step = np.zeros(len(level))
             step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
-            there = np.clip(level + np.clip(step, -LONGEST_STEP, LONGEST_STEP), LEAST, MOST)
+            there = np.clip(level + step, LEAST, MOST)
             while (lower := self._cost(there)) > cost and np.max(np.abs(there - level) / sigma) > SMALL:
                 there = 0.5 * (level + there)
             small = np.max(np.abs(there - level) / sigma) <= SMALL
