@@ -42,8 +42,6 @@ KIDNAPPED = np.array([100.0, 100.0, 10.0])
 NO_MOTION = np.zeros(3)
 # So many of the newest frames tell where the robot is.
 MOST_FRAMES = 50
-# The filters' instant before any message.
-BEFORE_ANY = TurnFrame(-np.inf, -np.inf, np.zeros(3), no_detections(-np.inf))
 # A camera that is mounted, and whose clock runs, as is believed.
 EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
 
@@ -150,7 +148,7 @@ class EstimatorState:
     odometry: tuple[DeadReckoning, ...] = ()
     pending: tuple[TagDetections, ...] = ()
     scans: tuple[LaserScan, ...] = ()
-    instant: TurnFrame = BEFORE_ANY
+    instant: TurnFrame = TurnFrame(-np.inf, -np.inf, np.zeros(3), no_detections(-np.inf))
     contradictions: float = 0.0
     suspect: Stretch | None = None
     placed: float = -np.inf

@@ -38,7 +38,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, taken_back
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.scan_ranges import surface
-from tfg_drake.slam.tag_error import in_place
+from tfg_drake.slam.tag_error import LEAST_CHANCE, in_place
 from tfg_drake.slam.turn import Source
 from tfg_drake.table import concat, take
 
@@ -69,9 +69,8 @@ SAME_SIDE = math.cos(math.radians(80.0))
 # far to either side of it, m: what hides a part of a tag hides it from the detector.
 SAME_SURFACE = 0.1
 HALF_WIDTH = 0.1
-# A tag is missing where no fewer frames in a row fail to show it than this, and by chance as seldom as that.
+# A tag is missing where no fewer frames in a row fail to show it than this, and by chance no oftener than LEAST_CHANCE.
 LEAST_FRAMES = 5
-LEAST_CHANCE = 1e-4
 
 
 def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:

@@ -34,8 +34,7 @@ APART, TURNED, PLACES, COARSE, QUERY, SURROUNDINGS = 1.0, 0.3, 30, 130, 400, 8.0
 LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
 # A place is told by so much surface, m, and in both directions: the smaller information is such a share of the larger.
 LEAST_LENGTH, LEAST_ACROSS = 5.0, 0.03
-# Poses no farther from each other than this, m and rad, are one place.
-SAME = (0.5, 0.3)
+# Poses no farther from each other than this, m, m and rad, are one place.
 SAME_PLACE = np.array([0.5, 0.5, 0.3])
 # Places where so much less of the query, as a share, lies on surfaces than in the best are out of the question.
 MUCH_LESS = 0.3
@@ -282,9 +281,10 @@ def tells_place(query: FloatArray) -> bool:
 
 
 def is_elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
-    """Which poses (k, 3) are farther than SAME from another (3,)."""
+    """Which poses (k, 3) are farther than SAME_PLACE from another (3,)."""
     off = poses - X
-    return np.asarray((np.hypot(off[:, 0], off[:, 1]) > SAME[0]) | (np.abs(se2.wrap_angle(off[:, 2])) > SAME[1]))
+    within, turned = SAME_PLACE[1:]
+    return np.asarray((np.hypot(off[:, 0], off[:, 1]) > within) | (np.abs(se2.wrap_angle(off[:, 2])) > turned))
 
 
 def peaks(

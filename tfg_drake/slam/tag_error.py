@@ -13,8 +13,8 @@ from scipy.special import gammaincc
 
 from tfg_drake.messages import FloatArray
 
-# Tags are taken to have errors where the keyframes pull at them so hard as noise alone does with this chance; from so
-# many tags on.
+# What noise alone does with no greater chance than this has another cause: tags are taken to have errors where the
+# keyframes pull at them so hard; from so many tags on.
 LEAST_CHANCE = 1e-4
 LEAST_TAGS = 10
 # The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
