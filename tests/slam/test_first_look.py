@@ -6,7 +6,6 @@ import pytest
 from tfg_drake.geometry.visibility import cast_rays
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 from tfg_drake.slam.first_look import (
-    Agreement,
     agreement,
     held_against_odometry,
     remedies,
@@ -80,7 +79,7 @@ def test_the_turn_between_two_frames_is_that_of_most_tags():
 )
 def test_a_sensor_that_is_upside_down_turns_against_the_robot(angles, flip, mirrored):
     tags, scan = held_against_odometry(messages(0, angles, flip, mirrored))
-    assert vars(tags) == {"against": mirrored, "ahead": 0.0}
+    assert (tags.against, tags.lag) == (mirrored, 0.0)
     assert (scan.against, len(scan.lines)) == (flip, int(flip))
     # It is no scanner that is upside down where it is the odometry that turns the other way.
     other = held_against_odometry(messages(3, angles, flip, mirrored, turned=-1.0))
@@ -90,16 +89,16 @@ def test_a_sensor_that_is_upside_down_turns_against_the_robot(angles, flip, mirr
 @pytest.mark.parametrize("ahead", [0.3, -0.2, 0.5, -0.7])
 def test_a_wrong_clock_is_found(ahead):
     tags, scans = held_against_odometry(messages(0, tags_ahead=ahead))
-    assert (tags.ahead, scans.lines) == (pytest.approx(ahead, abs=0.03), [])
+    assert (tags.lag, scans.lines) == (pytest.approx(ahead, abs=0.03), [])
     tags, scans = held_against_odometry(messages(1, scan_ahead=ahead))
-    assert (tags.ahead, scans.lag) == (0.0, pytest.approx(ahead, abs=0.03))
+    assert (tags.lag, scans.lag) == (0.0, pytest.approx(ahead, abs=0.03))
     assert [note.kind for note in scans.notes] == ["lag"]
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.05, -0.08])
 def test_what_is_learnt_with_the_map_is_no_fault(ahead):
     tags, scans = held_against_odometry(messages(1, tags_ahead=ahead, scan_ahead=ahead))
-    assert (tags.ahead, scans.lines) == (0.0, [])
+    assert (tags.lag, scans.lines) == (0.0, [])
 
 
 @pytest.mark.parametrize("turned", [0.5, 2.0])
@@ -138,17 +137,17 @@ def test_where_nothing_is_told_nothing_is_wrong():
     stands = [one for one in messages() if one.stamp < BEGIN]
     for seen in (stands, [one for one in messages() if isinstance(one, Odometry)], []):
         tags, scans = held_against_odometry(seen)
-        assert vars(tags) == vars(Agreement())
-        assert vars(scans) == vars(Verdict())
+        assert vars(tags) == vars(scans) == vars(Verdict())
     # Turns that no clock explains.
     rng = np.random.default_rng(0)
     stamps = np.arange(0.0, 17.0, 0.1)
     seen = np.column_stack([stamps[:-1], stamps[1:], rng.uniform(-0.3, 0.3, len(stamps) - 1)])
-    assert vars(agreement(seen, stamps, heading(stamps))) == vars(Agreement())
+    told = agreement([one for one in messages() if isinstance(one, Odometry)], seen)
+    assert (told.against, told.lag) == (False, 0.0)
 
 
 def test_each_finding_is_a_line_with_the_key_to_set():
-    right, against = Agreement(), Agreement(against=True)
+    right, against = Verdict(), Verdict(against=True)
     agrees, flipped = Verdict(), Verdict(refusal="scans turn against the odometry", against=True)
     assert remedies(right, agrees) == []
     assert remedies(right, flipped) == ["scans turn against the odometry"]
@@ -156,6 +155,6 @@ def test_each_finding_is_a_line_with_the_key_to_set():
     assert line.startswith("the tags turn against the robot")
     (line,) = remedies(against, flipped)
     assert "its odometry counts turns to the right" in line
-    camera, scanner = remedies(Agreement(ahead=0.3), flipped)
+    camera, scanner = remedies(Verdict(lag=0.3), flipped)
     assert "0.30 s ahead of the base's" in camera
     assert scanner == flipped.refusal

@@ -337,10 +337,10 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
         # Walls of such a scanner would bend the map.
         frames = tuple(replace(frame, lines=NO_SCAN[0]) for frame in turn.frames)
         state = replace(state, landmarks="tags", log=(replace(turn, frames=frames),), unread=())
-    if tags.ahead:
+    if tags.lag:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=state.landmarks), tags.ahead)
+        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=state.landmarks), tags.lag)
         for message in look.messages:
             state = process[type(message)](state, message)
             if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:

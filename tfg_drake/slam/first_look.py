@@ -14,25 +14,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.geometry.se2 import wrap_angle
-from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, message, replace
+from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.slam.evidence import sanitized
-from tfg_drake.slam.scan_matching import EXPLAINED, TELL, Verdict, compare, judged
+from tfg_drake.slam.scan_matching import EXPLAINED, MOST, TELL, Pairs, Verdict, apart, compare, compared, judged
 
-# Clocks are compared up to so much before or after each other, in steps of so much, s.
-MOST_OFFSET, OFFSET_STEP = 1.0, 0.02
 # A clock that is wrong by no more than this is no fault, s: the camera's is learnt with the map, and a scan may be
 # stamped with its first ray.
 LEAST_OFFSET = 0.1
-# A turn that differs from the odometry's by more than this says no more than that, rad: it is no turn at all.
-OUTLIER = 0.06
-# Turns of more than this, rad, must have been seen so often.
-LEAST_TURN, LEAST_TURNS = 0.03, 15
-# What explains the turns has less than this share of the cost of what does not, and of outliers alone.
-EXPLAINS = 0.5
-# A clock is wrong when what is seen is so many deviations less likely with a right one.
-SIGNIFICANT = 5.0
-# Least standard deviation of a turn seen, rad.
-STEP = 0.01
+# Standard deviation of a turn seen by tags, rad.
+STEP = 0.008
 TAGS_AGAINST = (
     "the tags turn against the robot: is the camera mounted upside down, or its image mirrored? "
     "Set hardware.camera.roll, or mend the image"
@@ -42,40 +32,29 @@ BOTH_AGAINST = "tags and scan turn against the robot: its odometry counts turns 
 Message = Odometry | TagDetections | LaserScan
 
 
-@message
-class Agreement:
-    """How the tags' turns agree with the odometry's. against: they go the other way. ahead: the camera's clock less the
-    odometry's, s, 0 where that is no fault."""
-
-    against: bool = False
-    ahead: float = 0.0
-
-
-def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Agreement, Verdict]:
+def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Verdict, Verdict]:
     """The verdicts of the tags and the scans of a first look, one that says nothing like one that agrees. known: s, how
-    far the camera's clock is ahead of the odometry's as far as is known: `ahead` comes on top."""
+    far the camera's clock is ahead of the odometry's as far as is known: `lag` comes on top."""
     odometry = [one for one in messages if isinstance(one, Odometry)]
-    stamps = np.array([one.stamp for one in odometry])
-    heading = np.unwrap([one.X_OB[2] for one in odometry])
     frames = [sanitized(one)[0] for one in messages if isinstance(one, TagDetections)]
     scans = [one for one in messages if isinstance(one, LaserScan) and len(one.angles)]
-    by_tags = turns_of_tags(frames) - [known, known, 0.0]
+    by_tags = turns_of_tags(apart([frame for frame in frames if len(frame.ids)])) - [known, known, 0.0]
     found = compare(odometry, scans, mount_known=True)
     turning, explained = found.turning
     if explained >= max(TELL, EXPLAINED * turning):
         # The robot turns on the spot: what travels is somebody who walks by.
         found = replace(found, travelling=np.zeros(2))
-    return agreement(by_tags, stamps, heading), judged(found, LEAST_OFFSET)
+    return agreement(odometry, by_tags), judged(found, LEAST_OFFSET)
 
 
-def remedies(tags: Agreement, scan: Verdict) -> list[str]:
+def remedies(tags: Verdict, scan: Verdict) -> list[str]:
     """Remedies that somebody can take, a line each."""
     if tags.against and scan.against:
         return [BOTH_AGAINST]
     lines = [TAGS_AGAINST] if tags.against else []
-    if tags.ahead:
+    if tags.lag:
         lines.append(
-            f"the camera's clock is {abs(tags.ahead):.2f} s {'ahead of' if tags.ahead > 0.0 else 'behind'} the base's, "
+            f"the camera's clock is {abs(tags.lag):.2f} s {'ahead of' if tags.lag > 0.0 else 'behind'} the base's, "
             "which is corrected: mend hardware.camera.latency, on ROS the clocks"
         )
     return lines + scan.lines
@@ -93,26 +72,9 @@ def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:
     return np.array(seen).reshape(-1, 3)
 
 
-def agreement(seen: FloatArray, stamps: FloatArray, heading: FloatArray) -> Agreement:
-    """How turns seen (n, 3), see `turns_of_tags`, agree with the odometry's heading (m,), rad and not wrapped, at its
-    stamps (m,), s."""
-    if not len(seen) or not len(stamps):
-        return Agreement()
-    steps = round(MOST_OFFSET / OFFSET_STEP)
-    offsets = OFFSET_STEP * np.arange(-steps, steps + 1)
-    turned = np.array([np.subtract(*(np.interp(seen[:, k] - o, stamps, heading) for k in (1, 0))) for o in offsets])
-    cost = np.array([_cost(seen[:, 2] - turned), _cost(seen[:, 2] + turned)])
-    least = cost.min(axis=1)
-    way = int(np.argmin(least))
-    best = int(np.argmin(cost[way]))
-    turns = np.count_nonzero(np.abs(turned[best]) > LEAST_TURN)
-    if turns < LEAST_TURNS or least[way] > EXPLAINS * min(least[1 - way], len(seen) * OUTLIER**2):
-        return Agreement()
-    variance = max(least[way] / len(seen), STEP**2)
-    is_wrong = cost[way, steps] - least[way] > SIGNIFICANT**2 * variance and abs(offsets[best]) > LEAST_OFFSET
-    return Agreement(way == 1, float(offsets[best]) if is_wrong else 0.0)
-
-
-def _cost(error: FloatArray) -> FloatArray:
-    """The sum (k,) of squared errors (k, n), rad, that of an outlier bounded."""
-    return np.asarray(np.minimum(wrap_angle(error) ** 2, OUTLIER**2).sum(axis=1))
+def agreement(odometry: Sequence[Odometry], seen: FloatArray) -> Verdict:
+    """The verdict of turns seen (n, 3), see `turns_of_tags`, which tell nothing of the way."""
+    n = len(seen)
+    X, covariance = np.zeros((n, 3)), np.tile(np.diag(np.square([MOST, MOST, STEP])), (n, 1, 1))
+    X[:, 2] = seen[:, 2]
+    return judged(compared(odometry, Pairs(seen[:, 0], seen[:, 1], X, covariance), mount_known=True), LEAST_OFFSET)

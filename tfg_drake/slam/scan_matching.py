@@ -11,12 +11,13 @@ import bisect
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tfg_drake.geometry import se2
-from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, message, replace
+from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, TagDetections, message, replace
 from tfg_drake.notes import Note
 from tfg_drake.slam.scan_matching_kernels import fitting, normals, searched
 
@@ -54,6 +55,8 @@ ONE_STRETCH = 1.0
 PAIRS, EXPLAINED, TELL = 12, 0.5, 5
 # Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
+# Scans, or frames of tags.
+View = TypeVar("View", LaserScan, TagDetections)
 AGAINST = "scans turn against the odometry"
 
 # While a robot drives its scans are held against the odometry so often, s; and what contradicts it so many times in a
@@ -190,18 +193,18 @@ def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
 
 
 @message
-class _Pairs:
-    """n pairs of scans, ready to be held against a way of odometry. begin, end: (n,) s, of the scans' clock. X: (n, 3)
-    the way from one to the other by the scans and covariance: (n, 3, 3), nan where they do not match."""
+class Pairs:
+    """n pairs of scans, or of frames of tags, ready to be held against a way of odometry. begin, end: (n,) s, of their
+    clock. X: (n, 3) the way from one to the other by these, and covariance: (n, 3, 3), nan where they do not match."""
 
     begin: FloatArray
     end: FloatArray
     X: FloatArray
     covariance: FloatArray
 
-    def of(self, which: NDArray[np.integer]) -> _Pairs:
+    def of(self, which: NDArray[np.integer]) -> Pairs:
         """Some of them."""
-        return _Pairs(self.begin[which], self.end[which], self.X[which], self.covariance[which])
+        return Pairs(self.begin[which], self.end[which], self.X[which], self.covariance[which])
 
     def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust, FloatArray]:
         """How turns, and how ways are explained if the scans' clock is ahead by the lag, s: x is the factor (1,) of the
@@ -241,11 +244,23 @@ class _Pairs:
 def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
     """Hold odometry against scans, both in the order of their stamps. mount_known: whether the bearings of the scans
     are those in the body frame; else they may be the scanner's own."""
-    chosen = list(scans[:1])
-    for scan in scans[1:]:
-        if scan.stamp - chosen[-1].stamp >= APART:
-            chosen.append(scan)
-    every = _ways(chosen)
+    chosen = apart(scans)
+    return compared(odometry, _ways(chosen), mount_known, chosen)
+
+
+def apart(views: Sequence[View]) -> list[View]:
+    """Those of some views, in the order of their stamps, that are compared."""
+    chosen = list(views[:1])
+    for view in views[1:]:
+        if view.stamp - chosen[-1].stamp >= APART:
+            chosen.append(view)
+    return chosen
+
+
+def compared(
+    odometry: Sequence[Odometry], every: Pairs, mount_known: bool, scans: Sequence[LaserScan] = ()
+) -> Comparison:
+    """Odometry held against pairs. scans: one more than pairs, that these are of; without them none contradicts."""
     nothing = Comparison(mount_known, float(every.begin[0]) if len(every.begin) else 0.0)
     matched = every.covariance[:, 2, 2] < MOST_DEVIATION**2
     if len(odometry) < 2 or matched.sum() < PAIRS:
@@ -266,8 +281,8 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
     of_scale = float(of_turn.information[0, 0]) ** -0.5
     wrong = [
         k
-        for k, predict in zip(told, predicted, strict=True)
-        if _contradicted(chosen[k], chosen[k + 1], every.X[k], every.covariance[k], predict)
+        for k, predict in zip(told.tolist(), predicted, strict=True)
+        if scans and _contradicted(scans[k], scans[k + 1], every.X[k], every.covariance[k], predict)
     ]
     chord, turned = way.moved(pairs.begin - lag, pairs.end - lag)
     sigma = np.sqrt(np.diagonal(pairs.covariance, axis1=1, axis2=2)).reshape(-1, 3)
@@ -310,7 +325,7 @@ def _contradicted(
     return bool(fitting(*seen, predicted.copy()) < RIVAL * fitting(*seen, X.copy()))
 
 
-def _ways(scans: Sequence[LaserScan]) -> _Pairs:
+def _ways(scans: Sequence[LaserScan]) -> Pairs:
     """Each of the scans matched with the next, without any odometry; nan where they do not match."""
     n = max(len(scans) - 1, 0)
     stamps = np.array([one.stamp for one in scans])
@@ -323,7 +338,7 @@ def _ways(scans: Sequence[LaserScan]) -> _Pairs:
         speed = np.zeros(3) if one is None else one.X / duration
         if one is not None:
             X[k], covariance[k] = one.X, one.covariance
-    return _Pairs(stamps[:-1], stamps[1:], X, covariance)
+    return Pairs(stamps[:-1], stamps[1:], X, covariance)
 
 
 def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
