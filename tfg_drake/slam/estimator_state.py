@@ -185,8 +185,8 @@ class EstimatorState:
 
     @property
     def mapped(self) -> tuple[Stretch, ...]:
-        """What of the log the next view maps: all, or where the robot was moved by something else than its wheels what
-        it has seen since."""
+        """The part of the log that the next view maps: all, or where the robot was moved by something else than its
+        wheels the stretches since."""
         return self.log[max((k for k, one in enumerate(self.log) if one.is_apart), default=0) :]
 
     @property
@@ -196,7 +196,7 @@ class EstimatorState:
 
     @property
     def seen_in_doubt(self) -> Stretch | None:
-        """What was seen since the pose came into doubt."""
+        """The frames since the pose came into doubt, as one stretch; None where it is in none."""
         if self.suspect is None:
             return None
         begin = self.suspect.begin.stamp

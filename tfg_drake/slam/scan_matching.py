@@ -249,7 +249,7 @@ def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_know
 
 
 def apart(views: Sequence[View]) -> list[View]:
-    """Those of some views, in the order of their stamps, that are compared."""
+    """Every view, in the order of their stamps, that is APART from the one before."""
     chosen = list(views[:1])
     for view in views[1:]:
         if view.stamp - chosen[-1].stamp >= APART:
