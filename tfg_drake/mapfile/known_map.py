@@ -10,7 +10,7 @@ from tfg_drake.geometry.star import inside_any
 from tfg_drake.mapfile.placement import seen_in
 from tfg_drake.mapfile.saved_map import SavedMap, as_one_keyframe
 from tfg_drake.messages import BoolArray, SaidPose, replace
-from tfg_drake.slam.estimator_state import EstimatorState, FirstLook, KnownMap
+from tfg_drake.slam.estimator_state import EstimatorState, KnownMap
 from tfg_drake.slam.keyframe_graph import forget, no_observation
 from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.relocalizer import said_to_be
@@ -40,7 +40,7 @@ def begun_with(saved: SavedMap, state: EstimatorState, at: Sequence[float] = ())
     state = replace(state, known=known)
     if len(at):
         state = said_to_be(state, SaidPose(X_WB=np.array(at[:3]), sigma=np.array(at[3:])), np.zeros(3))
-    return replace(state, look=FirstLook(state))
+    return state
 
 
 def _gone(saved: SavedMap) -> BoolArray:

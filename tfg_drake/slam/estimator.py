@@ -62,7 +62,7 @@ from tfg_drake.slam.evidence import (
 from tfg_drake.slam.finite import kept_finite
 from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
 from tfg_drake.slam.keyframe import rows_of, without_tags
-from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_map, forget, fused, of_tied
+from tfg_drake.slam.keyframe_graph import UNFUSED, KeyframeGraph, adrift, empty_graph, empty_map, forget, fused, of_tied
 from tfg_drake.slam.localizer import corrected_by_walls, new_tags, placed_localizer, start_localizer, step_localizer
 from tfg_drake.slam.loop_search import with_loops_closed
 from tfg_drake.slam.map_solver import JOINT, SPREAD, known_jointly, solve
@@ -318,10 +318,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
 
 def _kept(state: EstimatorState, message: Message) -> EstimatorState:
     """The state with a message more in its first look, unless that is over."""
-    look = state.look
-    if look is None:
-        return state
-    return replace(state, look=replace(look, messages=(*look.messages, message)[-MOST_KEPT:]))
+    return state if state.look is None else replace(state, look=(*state.look, message)[-MOST_KEPT:])
 
 
 def _first_looked(state: EstimatorState) -> EstimatorState:
@@ -330,7 +327,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     look, turn = state.look, state.turn
     if look is None or turn is None:
         return state
-    tags, scan = held_against_odometry(look.messages, look.start.offset)
+    tags, scan = held_against_odometry(look, state.offset)
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     if scan.lines:
@@ -340,24 +337,30 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     if tags.lag:
         process: dict[type, Callable[[EstimatorState, Any], EstimatorState]]
         process = {Odometry: process_odometry, TagDetections: process_detections, LaserScan: process_scan}
-        state = _with_clock(replace(look.start, known=state.known, look=None, landmarks=state.landmarks), tags.lag)
-        for message in look.messages:
+        state = _begun_anew(state, tags.lag)
+        for message in look:
             state = process[type(message)](state, message)
             if state.turn is None and state.newest is not None and state.newest.stamp >= turn.begin.stamp:
                 state = begin_turn(state, turn.begin.stamp)
     return replace(state, look=None)
 
 
-def _with_clock(state: EstimatorState, ahead: float) -> EstimatorState:
-    """The state before any message with the camera's clock so much, s, farther ahead than its data sheet says."""
+def _begun_anew(state: EstimatorState, ahead: float) -> EstimatorState:
+    """The state before any message of an estimator that has mapped nothing yet, with the camera's clock so much, s,
+    farther ahead than its data sheet says, and the first look over."""
     prior = replace(state.sheet, mean=state.sheet.mean + ahead * np.eye(SHARED)[CLOCK])
-    graph = replace(state.graph, prior=prior, shared=prior)
-    return replace(
-        state,
+    graph = empty_graph(prior, state.graph.solver)
+    return EstimatorState(
+        noise=state.noise,
         sheet=prior,
+        path_keyframe_period=state.path_keyframe_period,
+        localizer=start_localizer(empty_map(prior), state.walls),
         graph=graph,
         solved=graph,
-        localizer=start_localizer(state.map or empty_map(prior), state.walls),
+        landmarks=state.landmarks,
+        walls=state.walls,
+        may_be_moved=state.may_be_moved,
+        known=state.known,
     )
 
 

@@ -65,14 +65,6 @@ class Stretch:
 
 
 @message
-class FirstLook:
-    """The newest messages before the first turn is over, in the order of their arrival, and the state before any."""
-
-    start: EstimatorState
-    messages: tuple[Message, ...] = ()
-
-
-@message
 class Placed:
     """How the frame of a map lies in another, as M of a session in the map K that it began with: X_KM (3,) and its
     covariance (3, 3). moved: ids of the tags that stand elsewhere by now, tags: how many agree, 0 where surfaces say
@@ -126,13 +118,14 @@ class EstimatorState:
     the pieces of the way and the turn after them; the newest is under way. placed: s, since when the robot knows where
     it is in a map that it began with, or in which it may have been carried while nobody looked; nan as long as it does
     not in the latter, inf where it has mapped on without. map: what has become of the solved graph since, None before
-    the first view. look: the first look, None once it is over. sources: of the newest keyframes, None of one that has
-    none. walls: of the map. landmarks: what it is made of, one of `config.LANDMARKS`. unread: scans that wait for
-    odometry. looked: s, when lines were last taken for a stretch. may_be_moved: by something else than its wheels.
-    straight: (2,) m of straight walls and of all surfaces that the scans of the last minutes have seen, nan once it was
-    told that too little is straight. loops: the search for them. deviation: (2,) of the newest pose at the last solve,
-    m and rad. known: the map that the session began with, until it is part of this one for good; at: where in it that
-    is, once it is known; hypotheses: where in it that may be, none where that is anywhere or nowhere.
+    the first view. look: the newest messages in the order of their arrival, None once the first turn is over. sources:
+    of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of
+    `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken for a stretch.
+    may_be_moved: by something else than its wheels. straight: (2,) m of straight walls and of all surfaces that the
+    scans of the last minutes have seen, nan once it was told that too little is straight. loops: the search for them.
+    deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session began with, until
+    it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in it that may be,
+    none where that is anywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -154,7 +147,7 @@ class EstimatorState:
     placed: float = -np.inf
     log: tuple[Stretch, ...] = ()
     map: MapEstimate | None = None
-    look: FirstLook | None = None
+    look: tuple[Message, ...] | None = None
     sources: tuple[Source | None, ...] = ()
     walls: Walls = dataclasses.field(default_factory=no_walls)
     landmarks: str = "both"
@@ -226,7 +219,7 @@ def initial_state(
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
-    state = EstimatorState(
+    return EstimatorState(
         noise=noise_by_data_sheet(random_walks(config)),
         sheet=prior,
         path_keyframe_period=path_keyframe_period,
@@ -236,9 +229,9 @@ def initial_state(
         landmarks=landmarks,
         walls=walls or no_walls(),
         may_be_moved=may_be_moved,
+        # Pieces of a recorded drive are no turns, of which the first is looked at once more.
+        look=None if np.isinf(path_keyframe_period) else (),
     )
-    # Pieces of a recorded drive are no turns, of which the first is looked at once more.
-    return state if np.isinf(path_keyframe_period) else replace(state, look=FirstLook(state))
 
 
 def pose_now(
