@@ -152,7 +152,7 @@ class HardwareBase(LeafSystem):
             return replace(before, heard=heard)
         tags, scan = held_against_odometry(heard)
         # The camera's clock is learnt with the map.
-        wrong = remedies(replace(tags, ahead=0.0), scan)
+        wrong = remedies(replace(tags, lag=0.0), scan)
         if wrong:
             self._device.lock(wrong[0])
         else:
