@@ -121,7 +121,7 @@ def test_only_what_is_near_of_a_roadmap_changes(radius):
     edges = unchecked(state.edges.nodes, state.edges.travelled)
     unknown = replace(state, sigma=np.full(len(near), 7.0), edges=edges)
     later = replace(estimate, stage=3, X_MA=np.vstack([estimate.X_MA, [2.1, -1.3, 0.0]]))
-    after = extend(unknown, tfg, later, PARAMETERS, radius=radius, effort=1)
+    after = extend(unknown, tfg, later, PARAMETERS, radius=radius)
     assert (np.diff(after.ids) > 0).all()
     old = len(near)
     assert len(after.ids) > old

@@ -173,12 +173,10 @@ def _found_again(gains: Gains, known: BoolArray) -> Gains:
     return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
 
 
-def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> tuple[bool, bool]:
-    """Whether a new place that the robot can reach sees enough live frontier, and whether any other where it would
-    fit."""
+def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> bool:
+    """Whether a new place that the robot can reach sees enough live frontier."""
     _, total = _each_seen(roadmap.points, Visibility(roadmap.frontier_offsets, roadmap.frontier_index), tfg, sensor)
-    enough = total >= ENOUGH_FRONTIER
-    return bool(enough[roadmap.reachable].any()), bool(enough[~roadmap.reachable].any())
+    return bool((total[roadmap.reachable] >= ENOUGH_FRONTIER).any())
 
 
 def frontier_seen(points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:

@@ -24,9 +24,9 @@ from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
+from tfg_drake.planning.exact_gain import Known, known_terms
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
-from tfg_drake.slam.measurement import whitened_tag
 
 # Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
 # so many.
@@ -103,8 +103,7 @@ def localised_deviation(
                 square[k] = (targets[seen[k], 0] - x) ** 2 + (targets[seen[k], 1] - y) ** 2
             seen = seen[np.argsort(square)[:LOCALISATION_TAGS]]
         if len(seen) >= 2:
-            errors = covariance if is_joint else covariance[:0]
-            sigma[i] = _deviation_at(x, y, seen, carry[:carries], targets, noise, entry, errors)
+            sigma[i] = _deviation_at(x, y, seen, carry[:carries], is_joint, targets, noise, entry, covariance)
     return sigma, sees, knows
 
 
@@ -114,76 +113,39 @@ def _deviation_at(
     y: float,
     rows: IntArray,
     carry: IntArray,
+    is_joint: bool,
     targets: FloatArray,
     noise: FloatArray,
     entry: IntArray,
     covariance: FloatArray,
 ) -> float:
     """The deviation, m, at (x, y) by the targets of these rows (m,), relative to those that carry (s,) what it could
-    touch; covariance: (0, 2t + 3) where their own errors are left out. Further arguments as of localised_deviation."""
-    m = len(rows)
-    H = np.empty((m, 3, 2))  # K^T G: what an error of each landmark does to the information on the pose
-    b_xx, b_xy, b_yy, b_xt, b_yt, b_tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(m):
-        g00, g01, g10, g11 = whitened_tag(targets[rows[k], 0] - x, targets[rows[k], 1] - y, noise)
-        H[k, 0, 0], H[k, 0, 1] = g00 * g00 + g10 * g10, g00 * g01 + g10 * g11
-        H[k, 1, 0], H[k, 1, 1] = H[k, 0, 1], g01 * g01 + g11 * g11
-        H[k, 2, 0], H[k, 2, 1] = g10 / noise[3], g11 / noise[3]
-        b_xx, b_xy, b_yy = b_xx + H[k, 0, 0], b_xy + H[k, 0, 1], b_yy + H[k, 1, 1]
-        b_xt, b_yt, b_tt = b_xt + H[k, 2, 0], b_yt + H[k, 2, 1], b_tt + noise[3] ** -2.0
-    # The heading eliminated.
-    tx, ty = b_xt / b_tt, b_yt / b_tt
-    b_xx, b_xy, b_yy = b_xx - tx * b_xt, b_xy - tx * b_yt, b_yy - ty * b_yt
-    det = b_xx * b_yy - b_xy * b_xy
-    if det <= 0.0:
+    touch. is_joint: the targets' own errors count. Further arguments as of localised_deviation."""
+    no_walls = np.zeros((len(targets), 2, 2)), np.zeros((len(targets), 2))
+    known = Known(np.array([0, len(rows)]), rows, targets, entry, *no_walls, covariance)
+    column, G, K, C = known_terms(x, y, 0, known, noise)
+    information = K.T.copy() @ K
+    if np.linalg.det(information) <= 0.0:
         return np.inf
-    p_xx, p_xy, p_yy = b_yy / det, -b_xy / det, b_xx / det
-    if len(covariance) == 0:
-        return math.sqrt(_largest(p_xx, p_xy, p_yy))
-
-    # The robot's error is M dL + noise: it takes part in those of the landmarks it goes by. N = S M^T.
-    M, at = np.empty((m, 2, 2)), np.empty(m, dtype=np.int64)
-    for k in range(m):
-        at[k] = entry[rows[k]]
-        for j in range(2):
-            h_x, h_y = H[k, 0, j] - tx * H[k, 2, j], H[k, 1, j] - ty * H[k, 2, j]
-            M[k, 0, j] = p_xx * h_x + p_xy * h_y
-            M[k, 1, j] = p_xy * h_x + p_yy * h_y
-    xx, xy, yy = p_xx, p_xy, p_yy
-    for k in range(m):
-        n00, n01, n10, n11 = _shared(covariance, at[k], at, M)
-        xx += M[k, 0, 0] * n00 + M[k, 0, 1] * n10
-        xy += M[k, 0, 0] * n01 + M[k, 0, 1] * n11
-        yy += M[k, 1, 0] * n01 + M[k, 1, 1] * n11
-    worst = 0.0
+    # How far each measurement's error moves the robot.
+    by_look = np.linalg.solve(information, K.T.copy())[:2].copy()
+    by_noise = by_look @ by_look.T
+    if not is_joint:
+        return math.sqrt(_largest(by_noise))
+    # It takes part in the errors of the landmarks that it goes by.
+    own, worst = by_look @ C @ by_look.T, 0.0
     for t in carry:
-        s = entry[t]
-        n00, n01, n10, n11 = _shared(covariance, s, at, M)
-        a = xx - 2.0 * n00 + covariance[2 * s, 2 * s]
-        b = xy - n01 - n10 + covariance[2 * s, 2 * s + 1]
-        c = yy - 2.0 * n11 + covariance[2 * s + 1, 2 * s + 1]
-        worst = max(worst, _largest(a, b, c))
-    return math.sqrt(worst if worst > 0.0 else _largest(p_xx, p_xy, p_yy))
+        s = 2 * entry[t]
+        with_surface = G[:, :1] * covariance[column, s : s + 2] + G[:, 1:] * covariance[column + 1, s : s + 2]
+        shared = by_look @ with_surface
+        worst = max(worst, _largest(own + shared + shared.T + covariance[s : s + 2, s : s + 2]))
+    return math.sqrt(worst if worst > 0.0 else _largest(by_noise))
 
 
 @njit(cache=True)
-def _shared(covariance: FloatArray, row: int, rows: IntArray, M: FloatArray) -> tuple[float, float, float, float]:
-    """The covariance (2, 2), row by row, of one landmark's error with the sum of those of others times M (m, 2, 2)."""
-    a = 2 * row
-    n00, n01, n10, n11 = 0.0, 0.0, 0.0, 0.0
-    for j in range(len(rows)):
-        b = 2 * rows[j]
-        n00 += covariance[a, b] * M[j, 0, 0] + covariance[a, b + 1] * M[j, 0, 1]
-        n01 += covariance[a, b] * M[j, 1, 0] + covariance[a, b + 1] * M[j, 1, 1]
-        n10 += covariance[a + 1, b] * M[j, 0, 0] + covariance[a + 1, b + 1] * M[j, 0, 1]
-        n11 += covariance[a + 1, b] * M[j, 1, 0] + covariance[a + 1, b + 1] * M[j, 1, 1]
-    return n00, n01, n10, n11
-
-
-@njit(cache=True)
-def _largest(a: float, b: float, c: float) -> float:
-    """The larger eigenvalue of [[a, b], [b, c]]."""
-    return 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
+def _largest(S: FloatArray) -> float:
+    """The larger eigenvalue of a covariance (2, 2)."""
+    return 0.5 * (S[0, 0] + S[1, 1]) + math.sqrt(0.25 * (S[0, 0] - S[1, 1]) ** 2 + S[0, 1] ** 2)
 
 
 def predicted_deviation(

@@ -63,7 +63,7 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept
     if estimate.stage <= more_first_turns(estimate.frame_worth, explorer) and not recalled:
         reason = "The tags' errors go on from frame to frame: it turns once more before it drives."
         return _choice(now, -1, "look", reason)
-    open_left, _ = frontier_in_sight(roadmap, now.tfg, sensor)
+    open_left = frontier_in_sight(roadmap, now.tfg, sensor)
     looks_again = explorer.revisit and explorer.goal == "tour" and not recalled
     if looks_again and not open_left:
         again = _second_look(now, previous, kept)
@@ -98,7 +98,7 @@ def choose_near(now: Situation, previous: GoalChoice, radius: float, *, recalled
     ranked = _ranked(now, previous, recalled=recalled)
     if ranked.best < 0 or now.roadmap.travel_length[ranked.candidates.nodes[ranked.best]] > radius:
         return None
-    open_left, _ = frontier_in_sight(now.roadmap, now.tfg, now.parameters.sensor)
+    open_left = frontier_in_sight(now.roadmap, now.tfg, now.parameters.sensor)
     return _to_the_best(now, ranked, previous, open_left=open_left)
 
 

@@ -26,22 +26,24 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.mission.sequence import MAX_FAILURES
-from tfg_drake.planning.budget import leads_home
-from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
+from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
-from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
 from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
-from tfg_drake.planning.roadmap import EFFORTS, RoadmapParameters, RoadmapState, empty_roadmap, extend, place_in_map
+from tfg_drake.planning.roadmap import (
+    DRIVEN_STEP,
+    RoadmapParameters,
+    RoadmapState,
+    empty_roadmap,
+    extend,
+    place_in_map,
+)
 from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.table import empty, take
 
-# Interval at which the robot's way is noted, m.
-DRIVEN_STEP = 0.1
-# After this many goals in a row that could not be reached, what was met on the way is forgotten, and only what the
-# robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
+# After this many goals in a row that could not be reached, what was met on the way is forgotten, ways driven that a
+# surface crosses by now have shut, and only what the robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
 # Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
 # map, or walk away.
@@ -64,7 +66,7 @@ class PlannerState:
     scan the path was checked against, look_stamp: of the newest one that the obstacles were. waiting_since: s, when
     every way to the goal was found barred by them, inf if it is not, asked: when a way was looked for last. driven: (d,
     2) where the robot has been at this stage, m in M, from where the newest view began on; driven_before: m, until it
-    ended. open_length: m of frontier that was live when the roadmap was extended, inf before.
+    ended.
     """
 
     nodes: RoadmapState
@@ -84,7 +86,6 @@ class PlannerState:
     look_stamp: float = -math.inf
     waiting_since: float = math.inf
     asked: float = -math.inf
-    open_length: float = math.inf
 
 
 def initial_state() -> PlannerState:
@@ -126,8 +127,8 @@ def extended(state: PlannerState, now: Now) -> PlannerState:
     failures = now.mission.failures
     if failures >= BOLD_AFTER:
         state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
-    # Before the mission ends: somebody who stood in a way driven has had time to go.
-    return grow(state, now.estimate, now.tfg, now.parameters, in_vain=failures + 1 >= MAX_FAILURES)
+    # Somebody who stood in a way driven has had time to go.
+    return grow(state, now.estimate, now.tfg, now.parameters, in_vain=failures >= BOLD_AFTER)
 
 
 def planned(state: PlannerState, now: Now) -> PlannerState:
@@ -182,32 +183,11 @@ def grow(
     driven_before = state.driven_before + _length(state.driven, estimate.X_MD[:2])
     radius = planning_radius(estimate, parameters.explorer)
     estimate, tfg = local(estimate, tfg, radius, parameters.sensor.range)
-    nodes, is_all = state.nodes, near_nodes(state.nodes, estimate, radius).all()
     state = replace(state, driven_before=driven_before, radius=radius, estimate=estimate, tfg=tfg)
-    open_length = float(tfg.frontier_length.sum())
-    # Where nothing is open and nothing was a stage ago, a sample would find no new space.
-    sampled = bool(is_all) and max(open_length, state.open_length) < ENOUGH_FRONTIER
-    for effort in range(len(EFFORTS)):
-        nodes = extend(
-            nodes,
-            tfg,
-            estimate,
-            parameters,
-            driven=state.driven,
-            effort=effort,
-            radius=radius,
-            sampled=sampled,
-            in_vain=in_vain,
-        )
-        part, obstacles = local_roadmap(nodes, near_nodes(nodes, estimate, radius)), obstacles_in_map(state, estimate)
-        roadmap = make_roadmap(part, tfg, estimate, parameters, obstacles, driven_before)
-        in_reach, beyond = frontier_in_sight(roadmap, tfg, parameters.sensor)
-        # Where less is left than is worth a visit, no sample could see enough.
-        if in_reach or open_length < ENOUGH_FRONTIER:
-            break
-    cut_off = parameters.explorer.return_home and not leads_home(roadmap)
-    ending = not in_reach and (beyond or cut_off)
-    if len(state.obstacles) and (ending or _shut_in(roadmap, tfg, estimate)):
+    nodes = extend(state.nodes, tfg, estimate, parameters, driven=state.driven, radius=radius, in_vain=in_vain)
+    part, obstacles = local_roadmap(nodes, near_nodes(nodes, estimate, radius)), obstacles_in_map(state, estimate)
+    roadmap = make_roadmap(part, tfg, estimate, parameters, obstacles, driven_before)
+    if len(obstacles) and not frontier_in_sight(roadmap, tfg, parameters.sensor):
         # Before the mission ends, what lies behind them is tried once more.
         state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
         roadmap = make_roadmap(part, tfg, estimate, parameters, state.obstacles, driven_before)
@@ -218,15 +198,9 @@ def grow(
         roadmap=roadmap,
         # The robot drives on while it glances: that is part of its way, too.
         driven=np.vstack([estimate.X_MA[-1, :2], estimate.X_MD[:2]]),
-        open_length=open_length,
         waiting_since=np.inf,
         asked=-np.inf,
     )
-
-
-def _shut_in(roadmap: Roadmap, tfg: TfgMap, estimate: MapEstimate) -> bool:
-    """Whether the robot can reach no place but those where it has been."""
-    return not len(places(roadmap, tfg, estimate.X_MD[:2]))
 
 
 def make_roadmap(

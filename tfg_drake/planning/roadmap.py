@@ -14,8 +14,6 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from tfg_drake.config import (
     NODE_MARGIN,
@@ -35,6 +33,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, Tfg
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 from tfg_drake.table import concat, empty, put, take
 from tfg_drake.tfg.near import within
+from tfg_drake.tfg.segmentation import find_corners
 
 # Least distance between nodes in the open, near frontiers and in narrow passages, m.
 SPACING = 0.75
@@ -49,21 +48,16 @@ OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Gaps between surfaces up to this width get a node in the middle, m.
 PASSAGE_WIDTH = 1.5
-# A node as near as this to the line through a gap is on it, m.
-ON_LINE = 0.02
 # Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
 HALF_GAP = 0.475
-# The least margin of a way that the robot has driven before, m. The way back to where it began needs none: the robot
-# has come by it, whatever the newest map says.
-TRAVELLED_MARGIN = 0.02
+# Interval at which the robot's way is noted, m.
+DRIVEN_STEP = 0.1
 # How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
 CHORD = 0.01
 SAME_NODE = 0.15
-# How densely a stage samples, a factor: the next only where no place that sees a frontier was reached.
-EFFORTS = (1, 2)
 # Where nothing else leads to a place, the robot goes as near to surfaces as this probability of a collision allows, if
-# that is more than planner.collision_probability: the scan watches every path anyway. A detour, m, that spares it such
-# an edge.
+# that is more than planner.collision_probability: the scan watches every path anyway. A detour, m, that spares it an
+# edge that lacks up to NODE_MARGIN of the room that it should have, another for each NODE_MARGIN more.
 ACCEPTED, TIGHT = 0.2, 10.0
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
@@ -103,7 +97,7 @@ class Edges:
 
     nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance:
     (e,) m, measured up to COMFORT or, if that is more, up to the most that any edge needs. required: (e,) m, the
-    clearance that it needs.
+    clearance that it needs: none where the robot has driven, as it has come by that, whatever the newest map says.
     """
 
     nodes: Annotated[IntArray, "e", 2]
@@ -232,9 +226,8 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     return found[:count].copy()
 
 
-def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
-    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind; and the width of each gap's
-    half, (p,), m.
+def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
+    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
 
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
@@ -244,11 +237,10 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[Flo
     ends = ends[np.append(True, (ends[1:] != ends[:-1]).any(axis=1))[: len(ends)]]
     gaps = _gaps(ends, segments, narrowest, widest)
     if not len(gaps):
-        return np.zeros((0, 2)), np.zeros(0)
+        return np.zeros((0, 2))
     middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
-    width = np.hypot(*across.T)
-    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / width[:, None]
-    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2), np.repeat(0.5 * width, 3)
+    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / np.hypot(*across.T)[:, None]
+    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
@@ -273,49 +265,29 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
     return np.asarray(tfg.star_centers[star[which]] + r * ((1 - t) * a[which] + t * b[which]))
 
 
-def _proposals(
-    rng: np.random.Generator, tfg: TfgMap, radius: float, density: int
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
     whether they lie in free space for sure (p,)."""
-    room = radius + NODE_MARGIN
-    gaps, half = passages(tfg.obstacles, 2 * room, PASSAGE_WIDTH)
-    apart = np.full(len(gaps), PASSAGE_SPACING / density)
-    if density > 1:
-        # No node beside the line through a gap stands for one on it.
-        apart = np.minimum(apart, np.maximum(half - room, ON_LINE))
-    normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS * density, axis=0)
+    gaps = passages(tfg.obstacles, 2 * (radius + NODE_MARGIN), PASSAGE_WIDTH)
+    normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
-    fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS * density, axis=0) + back * normal + aside * tangent
+    fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS, axis=0) + back * normal + aside * tangent
     stars = len(tfg.star_centers)
-    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS * density)
-    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS * density**2)
+    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS)
+    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS)
     groups = [gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
-    in_the_open = np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[1:]) / density
-    return np.concatenate(groups), np.append(apart, in_the_open), np.repeat([False, False, True, True], sizes)
+    spacing = np.repeat([PASSAGE_SPACING, FRONTIER_SPACING, SPACING, SPACING], sizes)
+    return np.concatenate(groups), spacing, np.repeat([False, False, True, True], sizes)
 
 
-@njit(cache=True)
-def chords(way: FloatArray) -> IntArray:
-    """Points of a way (d, 2), m, whose chords stray from it by CHORD at most and are SPACING long at most; its last."""
-    picks, count, length = np.zeros(len(way) + 1, dtype=np.int64), 1, 0.0
-    for i in range(1, len(way)):
-        first = picks[count - 1]
-        ax, ay = way[first, 0], way[first, 1]
-        x, y = way[i, 0] - ax, way[i, 1] - ay
-        chord = max(math.hypot(x, y), 1e-9)
-        strays = 0.0
-        for k in range(first + 1, i):
-            strays = max(strays, abs((way[k, 0] - ax) * (y / chord) - (way[k, 1] - ay) * (x / chord)))
-        length += math.hypot(way[i, 0] - way[i - 1, 0], way[i, 1] - way[i - 1, 1])
-        if i - 1 > first and (strays > CHORD or length > SPACING):
-            picks[count] = i - 1
-            count += 1
-            length = math.hypot(way[i, 0] - way[i - 1, 0], way[i, 1] - way[i - 1, 1])
-    picks[count] = len(way) - 1
-    return picks[: count + 1]
+def chords(way: FloatArray) -> BoolArray:
+    """Which points of a way (d, 2), m, noted every DRIVEN_STEP, are ends of chords that stray from it by CHORD at most
+    and are about SPACING long at most, (d,)."""
+    ends = find_corners(way, CHORD)
+    ends[:: int(SPACING / DRIVEN_STEP)] = True
+    return ends
 
 
 def _travelled_nodes(
@@ -376,21 +348,18 @@ def extend(
     parameters: RoadmapParameters,
     *,
     driven: FloatArray | None = None,
-    effort: int = 0,
     radius: float = np.inf,
-    sampled: bool = False,
     in_vain: bool = False,
 ) -> RoadmapState:
     """The roadmap moved with the map to estimate.stage, with new nodes, and its edges checked anew.
 
-    driven: (d, 2) m in M, the way of the robot to the last view. effort: index into EFFORTS. radius: m round the newest
-    view, within which all of the map is given; by default everywhere. Farther away nodes move, and nothing else
-    changes. sampled: it is on all of the map already, and only that way is new. in_vain: goals could not be reached, so
-    of the ways driven near the robot those that a surface crosses by now have shut. The same arguments give the same
-    roadmap.
+    driven: (d, 2) m in M, the way of the robot to the last view. radius: m round the newest view, within which all of
+    the map is given; by default everywhere. Farther away nodes move, and nothing else changes. in_vain: goals could not
+    be reached, so of the ways driven near the robot those that a surface crosses by now have shut. The same arguments
+    give the same roadmap.
     """
     views = np.flatnonzero(within(estimate.X_MA, estimate.X_MA[-1], radius))
-    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, effort, radius, sampled)
+    points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, radius)
     first_new = len(state.anchor)
     fresh = len(points) - first_new
     apart = points[first_new:, None] - estimate.X_MA[views, :2]
@@ -416,13 +385,13 @@ def extend(
     edges = _checked(take(all_edges, rows), points, sigma, tfg, parameters)
     if len(tfg.keep_out):
         # The map may have moved a way that was driven into an area to keep out of.
-        outside = clearance(points[edges.nodes].reshape(-1, 4), tfg.keep_out, COMFORT) > 0.0
+        body = parameters.robot.radius
+        outside = clearance(points[edges.nodes].reshape(-1, 4), tfg.keep_out, body) >= body
         edges = replace(edges, travelled=edges.travelled & outside)
     if in_vain:
         here = within(points, estimate.X_MD, EDGE_LENGTH)[edges.nodes].any(axis=1)
         edges = replace(edges, travelled=edges.travelled & ~(here & (edges.clearance == 0.0)))
-    entry, view = (int(np.argmin(np.hypot(*(points - X[:2]).T))) for X in estimate.X_MA[[_entry(views), -1]])
-    edges = _with_needed(edges, parameters.robot.radius + TRAVELLED_MARGIN, entry, view, len(points))
+    edges = replace(edges, required=np.where(edges.travelled, 0.0, edges.required))
     ids = np.append(state.ids, state.next_id + np.arange(fresh))
     return replace(
         state,
@@ -444,9 +413,7 @@ def _with_new_nodes(
     estimate: MapEstimate,
     parameters: RoadmapParameters,
     driven: FloatArray | None,
-    effort: int,
     radius: float,
-    sampled: bool,
 ) -> tuple[FloatArray, IntArray, int]:
     """The nodes (n, 2), m in M, the old ones first, then those of the way driven (d, 2), then samples; the chain of
     edges (e, 2), smaller node first, along that way; and the node where it ends. Further arguments as of `extend`."""
@@ -455,14 +422,11 @@ def _with_new_nodes(
     way_end = int(np.append(np.flatnonzero(state.ids == state.way_end), -1)[0])
     chain = np.zeros((0, 2), dtype=np.int64)
     if estimate.stage > state.stage:
-        # Further efforts at a stage add nothing to the way: the first has.
         driven = np.zeros((0, 2)) if driven is None else driven
         travelled, chain, way_end = _travelled_nodes(nodes, driven, estimate, tfg.obstacles, body, way_end)
         nodes = np.vstack([nodes, travelled])
-    if sampled:
-        return nodes, chain, way_end
-    rng = np.random.default_rng((parameters.seed, estimate.stage, effort))
-    proposals, spacing, is_free = _proposals(rng, tfg, body, EFFORTS[effort])
+    rng = np.random.default_rng((parameters.seed, estimate.stage))
+    proposals, spacing, is_free = _proposals(rng, tfg, body)
     if np.isfinite(radius):
         inside = within(proposals, estimate.X_MA[-1], radius - EDGE_LENGTH)
         proposals, spacing, is_free = proposals[inside], spacing[inside], is_free[inside]
@@ -535,45 +499,6 @@ def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, a
     own = required_clearance(robot.radius, sigma, planner.collision_probability)
     least = np.maximum(required_clearance(robot.radius, sigma, accepted), robot.radius + NODE_MARGIN)
     return np.asarray(np.minimum(own, least) if accepted > planner.collision_probability else own)
-
-
-def _with_needed(edges: Edges, least: float, home: int, here: int, count: int) -> Edges:
-    """The edges, those usable too that are `_needed`."""
-    driven = edges.travelled
-    if not (driven & ~edges.usable).any():
-        return edges
-    room = np.where(driven, edges.clearance, -np.inf)
-    needed = _needed(edges.nodes, edges.usable, room, least, home, here, count)
-    return replace(edges, required=np.where(needed, edges.clearance, edges.required))
-
-
-def _entry(views: IntArray) -> int:
-    """The first of the views (a,) that are near since the robot was last elsewhere."""
-    return int(views[np.flatnonzero(np.diff(views) > 1).max(initial=-1) + 1])
-
-
-def _needed(
-    edges: IntArray, keeps: BoolArray, room: FloatArray, least: float, home: int, here: int, count: int
-) -> BoolArray:
-    """Edges (e,) that stay open though too narrow, as the robot has driven them and nothing else joins their ends.
-
-    edges: (e, 2), sorted, of count nodes. keeps: (e,) have the room they need. room: (e,) m, of those driven, -inf of
-    others. Of the widest that join what falls apart else, these are the ones with room for at least `least`, m, and
-    those that lead from here home, whatever their room.
-    """
-    needed = np.zeros(len(edges), dtype=np.bool_)
-    asked = np.flatnonzero(keeps | np.isfinite(room))
-    narrowness = np.where(keeps[asked], 1.0, 2.0 + room.max(initial=0.0) - room[asked])
-    graph = csr_matrix((narrowness, edges[asked].T), shape=(count, count))
-    tree = minimum_spanning_tree(graph)
-    row, column = tree.nonzero()
-    of_tree = np.searchsorted(edges @ [count, 1], row * count + column)
-    _, before = breadth_first_order(tree, home, directed=False)
-    way = [here]
-    while before[way[-1]] >= 0:
-        way.append(int(before[way[-1]]))
-    needed[of_tree] = (room[of_tree] >= least) | np.isin(edges[of_tree], way).all(axis=1)
-    return needed & ~keeps
 
 
 @read_only_arguments

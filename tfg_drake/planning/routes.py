@@ -82,7 +82,8 @@ def routes(
         has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
     length = edge_lengths(state.points, edges.nodes)
     at_ease = required_clearance(robot.radius, state.sigma, planner.collision_probability)[edges.nodes].max(axis=1)
-    weight = np.where(is_open, cost(length, has) + TIGHT * (edges.clearance < at_ease), np.inf)
+    lacks = np.maximum(0.0, at_ease - edges.clearance)
+    weight = np.where(is_open, cost(length, has) + TIGHT * np.ceil(lacks / NODE_MARGIN), np.inf)
     links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
     links_weight = cost(links_length, links_has)
@@ -90,7 +91,7 @@ def routes(
         sigma = np.append(state.sigma[edges.nodes].max(axis=1), state.sigma[links])
         risk = _edge_risk(np.append(length, links_length), np.append(has, links_has), sigma, robot.radius)
         # Open though too narrow, as the robot came by it and nothing else leads back: no risk that it has a choice of.
-        forced = np.append(edges.clearance <= edges.required, links_has < robot.radius + NODE_MARGIN)
+        forced = np.append(edges.travelled, links_has < robot.radius + NODE_MARGIN)
         risk[forced] = 0.0
         ways = _cheapest_within(planner.collision_probability, risk, edges.nodes, weight, links, links_weight, n)
     else:
