@@ -43,7 +43,8 @@ from tfg_drake.slam import keyframe_graph
 from tfg_drake.table import empty, take
 
 # After this many goals in a row that could not be reached, what was met on the way is forgotten, ways driven that a
-# surface crosses by now have shut, and only what the robot would touch blocks a path: where the map is a little off in a narrow place, everything seems to be in the way.
+# surface crosses have shut, and only what the robot would touch blocks a path: where the map is a little off in a
+# narrow place, everything seems to be in the way.
 BOLD_AFTER = 2
 # Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
 # map, or walk away.
