@@ -181,7 +181,7 @@ def small_map():
         tag_range=np.array([2.2, 2.2, np.inf, 3.4]),
         star_offsets=np.array([0, 4, 8]),
         star_vertices=np.vstack([star, star]),
-        free_space_frontiers=points_of(0, np.array([[-2.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.4])),
+        frontiers=points_of(0, np.array([[-2.0, 0.0]]), np.array([[1.0, 0.0]]), np.array([0.4])),
     )
     segments, kind, ids = np.zeros((4, 4)), np.array([0, 1, 2, 2]), np.array([[11, 10], [12, -1], [-1, -1], [-1, -1]])
     segments[:] = [[2, -1, 2, 1], [-1, 2, -1.5, 2.1], [0.9, 1, 1.4, 1.25], [1.4, 1.25, 1.9, 1.3]]

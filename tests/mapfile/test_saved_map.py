@@ -33,6 +33,7 @@ from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.shared import SHARED, exactly_known
 from tfg_drake.table import empty
+from tfg_drake.tfg.frontier import FREE, POORLY_SEEN, STANDOFF, UNSEEN
 
 DAMAGED = "FILE: is damaged; copy it again from where it was recorded"
 FORMAT = Path(__file__).parents[2] / "docs" / "map_format.md"
@@ -258,8 +259,8 @@ def rewrite(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": np.int64(16)}, "FILE has map schema 16; this version reads 13 to 15: update tfg-drake"),
-        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads 13 to 15: make the map anew"),
+        ({"schema": np.int64(17)}, "FILE has map schema 17; this version reads 13 to 16: update tfg-drake"),
+        ({"schema": np.int64(1)}, "FILE has map schema 1; this version reads 13 to 16: make the map anew"),
         ({"graph.p_ML": None}, "FILE is not a whole map: graph.p_ML is missing"),
         ({"graph.p_ML": np.zeros((4, 3))}, "FILE is not a whole map: graph.p_ML has the wrong shape"),
         ({"graph.ids": np.zeros(4)}, "FILE is not a whole map: graph.ids holds no integers"),
@@ -296,16 +297,16 @@ def rewrite(path, **changes):
         ),
         ({"tfg.facing": np.zeros((3, 2))}, "FILE is not a whole map: tfg.facing does not fit graph.ids"),
         (
-            {"tfg_graph.tried_count": np.array([1])},
-            "FILE is not a whole map: tfg_graph.tried_count has the wrong shape",
+            {"tfg_graph.met_stamp": np.array([1.0])},
+            "FILE is not a whole map: tfg_graph.met_stamp has the wrong shape",
         ),
         (
             {"tfg_graph.surfaces.view": np.array([0, 0, 2])},
             "FILE is not a whole map: tfg_graph.surfaces.view does not fit tfg_graph.stage",
         ),
         (
-            {"tfg_graph.free_space_frontiers.view": np.array([-1])},
-            "FILE is not a whole map: tfg_graph.free_space_frontiers.view does not fit tfg_graph.stage",
+            {"tfg_graph.frontiers.view": np.array([-1])},
+            "FILE is not a whole map: tfg_graph.frontiers.view does not fit tfg_graph.stage",
         ),
         ({"tfg.segment_kind": np.full(4, 3)}, "FILE is not a whole map: tfg.segment_kind is no kind"),
         (
@@ -337,26 +338,39 @@ def test_other_schemas_and_contradictions(path, changes, complaint):
 
 
 def test_a_map_of_before_is_read(path, small_map):
-    """Without scatter, of walls that could be off by no more than four times, and with tags seen on the way."""
+    """Without scatter, of walls that could be off by no more than four times, with tags seen on the way, and with a
+    table for each kind of frontier."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if not name.startswith("graph.keyframes.scatter")}
     arrays["walls.by_floor"] = np.array([-3.0, 0.0, -1.0, -2.0])
     arrays["schema"], arrays["tfg.viewpoints"] = np.int64(14), np.ones((1, 2))
+    arrays["tfg_graph.tried_count"] = np.zeros(0, dtype=np.int64)
+    for name in [name for name in arrays if name.startswith("tfg_graph.frontiers.")]:
+        array, no_rows = arrays.pop(name), arrays[name.replace("frontiers", "met")][:0]
+        lists = {"free_space_frontiers": array, "uninspected": array, "unseen_backs": array, "open_ends": no_rows}
+        arrays |= {name.replace("frontiers", one): of for one, of in lists.items()}
     arrays |= {
-        name.replace(".tried.", f".{of}."): array
+        name.replace(".met.", f".{of}."): array
         for name, array in arrays.items()
-        for of in ("sighted", "viewpoints")
-        if name.startswith("tfg_graph.tried.")
+        for of in ("sighted", "viewpoints", "tried")
+        if name.startswith("tfg_graph.met.")
     }
-    arrays |= {
-        f"{name}.id": np.zeros(len(arrays[f"{name}.view"]), dtype=np.int64)
-        for name in ("tfg_graph.tried", "tfg_graph.met", "tfg_graph.sighted")
-    }
+    for name in [name for name in arrays if name.endswith(".kind") and name.startswith("tfg_graph.")]:
+        kind = arrays.pop(name)
+        arrays[name.replace(".kind", ".on_surface")] = np.full(len(kind), "un" in name)
+        arrays[name.replace(".kind", ".id")] = arrays.pop(name.replace(".kind", ".tries"))
     np.savez(path, **arrays)
     read = load_map(path)
     assert not any(one.scatter.any() for one in read.graph.keyframes)
     np.testing.assert_array_equal(read.walls.by_floor, [-3.0, 0.0, -1.0, -2.0, -2.0, -2.0, -2.0])
     assert read.graph.X_MN.tobytes() == small_map.graph.X_MN.tobytes()
+    frontiers, before = read.tfg_graph.frontiers, small_map.tfg_graph.frontiers
+    np.testing.assert_array_equal(frontiers.kind, np.repeat([FREE, POORLY_SEEN, UNSEEN], len(before.p)))
+    before_faces = before.p + STANDOFF * before.normal
+    np.testing.assert_array_equal(frontiers.p, np.vstack([before.p, before_faces, before_faces]))
+    del arrays["tfg_graph.open_ends.p"]
+    np.savez(path, **arrays)
+    assert error_of(path) == "FILE is not a whole map: tfg_graph.open_ends.p is missing"
 
 
 def test_the_format_is_described(small_map):

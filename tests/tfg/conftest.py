@@ -113,7 +113,7 @@ class Simulation:
     def put_frontiers(self, p: np.ndarray) -> TfgMap:
         """A metre of frontier at each of the points (n, 2), seen from where x is less."""
         points = points_of(0, p, np.tile([-1.0, 0.0], (len(p), 1)), np.ones(len(p)))
-        self.graph = replace(self.graph, free_space_frontiers=concat(self.graph.free_space_frontiers, points))
+        self.graph = replace(self.graph, frontiers=concat(self.graph.frontiers, points))
         return resolve(self.graph, self.estimate, self.robot, self.explorer)
 
     def moved(self, X_NM: np.ndarray) -> MapEstimate:

@@ -8,7 +8,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.messages import MapEstimate, replace
 from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.feature_graph import TfgGraph, part_of, with_part
-from tfg_drake.tfg.frontier import place_points, points_of
+from tfg_drake.tfg.frontier import FREE, place_points, points_of
 from tfg_drake.tfg.graph import resolve, update
 
 # A corridor, rooms with thin walls and doors on one side of it, an unexplored end.
@@ -103,9 +103,9 @@ def test_what_a_small_map_found_far_away_stays_where_it_lies(simulate) -> None:
     graph = toured(world, small_until=18)
     assert_same(world.graph, graph, world)
     graph = take_up(world, graph, FAR_END)
-    for points in (graph.unseen_backs, graph.open_ends):
-        away = place_points(points, world.estimate.X_MA).p - world.estimate.X_MA[points.view, :2]
-        assert np.hypot(*away.T).max(initial=0.0) < 11.0
+    points = take(graph.frontiers, graph.frontiers.on_face)
+    away = place_points(points, world.estimate.X_MA).p - world.estimate.X_MA[points.view, :2]
+    assert np.hypot(*away.T).max(initial=0.0) < 11.0
 
 
 def test_unseen_faces_stay_at_their_surface_when_the_heading_of_the_view_that_found_them_is_corrected(simulate) -> None:
@@ -114,7 +114,7 @@ def test_unseen_faces_stay_at_their_surface_when_the_heading_of_the_view_that_fo
     before = world.estimate.X_MA
     after = before.copy()
     after[-1, 2] += 0.006
-    points = concat(world.graph.unseen_backs, world.graph.open_ends)
+    points = take(world.graph.frontiers, world.graph.frontiers.on_face)
     places = place_points(points, before).p
     _, nearest = cKDTree(before[:, :2]).query(places)
     elsewhere = nearest != len(TOUR) - 1
@@ -134,27 +134,23 @@ def test_what_was_mapped_another_way_round_and_what_is_found_here_say_nothing_of
     graph = take_up(world, graph, in_room)
     drifted = in_room - np.array([0.0, 1.0, 0.0])
     # Much of what is open in the room lies now where it is in the passage, and in the middle of that.
-    open_there = {}
-    for name in ("free_space_frontiers", "uninspected"):
-        there = place_points(take(of := getattr(passage, name), of.view == 1), np.array(alone.X_MA))
-        p, normal = (np.vstack([each, [xy]]) for each, xy in ((there.p, [1.0, -0.5]), (there.normal, [0.0, -1.0])))
-        points = points_of(1, transform(inverse(drifted), p), normal, np.full(len(p), 0.3))
-        open_there[name] = concat(getattr(graph, name), points)
-    room = graph = replace(graph, **open_there)
+    there = place_points(take(of := passage.frontiers, of.view == 1), np.array(alone.X_MA))
+    p, normal = (np.vstack([each, [xy]]) for each, xy in ((there.p, [1.0, -0.5]), (there.normal, [0.0, -1.0])))
+    added = points_of(1, transform(inverse(drifted), p), normal, np.full(len(p), 0.3))
+    added = replace(added, kind=np.append(there.kind, FREE))
+    room = graph = replace(graph, frontiers=concat(graph.frontiers, added))
     of_room = np.isin(np.arange(len(world.p_WT)), room.tag_ids) & (world.p_WT[:, 0] < 100.0)
     world.error = np.where(of_room, -1.0, 0.0)[:, None] * [[0.0, 1.0]]
     world.sigma = np.where(of_room, 2.0, 1e-3)
     world.X_MA[1] = drifted
     graph = take_up(world, graph, in_passage)
     # What the view finds in the passage is as if the room were not there ...
-    for name in ("free_space_frontiers", "uninspected"):
-        mine, alone_there = getattr(graph, name), getattr(passage, name)
-        np.testing.assert_array_equal(mine.p[mine.view == 2], alone_there.p[alone_there.view == 1])
+    mine, alone_there = graph.frontiers, passage.frontiers
+    np.testing.assert_array_equal(mine.p[mine.view == 2], alone_there.p[alone_there.view == 1])
     # ... which loses nothing by that.
-    for name in ("free_space_frontiers", "uninspected"):
-        mine, before = (take(of := getattr(each, name), of.view == 1) for each in (graph, room))
-        assert len(before.p) > 1
-        np.testing.assert_array_equal(mine.p, before.p)
+    mine, before = (take(of := each.frontiers, of.view == 1) for each in (graph, room))
+    assert len(before.p) > 1
+    np.testing.assert_array_equal(*(np.sort(each.p, axis=0) for each in (mine, before)))
 
 
 def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_view(simulate) -> None:
@@ -169,7 +165,7 @@ def test_what_was_mapped_another_way_round_is_tried_where_nothing_else_is_in_vie
     world.sigma = np.where(of_wall, 2.0, 1e-3)
     world.X_MA[1] = np.array([-6.0, 0.0, 0.0])
     graph = take_up(world, graph, np.zeros(3))
-    tried = place_points(graph.tried, np.array(world.X_MA)).p
+    tried = place_points(take(graph.frontiers, graph.frontiers.tries > 0), np.array(world.X_MA)).p
     assert (np.abs(tried - [1.0, 2.0]).max(axis=1) < 1.0).any()
 
 

@@ -13,7 +13,7 @@ from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import TfgMap, replace
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.table import empty
+from tfg_drake.table import empty, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import (
     END_LENGTH,
@@ -211,7 +211,8 @@ def test_frontiers_lie_at_the_unexplored_door(two_rooms) -> None:
     in_next_room = tfg.frontiers[:, 0] > 6.0
     assert in_next_room.sum() > 5
     assert (tfg.frontiers[~in_next_room, 0] > 5.5).all()
-    points = place_points(two_rooms.graph.free_space_frontiers, two_rooms.estimate.X_MA).p
+    free_space = take(two_rooms.graph.frontiers, ~two_rooms.graph.frontiers.on_face)
+    points = place_points(free_space, two_rooms.estimate.X_MA).p
     assert not inside_any(points, tfg.star_offsets, tfg.star_vertices).any()
     np.testing.assert_allclose(np.hypot(*tfg.frontier_normal.T), 1.0)
 
@@ -452,7 +453,7 @@ def test_where_a_glance_did_not_look_may_be_anything(two_rooms) -> None:
         d = tfg.frontiers - [3.0, 3.0]
         on_border = (np.abs(d @ beyond - PUSH) < 0.02) & (d @ border > 0.0) & (d @ border < 3.2)
         assert tfg.frontier_length[on_border].sum() > 2.0
-    assert len(two_rooms.graph.tried_count) == 0
+    assert not two_rooms.graph.frontiers.tries.any()
     # A look all round leaves only the door.
     assert (two_rooms.observe(np.array([3.0, 3.0, 0.0])).frontiers[:, 0] > 6.0).all()
 
@@ -462,11 +463,11 @@ def test_a_glance_is_no_attempt_at_what_it_did_not_settle(two_rooms) -> None:
     start = np.array([2.0, 3.0, 0.0])
     two_rooms.observe(start)
     two_rooms.put_frontiers(np.array([[1.7, 0.0]]))
-    tried = two_rooms.graph.tried_count.sum()
+    tried = two_rooms.graph.frontiers.tries.sum()
     two_rooms.observe(start, glance=True)
-    assert two_rooms.graph.tried_count.sum() == tried
+    assert two_rooms.graph.frontiers.tries.sum() == tried
     two_rooms.observe(start)
-    assert two_rooms.graph.tried_count.sum() > tried
+    assert two_rooms.graph.frontiers.tries.sum() > tried
 
 
 def test_where_the_view_ends_in_the_open_is_a_frontier(simulate) -> None:
@@ -527,7 +528,7 @@ def test_a_view_is_an_attempt_at_what_it_could_have_seen_and_each_makes_it_worth
 
     world.observe(np.zeros(3))
     tfg = world.put_frontiers(at)
-    assert len(world.graph.tried_count) == 0
+    assert not world.graph.frontiers.tries.any()
     np.testing.assert_allclose(length(tfg), [1.0, 1.0, 1.0])
     np.testing.assert_allclose(length(world.observe(np.zeros(3))), [4 / 9, 1.0, 1.0])
     np.testing.assert_allclose(length(world.observe(np.zeros(3))), [1 / 9, 1.0, 1.0])
@@ -556,7 +557,7 @@ def test_only_openings_that_the_robot_fits_through_and_that_were_tried_often_eno
     p = np.array([[0.0, -5.0], [0.4, -5.0], [4.0, -5.0], [-5.0, 0.0], [-5.0, 0.4]])
     n = len(p)
     points = points_of(0, p, np.tile([0.0, 1.0], (n, 1)), np.full(n, 0.3))
-    graph = replace(world.graph, free_space_frontiers=points, tried=points, tried_count=np.array([3, 3, 3, 2, 2]))
+    graph = replace(world.graph, frontiers=replace(points, tries=np.array([3, 3, 3, 2, 2])))
     tfg = resolve(graph, world.estimate, RobotConfig(), ExplorerConfig(frontier_attempts=3))
     np.testing.assert_allclose(tfg.given_up, p[:2], atol=1e-9)
     np.testing.assert_allclose(tfg.given_up_length, 0.3)

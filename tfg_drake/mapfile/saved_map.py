@@ -30,16 +30,18 @@ from tfg_drake.slam.shared import LEAST_SIGMA, METRES, SHARED, Shared, exactly_k
 from tfg_drake.slam.walls import FLOORS, Walls
 from tfg_drake.table import take
 from tfg_drake.tfg.feature_graph import TfgGraph
-from tfg_drake.tfg.frontier import FrontierPoints
+from tfg_drake.tfg.frontier import POORLY_SEEN, STANDOFF, UNSEEN, FrontierPoints
 from tfg_drake.world.world import LONGEST
 
 # To be raised whenever the fields of a class in a SavedMap change.
-SCHEMA = 15
+SCHEMA = 16
 BY_FLOOR = "walls.by_floor"
 SCATTER = "graph.keyframes.scatter"
-# These are read, too; the arrays that they had more, of tags seen on the way.
-OLDER = (13, 14)
-GONE = re.compile(r"tfg_graph\.(sighted|viewpoints)\.|tfg_graph\.\w+\.id$|tfg\.viewpoints$")
+# These are read, too; the arrays that they had more, of tags seen on the way and of places tried in vain.
+OLDER = (13, 14, 15)
+GONE = re.compile(r"tfg_graph\.(sighted|viewpoints|tried|tried_count)(\.|$)|tfg_graph\.\w+\.id$|tfg\.viewpoints$")
+# Tables of frontier points before 16.
+KINDS_BEFORE = ("free_space_frontiers", "uninspected", "unseen_backs", "open_ends")
 # Kinds of a TfgMap's segments (segment_kind) by number.
 KINDS = ("edge", "wall_end", "bare_surface")
 # Fields of the TfgMap that are places.
@@ -211,7 +213,6 @@ def load_map(path: Path) -> SavedMap:
     if schema not in (SCHEMA, *OLDER):
         mend = "update tfg-drake" if schema > SCHEMA else "make the map anew"
         raise MapFileError(f"{path} has map schema {schema}; this version reads {OLDER[0]} to {SCHEMA}: {mend}")
-    arrays = {name: array for name, array in arrays.items() if schema == SCHEMA or not GONE.match(name)}
     arrays.setdefault("graph.sessions", np.zeros(0, dtype=np.int64))  # Of a map from before they were told apart.
     if f"{SCATTER}@shape" not in arrays:  # Of a map from before a keyframe's scans were put together.
         count = np.size(arrays.get("graph.keyframes.unit", ()))
@@ -219,9 +220,30 @@ def load_map(path: Path) -> SavedMap:
     if len(FLOORS) > np.size(arrays.get(BY_FLOOR, ())) > 0:  # From before walls could be off by more than four times.
         arrays[BY_FLOOR] = np.pad(arrays[BY_FLOOR], (0, len(FLOORS) - len(arrays[BY_FLOOR])), mode="edge")
     try:
+        arrays = arrays if schema == SCHEMA else _with_one_table(arrays)
         return whole_map(arrays, int(schema))
     except ArraysError as error:
         raise MapFileError(f"{path} is not a whole map: {error}") from None
+
+
+def _with_one_table(arrays: dict[str, Array]) -> dict[str, Array]:
+    """Arrays of a schema before 16, which had a table for each kind of frontier points, with one for all. Points of
+    faces lay on these. Raises ArraysError."""
+    arrays = {name: array for name, array in arrays.items() if not GONE.match(name)}
+    for name in [name for name in arrays if name.endswith(".on_surface")]:
+        arrays[name.replace("on_surface", "kind")] = UNSEEN * arrays.pop(name).astype(np.int64)
+        arrays[name.replace("on_surface", "tries")] = np.zeros_like(arrays[name.replace("on_surface", "kind")])
+    if (poorly := "tfg_graph.uninspected.kind") in arrays:
+        arrays[poorly] = np.full(len(arrays[poorly]), POORLY_SEEN)
+    for kind in ("uninspected", "unseen_backs"):
+        if (p := f"tfg_graph.{kind}.p") in arrays:
+            arrays[p] = arrays[p] + STANDOFF * arrays[f"tfg_graph.{kind}.normal"]
+    for field in dataclasses.fields(FrontierPoints):
+        names = [f"tfg_graph.{kind}.{field.name}" for kind in KINDS_BEFORE]
+        if missing := [name for name in names if name not in arrays]:
+            raise ArraysError(f"{missing[0]} is missing")
+        arrays[f"tfg_graph.frontiers.{field.name}"] = np.concatenate([arrays.pop(name) for name in names])
+    return arrays
 
 
 def whole_map(arrays: Mapping[str, Array], schema: int = SCHEMA) -> SavedMap:

@@ -22,11 +22,9 @@ class TfgGraph:
 
     stage: number of views in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_view: (n,) and tag_facing:
     (n, 2): the side each landmark faces, a unit vector in that view's frame; tag_range: (n,) m from where it was seen.
-    star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. free_space_frontiers: points where free space
-    ends at the unknown and no star has covered it yet. uninspected: points of surface on which a tag may have been
-    missed. unseen_backs: points on the far faces of thin walls that no view has seen. open_ends: points in front of
-    other faces that none has seen. tried: places where views have tried a frontier in vain, tried_count: (t,) how
-    often. met: points of dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
+    star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. frontiers: points where free space ends at
+    the unknown and no star has covered it yet, and before faces that no view has seen, or none well. met: points of
+    dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
     """
 
     stage: int
@@ -37,25 +35,13 @@ class TfgGraph:
     tag_range: Annotated[FloatArray, "n"]
     star_offsets: Annotated[IntArray, "k+1"]
     star_vertices: Annotated[FloatArray, "v", 2]
-    free_space_frontiers: Annotated[FrontierPoints, "f"]
-    uninspected: Annotated[FrontierPoints, "u"]
-    unseen_backs: Annotated[FrontierPoints, "b"]
-    open_ends: Annotated[FrontierPoints, "e"]
-    tried: Annotated[FrontierPoints, "t"]
-    tried_count: Annotated[IntArray, "t"]
+    frontiers: Annotated[FrontierPoints, "f"]
     met: Annotated[FrontierPoints, "p"]
     met_stamp: Annotated[FloatArray, "p"]
 
 
 # The axes of points that change where they are near the newest view.
-_NEAR = {
-    "f": "free_space_frontiers",
-    "u": "uninspected",
-    "b": "unseen_backs",
-    "e": "open_ends",
-    "t": "tried",
-    "p": "met",
-}
+_NEAR = {"f": "frontiers", "p": "met"}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,28 +1,26 @@
 """Frontiers: where a turn's free space ends at the unknown, not at a surface.
 
 They lie along the shadow edges and maximum-range arcs of every view's star polygon, a little inside the unknown, and
-along surfaces that no turn has seen well enough to have found a tag there. All are kept in the frame A of the view
-that saw them, so that they move with the map.
+along faces of surfaces that no turn has seen, or none well enough to have found a tag there. All are kept in the frame
+A of a view, so that they move with the map.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
-from tfg_drake.geometry.connected import component_labels, connect
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import clearance, enter
-from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
-from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.star import inside_any, inspected
 from tfg_drake.geometry.turned import turned
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
+from tfg_drake.table import concat
 from tfg_drake.tfg.panorama import Panorama
-from tfg_drake.tfg.polyline import covered, joined, sample, segments_of
-from tfg_drake.tfg.segmentation import Components
+from tfg_drake.tfg.polyline import covered, joined, sample, segments_of, uncovered_runs
+from tfg_drake.tfg.stars import Stars
 
 # How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
 PUSH = 0.35
@@ -33,20 +31,17 @@ ROOT = 0.2
 SURFACE_DISTANCE = 0.1
 # Past one end of a surface it must be seen by more than this, m: what lies between the last two rays may hide it.
 GRAZE = 0.1
-# Spacing of the points of uninspected surface, m, how far in front of it they must have been seen from, m, and how
-# far in front of it their frontier points lie, m.
-UNINSPECTED_SPACING = 0.1
-UNINSPECTED_LIFT = 0.2
-UNINSPECTED_STANDOFF = 0.3
+# Spacing of the samples of faces, m, how far in front of a face they must have been seen from, m, and how far in front
+# of it its frontier points lie, m.
+FACE_SPACING = 0.1
+LIFT = 0.2
+STANDOFF = 0.3
 # Where another surface lies opposite, nearer than this, m, the two are this share of that: a robot between the two
 # would stand nearer to a surface than its frontier points, and could never look at them from in front.
 NARROW = 1.0
 NARROW_SHARE = 1.0 / 3.0
-# Shorter stretches of uninspected surface are let be, m; points this close make one stretch, m.
-UNINSPECTED_LENGTH = 0.25
-UNINSPECTED_GAP = 0.16
-# Points with normals whose cosine is more than this lie on one face.
-SAME_NORMAL = 0.7
+# Shorter stretches of a face are let be, m.
+LEAST_FACE = 0.25
 # Free space this close behind a surface means a thin wall, m.
 THIN_WALL = 0.25
 # A surface that ends farther than this from every other one goes on round a corner, m; how much of it is unseen, m.
@@ -54,6 +49,9 @@ END_GAP = 0.15
 END_LENGTH = 0.4
 # A point of two views' frontiers counts once within this distance, m.
 SAME_FRONTIER = 0.35
+# What a frontier point stands for: the unknown beyond free space; a face of a surface that no view has seen; a face
+# that none has seen well enough to have found a tag there.
+FREE, UNSEEN, POORLY_SEEN = range(3)
 
 
 @message
@@ -61,27 +59,34 @@ class FrontierPoints:
     """Points kept in views' frames, or all placed in one frame.
 
     view: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
-    for uninspected surface the surface's normal on its free side. length: (f,) m. on_surface: (f,) whether it stands
-    for uninspected surface.
+    of a face its normal. length: (f,) m. kind: (f,) FREE, UNSEEN or POORLY_SEEN. tries: (f,) how many views have tried
+    it in vain.
     """
 
     view: Annotated[IntArray, "f"]
     p: Annotated[FloatArray, "f", 2]
     normal: Annotated[FloatArray, "f", 2]
     length: Annotated[FloatArray, "f"]
-    on_surface: Annotated[BoolArray, "f"]
+    kind: Annotated[IntArray, "f"]
+    tries: Annotated[IntArray, "f"]
+
+    @property
+    def on_face(self) -> BoolArray:
+        """Which points (f,) stand for a face."""
+        return np.asarray(self.kind != FREE)
 
 
-def points_of(view: int, p: FloatArray, normal: FloatArray, length: FloatArray) -> FrontierPoints:
-    """Points (f, 2), normals (f, 2) and lengths (f,) in the frame of one view."""
-    return FrontierPoints(np.full(len(p), view, dtype=np.int64), p, normal, length, np.zeros(len(p), dtype=bool))
+def points_of(view: int, p: FloatArray, normal: FloatArray, length: FloatArray, kind: int = FREE) -> FrontierPoints:
+    """Points (f, 2), normals (f, 2) and lengths (f,) of one kind in the frame of one view."""
+    n = len(p)
+    return FrontierPoints(np.full(n, view), p, normal, length, np.full(n, kind), np.zeros(n, dtype=np.int64))
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
     """The points in the map frame, with the views' poses X_MA (k, 3)."""
     pose = X_MA[points.view]
     p, normal = pose[:, :2] + turned(points.p, pose[:, 2]), turned(points.normal, pose[:, 2])
-    return FrontierPoints(points.view, p, normal, points.length, points.on_surface)
+    return replace(points, p=p, normal=normal)
 
 
 def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -131,12 +136,20 @@ def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tu
 def _along(start: FloatArray, stop: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points (n, 2) every SPACING along edges from start to stop (e, 2), m, pushed by PUSH in each edge's direction
     (e, 2); normals (n, 2) against that, and the length (n,), m, that each stands for."""
-    length = np.hypot(*(stop - start).T)
-    count = np.maximum(1, np.round(length / SPACING).astype(np.int64))
-    edge = np.repeat(np.arange(len(count)), count)
-    fraction = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[edge]
+    whole = np.hypot(*(stop - start).T)
+    edge, place, length = _divided(whole)
+    fraction = place * length / np.maximum(whole, 1e-9)[edge]
     p = start[edge] + fraction[:, None] * (stop - start)[edge] + PUSH * direction[edge]
-    return p, -direction[edge], (length / count)[edge]
+    return p, -direction[edge], length
+
+
+def _divided(length: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Lengths (n,), m, in parts of about SPACING: the length (k,) that each is part of, the middle (k,) of the part, in
+    parts from its beginning, and how long it is (k,), m."""
+    count = np.maximum(1, np.round(length / SPACING).astype(np.int64))
+    of = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + 0.5
+    return of, place, (length / count)[of]
 
 
 def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
@@ -153,32 +166,36 @@ def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     return starts, stops
 
 
-def find_uninspected(components: Components, max_range: float, max_incidence: float) -> tuple[FloatArray, FloatArray]:
-    """Points (u, 2) and normals (u, 2) in A on surfaces seen too far off or too slantwise to find a tag there.
+def find_faces(offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagSensorConfig) -> FrontierPoints:
+    """Frontier points before faces of surfaces that no view has seen, or none well enough to find a tag there.
 
-    max_range: m and max_incidence: rad, as far as the tag sensor sees.
+    A face is seen well by a view that has what lies in front of it in its star, near enough and not too slantwise for
+    the tag sensor. Free space that begins right behind a surface means a thin wall; where no surface faces it, the far
+    face has not been seen. offsets, vertices: all surfaces, packed, m in M as the stars and the points.
     """
-    points, normals, _, _, _ = sample(components.offsets, components.vertices, UNINSPECTED_SPACING)
-    distance = np.hypot(points[:, 0], points[:, 1])
-    facing = -np.sum(points * normals, axis=1)
-    poor = (distance > max_range) | (facing < np.cos(max_incidence) * distance)
-    return points[poor], normals[poor]
-
-
-def find_unseen_backs(
-    offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Points (u, 2) and normals (u, 2) of the faces of thin walls that no turn has seen, only the other face.
-
-    Free space begins right behind such a wall, but no surface faces it. offsets, vertices: all surfaces, packed, m.
-    stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
-    """
-    points, normals, _, _, _ = sample(offsets, vertices, UNINSPECTED_SPACING)
+    points, normals, owner, start, stop = sample(offsets, vertices, FACE_SPACING)
     segments, _ = segments_of(offsets, vertices)
-    faced = covered(points, -normals, segments, np.full(len(points), THIN_WALL))
-    points, normals = points[~faced], -normals[~faced]
-    free = inside_any(points + THIN_WALL * normals, *stars)
-    return points[free], normals[free]
+    front = in_front(points, normals, segments, LIFT)
+    poorly = ~inspected(front, normals, *stars, tags.range, tags.max_incidence)
+    unseen = inside_any(points - THIN_WALL * normals, *stars.polygons)
+    unseen &= ~covered(points, -normals, segments, np.full(len(points), THIN_WALL))
+    faces = []
+    for which, outwards, kind in ((poorly, normals, POORLY_SEEN), (unseen, -normals, UNSEEN)):
+        rows, length = _parts(owner, start, stop, which)
+        p = in_front(points[rows], outwards[rows], segments, STANDOFF)
+        faces.append(points_of(0, p, outwards[rows], length, kind))
+    ends, normal = find_open_ends(offsets, vertices, stars.polygons)
+    return concat(*faces, points_of(0, ends, normal, np.full(len(ends), END_LENGTH), UNSEEN))
+
+
+def _parts(owner: IntArray, start: FloatArray, stop: FloatArray, which: BoolArray) -> tuple[IntArray, FloatArray]:
+    """The stretches that some (n,) of the samples of polylines make, see `sample`, but for short ones, in parts of
+    about SPACING: the sample in the middle of each (k,), and its length (k,), m."""
+    run, begin, end = uncovered_runs(owner, ~which, start, stop, LEAST_FACE)
+    of, place, length = _divided(end - begin)
+    most = stop.max(initial=1.0)
+    middle = np.searchsorted(owner + start / most, run[of] + (begin[of] + place * length) / most, side="right") - 1
+    return middle, length
 
 
 def find_open_ends(
@@ -200,9 +217,9 @@ def find_open_ends(
     at, along, is_last = at[is_open], along[is_open], is_last[is_open]
     # Behind the surface is on its right, which is on the left of the way back to its start.
     behind = np.where(is_last, 1.0, -1.0)[:, None] * np.stack([along[:, 1], -along[:, 0]], axis=1)
-    points = at + UNINSPECTED_STANDOFF * along + END_GAP * behind
+    points = at + STANDOFF * along + END_GAP * behind
     is_open = inside_any(points, *stars)
-    # The other face of a thin wall is not round the corner but behind: see find_unseen_backs.
+    # The other face of a thin wall is not round the corner but behind: see find_faces.
     is_open[is_open] = ~inside_any((at - END_GAP * along + THIN_WALL * behind)[is_open], *stars)
     points, along, at = points[is_open], along[is_open], at[is_open]
     cut_off = clearance(np.hstack([at + 1e-3 * along, points]), segments, 1e-6) == 0.0
@@ -216,58 +233,6 @@ def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: 
     # Their own surface may have been mapped again a little nearer: its front is not opposite.
     narrow = enter(np.hstack([p + NARROW_SHARE * distance * normal, p + NARROW * normal]), segments)
     return np.asarray(p + np.where(narrow, NARROW_SHARE, 1.0)[:, None] * distance * normal)
-
-
-def uninspected_frontiers(points: FrontierPoints) -> FrontierPoints:
-    """Points on the longer stretches of uninspected surface, all in the frame of the points."""
-    first, p, normal, length = _stretches(np.array(points.p), np.array(points.normal))
-    return FrontierPoints(points.view[first], p, normal, length, np.ones(len(first), dtype=np.bool_))
-
-
-@njit(cache=True)
-def _stretches(p: FloatArray, normal: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Points p (n, 2) with unit normals (n, 2) that hang together on one face, every stretch but the short ones cut
-    into parts of about SPACING: of each part its first point's row (k,), the means (k, 2), (k, 2), its length (k,), m.
-    """
-    n = len(p)
-    face, grid, near = np.arange(n), segment_grid(np.hstack((p, p))), np.empty(n, dtype=np.int64)
-    for i in range(n):
-        x, y, gap = p[i, 0], p[i, 1], UNINSPECTED_GAP
-        for k in range(rows_in_box(grid, x - gap, x + gap, y - gap, y + gap, near)):
-            j = near[k]
-            same_face = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] > SAME_NORMAL
-            if j < i and same_face and (p[j, 0] - x) ** 2 + (p[j, 1] - y) ** 2 <= gap * gap:
-                connect(face, i, j)
-    component_labels(face)
-    row, mean_p, mean_normal = np.empty(n, dtype=np.int64), np.zeros((n, 2)), np.zeros((n, 2))
-    lengths = np.empty(n)
-    count = 0
-    for start in range(n):
-        if face[start] != start:
-            continue
-        members = np.flatnonzero(face == start)
-        mx, my = normal[members, 0].sum() / len(members), normal[members, 1].sum() / len(members)
-        size = max(math.hypot(mx, my), 1e-9)
-        along = np.dot(p[members], np.array([-my / size, mx / size]))
-        # By extent, not by count: two views may have placed the same stretch a little differently.
-        length = along.max() - along.min() + UNINSPECTED_SPACING
-        if length < UNINSPECTED_LENGTH:
-            continue
-        parts = max(1, round(length / SPACING))
-        part = np.minimum((parts * (along - along.min()) / length).astype(np.int64), parts - 1)
-        for k in range(parts):
-            of_part = members[part == k]
-            if len(of_part) == 0:
-                continue
-            for i in of_part:
-                mean_p[count] += p[i]
-                mean_normal[count] += normal[i]
-            mean_p[count] /= len(of_part)
-            mean_normal[count] /= len(of_part)
-            mean_normal[count] /= max(math.hypot(mean_normal[count, 0], mean_normal[count, 1]), 1e-9)
-            row[count], lengths[count] = of_part[0], length / parts
-            count += 1
-    return row[:count], mean_p[:count], mean_normal[:count], lengths[:count]
 
 
 def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
@@ -291,10 +256,7 @@ def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
     return np.asarray(cKDTree(others).query(p)[0] > distance)
 
 
-def most_within(points: FloatArray, others: FloatArray, number: IntArray, distance: float) -> IntArray:
-    """The largest number (n,) that any of the others (m, d), each with a number (m,), has within distance of each of
-    the points (n, d); 0 where there is none."""
-    most, tree = np.zeros(len(points), dtype=np.int64), cKDTree(points)
-    for i in np.argsort(number):
-        most[tree.query_ball_point(others[i], distance)] = number[i]
-    return most
+def tried_like(points: FrontierPoints, before: FrontierPoints, distance: float) -> FrontierPoints:
+    """The points, each tried as often as the nearest of those before, in the same frame, if that is within distance."""
+    _, nearest = cKDTree(before.p).query(points.p, distance_upper_bound=distance)
+    return replace(points, tries=np.append(before.tries, 0)[nearest])

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -19,8 +18,8 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.geometry.se2 import inverse, rotation, transform
-from tfg_drake.geometry.star import inside_any, inspected
+from tfg_drake.geometry.se2 import inverse, transform
+from tfg_drake.geometry.star import inside_any
 from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import cast_rays, surely_visible
 from tfg_drake.messages import (
@@ -36,43 +35,34 @@ from tfg_drake.table import concat, empty, take
 from tfg_drake.tfg.drift import MOST_DRIFT, known_jointly
 from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, seen_nearest, with_part
 from tfg_drake.tfg.frontier import (
-    END_LENGTH,
     GRAZE,
+    POORLY_SEEN,
     SAME_FRONTIER,
-    UNINSPECTED_LIFT,
-    UNINSPECTED_SPACING,
-    UNINSPECTED_STANDOFF,
     FrontierPoints,
     far_from,
+    find_faces,
     find_frontiers,
-    find_open_ends,
-    find_uninspected,
-    find_unseen_backs,
-    in_front,
-    most_within,
     open_frontiers,
     place_points,
     points_of,
-    uninspected_frontiers,
+    tried_like,
 )
 from tfg_drake.tfg.near import within
 from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of
-from tfg_drake.tfg.segmentation import Components, panorama_links, segment
+from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
-from tfg_drake.tfg.surfaces import END, REFUTED_DEPTH, add_observation, place, without_doubles
+from tfg_drake.tfg.surfaces import END, REFUTED_DEPTH, Surfaces, add_observation, place, without_doubles
 
-# Attempts from within this distance of each other count for the same frontier point, m.
-TRIED_DISTANCE = 0.5
+# Frontier points this near to each other hang together, and one that is found so near to another has been tried as
+# often, m.
+TOGETHER = 0.5
 # A view counts as an attempt at a small face only from within this share of the sensor's range: farther off the face
 # may be missed though it is in view.
 NEAR_SHARE = 0.5
-# A surface is inspected only where it is seen less slantwise, by this, rad, than the sensor needs to see a tag on it:
-# its direction is known no better.
-SLANT_KNOWN = math.radians(2.5)
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
 TORN = 1.0
 # A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
@@ -110,12 +100,6 @@ def update(
     scene = _Scene(estimate, panorama, tags, robot, explorer, glance)
     if estimate.is_joint:
         return _with_view(graph, np.arange(graph.stage), scene)
-    # While all was known jointly, the newest view looked for unseen faces everywhere.
-    backs, ends = (
-        anchored(of, estimate.X_MA[:-1]) if (of.view == graph.stage - 1).all() else of
-        for of in (graph.unseen_backs, graph.open_ends)
-    )
-    graph = replace(graph, unseen_backs=backs, open_ends=ends)
     # What the view may have seen was seen by views from as far off again.
     part = part_of(graph, estimate, 2.0 * seen)
     scene = dataclasses.replace(scene, estimate=part.estimate, radius=seen)
@@ -137,7 +121,7 @@ class _Scene:
 
 def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     """The graph, or a part of it, with the newest view added; views: (k,) those whose stars it holds."""
-    estimate, tags = scene.estimate, scene.tags
+    estimate = scene.estimate
     view, X_MA = estimate.stage - 1, estimate.X_MA
     graph, panorama = _without_dynamic(graph, scene.panorama, estimate, X_MA[views])
     links = panorama_links(panorama)
@@ -158,33 +142,28 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     star_offsets = np.append(graph.star_offsets, graph.star_offsets[-1] + len(star))
     star_vertices = np.concatenate([graph.star_vertices, star])
     views_now = np.append(views, view)
-    stars = placed_stars(star_offsets, star_vertices, X_MA[views_now])
-    newest = _Newest(
+    stars = some_stars(placed_stars(star_offsets, star_vertices, X_MA[views_now]), ~weak.views[views_now])
+    found = points_of(view, *find_frontiers(free, links, 2.0 * scene.robot.radius))
+    free_space = _free_space_frontiers(
+        take(graph.frontiers, ~graph.frontiers.on_face),
+        found,
         estimate,
-        tags,
-        segments=segments,
-        star=placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
-        stars=some_stars(stars, ~weak.views[views_now]),
-        weak=weak.views,
-        radius=scene.radius,
+        placed_stars(np.array([0, len(star)]), star, X_MA[view:]),
+        stars,
+        weak.views,
     )
-    backs, ends = newest.unseen_faces(surfaces.offsets, placed, stars)
+    faces = _faces(
+        take(graph.frontiers, graph.frontiers.on_face), replace(surfaces, vertices=placed), stars, weak, scene
+    )
     updated = replace(
         with_tags,
         stage=estimate.stage,
         surfaces=surfaces,
         star_offsets=star_offsets,
         star_vertices=star_vertices,
-        free_space_frontiers=newest.free_space_frontiers(
-            graph.free_space_frontiers, *find_frontiers(free, links, 2.0 * scene.robot.radius)
-        ),
-        uninspected=newest.uninspected(graph.uninspected, components),
-        unseen_backs=newest.found_here(graph.unseen_backs, backs, newest.known),
-        open_ends=newest.found_here(graph.open_ends, ends, newest.near),
+        frontiers=concat(free_space, faces),
     )
-    if scene.glance:
-        return updated
-    return _count_attempts((graph, views), (updated, views_now), badly, scene)
+    return updated if scene.glance else _count_attempts(updated, views_now, badly, scene)
 
 
 def _known_badly(estimate: MapEstimate, *, is_large: bool = False) -> BoolArray:
@@ -193,91 +172,40 @@ def _known_badly(estimate: MapEstimate, *, is_large: bool = False) -> BoolArray:
     return known_badly(estimate) if is_large or estimate.is_adrift else np.zeros(len(estimate.ids), dtype=np.bool_)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Newest:
-    """The changes of the frontiers by the newest view of the estimate, in M.
+def _free_space_frontiers(
+    old: FrontierPoints, new: FrontierPoints, estimate: MapEstimate, star: Stars, stars: Stars, weak: BoolArray
+) -> FrontierPoints:
+    """The old frontiers of free space that the newest view has not covered, and those that it found. Those of weakly
+    tied views, weak: (k,), stay, and stand for no new ones.
 
-    segments: (s, 4) of the surfaces, the newest included, m. star: the newest view's, stars: of all views that say
-    something of the robot's surroundings. weak: (k,) which views are weakly tied.
-    radius: m round the newest view, within which unseen faces are looked for.
+    star: the newest view's, stars: of all views that say something of the robot's surroundings, both in M.
     """
+    then, now = place_points(old, estimate.X_MA), place_points(new, estimate.X_MA)
+    explored = inside_any(then.p, *star.polygons) | explored_elsewhere(then, stars, estimate)
+    theirs = weak[old.view]
+    is_new = far_from(now.p, then.p[~theirs & ~explored], SAME_FRONTIER)
+    is_new &= ~inside_any(now.p, *stars.polygons)
+    new = replace(new, tries=tried_like(now, then, TOGETHER).tries)
+    return concat(take(old, theirs | ~explored), take(new, is_new))
 
-    estimate: MapEstimate
-    tags: TagSensorConfig
-    segments: FloatArray
-    star: Stars
-    stars: Stars
-    weak: BoolArray
-    radius: float
 
-    def free_space_frontiers(
-        self, old: FrontierPoints, p: FloatArray, normal: FloatArray, length: FloatArray
-    ) -> FrontierPoints:
-        """The old frontiers that the view has not covered, and those that it found: p and normal (f, 2) in A, length
-        (f,) m. Those of weakly tied views stay, and stand for no new ones."""
-        new = points_of(self._view, p, normal, length)
-        then, now = place_points(old, self.estimate.X_MA), place_points(new, self.estimate.X_MA)
-        explored = inside_any(then.p, *self.star.polygons) | explored_elsewhere(then, self.stars, self.estimate)
-        theirs = self.weak[old.view]
-        is_new = far_from(now.p, then.p[~theirs & ~explored], SAME_FRONTIER)
-        is_new &= ~inside_any(now.p, *self.stars.polygons)
-        return concat(take(old, theirs | ~explored), take(new, is_new))
+def _faces(old: FrontierPoints, surfaces: Surfaces, stars: Stars, weak: WeaklyTied, scene: _Scene) -> FrontierPoints:
+    """The frontier points before faces: those found now near the newest view, where it is known how far two faces may
+    have drifted apart; elsewhere, and of weakly tied views, the old ones.
 
-    def uninspected(self, old: FrontierPoints, components: Components) -> FrontierPoints:
-        """The old points that the view has not inspected, and those on the components of its panorama that no view
-        has."""
-        p, normal = find_uninspected(components, self.tags.range, self.tags.max_incidence - SLANT_KNOWN)
-        new = points_of(self._view, p, normal, np.full(len(p), UNINSPECTED_SPACING))
-        then, now = place_points(old, self.estimate.X_MA), place_points(new, self.estimate.X_MA)
-        open_still, theirs = self._not_inspected(self.star, then), self.weak[old.view]
-        is_new = far_from(_faces(now), _faces(then)[~theirs & open_still], 0.9 * UNINSPECTED_SPACING)
-        is_new &= self._not_inspected(self.stars, now)
-        return concat(take(old, theirs | open_still), take(new, is_new))
+    surfaces: placed in M. stars: as of `_free_space_frontiers`. Each point is kept in the frame of the view nearest to
+    it: in the newest view's it would leave its surface when that view's heading is corrected later.
+    """
+    X_MA = scene.estimate.X_MA
 
-    def unseen_faces(
-        self, offsets: IntArray, placed: FloatArray, stars: Stars
-    ) -> tuple[FrontierPoints, FrontierPoints]:
-        """The unseen backs and the open ends of surfaces placed in M; stars: of all views."""
-        backs = find_unseen_backs(offsets, placed, stars.polygons)
-        ends = find_open_ends(offsets, placed, stars.polygons)
-        return self._on_surface(*backs, UNINSPECTED_SPACING), self._on_surface(*ends, END_LENGTH)
+    def here(p_MF: FloatArray) -> BoolArray:
+        return within(p_MF, X_MA[-1], scene.radius) & known_jointly(p_MF, scene.estimate)
 
-    def near(self, points: FrontierPoints) -> BoolArray:
-        """Which points lie within the radius."""
-        X_MA = self.estimate.X_MA
-        return within(place_points(points, X_MA).p, X_MA[-1], self.radius)
-
-    def known(self, points: FrontierPoints) -> BoolArray:
-        """Which points lie within the radius, where it is known how far two faces may have drifted apart."""
-        return self.near(points) & known_jointly(place_points(points, self.estimate.X_MA).p, self.estimate)
-
-    def found_here(
-        self, then: FrontierPoints, now: FrontierPoints, which: Callable[[FrontierPoints], BoolArray]
-    ) -> FrontierPoints:
-        """The points found now among those that `which` selects; of the others those found then.
-
-        Those of a large map are not found anew at every stage: each is kept in the frame of the view nearest to it. In
-        the newest view's it would leave its surface when that view's heading is corrected later.
-        """
-        if math.isinf(self.radius):
-            return now
-        # Not a weakly tied one's, which says nothing of the robot's surroundings.
-        firm = np.flatnonzero(~self.weak)
-        return concat(take(then, ~which(then)), anchored(take(now, which(now)), self.estimate.X_MA, firm))
-
-    @property
-    def _view(self) -> int:
-        return self.estimate.stage - 1
-
-    def _not_inspected(self, stars: Stars, points: FrontierPoints) -> BoolArray:
-        front = in_front(points.p, points.normal, self.segments, UNINSPECTED_LIFT)
-        return np.asarray(~inspected(front, points.normal, *stars, self.tags.range, self.tags.max_incidence))
-
-    def _on_surface(self, p_MF: FloatArray, normal: FloatArray, length: float) -> FrontierPoints:
-        X_AM = inverse(self.estimate.X_MA[-1])
-        p, normal = transform(X_AM, p_MF), normal @ rotation(float(X_AM[2])).T
-        points = points_of(self._view, p, normal, np.full(len(p), length))
-        return replace(points, on_surface=np.ones(len(p), dtype=bool))
+    firm = take(surfaces, s=~weak.surfaces)
+    then = place_points(old, X_MA)
+    found = tried_like(find_faces(firm.offsets, firm.vertices, stars, scene.tags), then, TOGETHER)
+    stays = weak.views[old.view] | ~here(then.p)
+    return concat(take(old, stays), anchored(take(found, here(found.p)), X_MA, np.flatnonzero(~weak.views)))
 
 
 def _up_to_surfaces(panorama: Panorama, segments: FloatArray, X_MA: FloatArray) -> Panorama:
@@ -326,15 +254,13 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
     graph, X_MA = behind(first, second), estimate.X_MA
     surfaces = without_doubles(graph.surfaces, len(first.surfaces.view), estimate)
     placed, stars = place(surfaces, estimate), placed_stars(graph.star_offsets, graph.star_vertices, X_MA)
-    segments, weak = segments_of(surfaces.offsets, placed)[0], np.zeros(len(X_MA), dtype=np.bool_)
-    by_all = _Newest(estimate, tags, segments, stars, stars, weak, math.inf)
-    backs, ends = by_all.unseen_faces(surfaces.offsets, placed, stars)
-    free = place_points(graph.free_space_frontiers, X_MA)
-    is_open, k = ~inside_any(free.p, *stars.polygons), len(first.free_space_frontiers.p)
-    is_open[k:] &= far_from(free.p[k:], free.p[:k][is_open[:k]], SAME_FRONTIER)
-    poorly = place_points(graph.uninspected, X_MA)
-    graph = take(graph, f=is_open, u=by_all._not_inspected(stars, poorly))
-    return replace(graph, surfaces=surfaces, unseen_backs=backs, open_ends=ends)
+    free, faces = take(graph.frontiers, ~graph.frontiers.on_face), find_faces(surfaces.offsets, placed, stars, tags)
+    faces = tried_like(faces, place_points(graph.frontiers, X_MA), TOGETHER)
+    p, k = place_points(free, X_MA).p, np.count_nonzero(~first.frontiers.on_face)
+    is_open = ~inside_any(p, *stars.polygons)
+    is_open[k:] &= far_from(p[k:], p[:k][is_open[:k]], SAME_FRONTIER)
+    frontiers = concat(take(free, is_open), anchored(faces, X_MA, np.arange(len(X_MA))))
+    return replace(graph, surfaces=surfaces, frontiers=frontiers)
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
@@ -342,18 +268,23 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
 
     Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
     Tags that no other surface joins get no facing, so they count as visible from nowhere.
+    Frontiers that explorer.frontier_attempts views have tried in vain are given up. What fewer have tried counts for
+    less: a sliver gets one try, a doorway two, and only a wide opening all of them.
     """
     tags = is_tag(estimate.ids)
     tag_ids, p_ML = estimate.ids[tags], estimate.p_ML[tags]
     placed = _placed(graph, np.arange(graph.stage), estimate, _known_badly(estimate))
     surface = np.hypot(*(placed.segments[:, 2:] - placed.segments[:, :2]).T).sum()
-    inspected = max(0.0, float(surface) - UNINSPECTED_SPACING * len(graph.uninspected.p))
+    poorly = graph.frontiers.kind == POORLY_SEEN
+    inspected = max(0.0, float(surface) - float(graph.frontiers.length[poorly].sum()))
     tagless = not expects_tags(inspected, len(tag_ids), explorer.landmarks)
     if tagless:
-        graph = replace(graph, uninspected=empty(FrontierPoints))
-    free_space_frontiers = _open_free_space_frontiers(graph, estimate, placed)
-    frontier = _live_frontiers(graph, estimate, placed, free_space_frontiers, explorer)
-    worth = np.where(frontier.on_surface & tagless, FACE_WORTH, 1.0)
+        graph = take(graph, f=~poorly)
+    points = place_points(graph.frontiers, estimate.X_MA)
+    left, is_open = 1.0 - points.tries / explorer.frontier_attempts, _is_open(points, placed)
+    frontier = take(replace(points, length=points.length * left**2), is_open & (left > 0.0))
+    worth = np.where(frontier.on_face & tagless, FACE_WORTH, 1.0)
+    given_up = _openings(take(points, is_open & ~points.on_face & (left <= 0.0)), robot)
     bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
     posts = tag_ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
@@ -362,8 +293,6 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     if not placed.here.all():
         drifted = np.setdiff1d(ids[~placed.here], ids[placed.here])
         facing[np.isin(tag_ids, drifted)] = 0.0
-    in_vain = _attempts(graph, free_space_frontiers, estimate) >= explorer.frontier_attempts
-    given_up = _openings(take(free_space_frontiers, in_vain), robot)
     return TfgMap(
         stage=graph.stage,
         segments=np.vstack([placed.segments, np.hstack([p_ML[bare], p_ML[bare]])]),
@@ -433,26 +362,11 @@ def _placed(graph: TfgGraph, views: IntArray, estimate: MapEstimate, badly: Bool
     return _Placed(pieces, owner, stand[owner], stars, weak)
 
 
-def _live_frontiers(
-    graph: TfgGraph,
-    estimate: MapEstimate,
-    placed: _Placed,
-    free_space_frontiers: FrontierPoints,
-    explorer: ExplorerConfig,
-) -> FrontierPoints:
-    """The frontier points in the map frame that are worth another visit, without those of weakly tied views.
-    free_space_frontiers: the open ones, placed.
-
-    Those that explorer.frontier_attempts views have tried in vain are left out. What fewer have tried counts for less:
-    a sliver gets one try, a doorway two, and only a wide opening all of them.
-    """
-    poorly = uninspected_frontiers(place_points(concat(graph.uninspected, graph.unseen_backs), estimate.X_MA))
-    poorly = replace(poorly, p=in_front(poorly.p, poorly.normal, placed.segments, UNINSPECTED_STANDOFF))
-    points = concat(free_space_frontiers, poorly)
-    points = concat(points, place_points(graph.open_ends, estimate.X_MA))
-    left = 1.0 - _attempts(graph, points, estimate) / explorer.frontier_attempts
-    here = ~placed.weak.views[points.view]
-    return take(replace(points, length=points.length * left**2), (left > 0.0) & here)
+def _is_open(points: FrontierPoints, placed: _Placed) -> BoolArray:
+    """Which of the frontier points (f,) in the map frame are open: without those of free space that a surface explains,
+    and those of weakly tied views."""
+    is_open = points.on_face | open_frontiers(points, placed.segments)
+    return is_open & ~placed.weak.views[points.view]
 
 
 def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
@@ -465,38 +379,22 @@ def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstima
     return np.asarray(explored)
 
 
-def _open_free_space_frontiers(graph: TfgGraph, estimate: MapEstimate, placed: _Placed) -> FrontierPoints:
-    """Frontier points of free space, in the map frame, that no surface explains, without those of weakly tied views."""
-    points = place_points(graph.free_space_frontiers, estimate.X_MA)
-    return take(points, open_frontiers(points, placed.segments) & ~placed.weak.views[points.view])
-
-
-def _attempts(graph: TfgGraph, points: FrontierPoints, estimate: MapEstimate) -> IntArray:
-    """Number (f,) of views that have tried each of the points (f,), in the map frame, in vain."""
-    tried = place_points(graph.tried, estimate.X_MA).p
-    return np.asarray(most_within(points.p, tried, graph.tried_count, TRIED_DISTANCE))
-
-
 def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
     """The frontier points that hang together widely enough for the robot to pass."""
     if not len(points.p):
         return points
-    neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TRIED_DISTANCE)
+    neighbours = cKDTree(points.p).sparse_distance_matrix(cKDTree(points.p), TOGETHER)
     _, label = connected_components(neighbours, directed=False)
     length = np.bincount(label, points.length)
     return take(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
 
 
-def anchored(points: FrontierPoints, X_MA: FloatArray, views: IntArray | None = None) -> FrontierPoints:
-    """The points, each in the frame of the view nearest to it; X_MA: (k, 3). views: (v,) to choose from, else all."""
-    if not len(points.p):
-        return points
-    views = np.arange(len(X_MA)) if views is None else views
-    placed = place_points(points, X_MA)
-    _, nearest = cKDTree(X_MA[views, :2]).query(placed.p)
+def anchored(points: FrontierPoints, X_MA: FloatArray, views: IntArray) -> FrontierPoints:
+    """Points placed in M, each in the frame of the nearest of some views (v,); X_MA: (k, 3)."""
+    _, nearest = cKDTree(X_MA[views, :2]).query(points.p)
     view = views[nearest]
-    d, theta = placed.p - X_MA[view, :2], X_MA[view, 2]
-    return replace(points, view=view, p=turned(d, -theta), normal=turned(placed.normal, -theta))
+    d, theta = points.p - X_MA[view, :2], X_MA[view, 2]
+    return replace(points, view=view, p=turned(d, -theta), normal=turned(points.normal, -theta))
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:
@@ -526,62 +424,30 @@ def _with_facing(graph: TfgGraph, estimate: MapEstimate, seen_ids: IntArray, see
     return seen_nearest(both)
 
 
-def _faces(points: FrontierPoints) -> FloatArray:
-    """The points (f, 4) with their normals: those on opposite faces of a thin wall are far from each other."""
-    return np.hstack([points.p, UNINSPECTED_SPACING * points.normal])
+def _count_attempts(graph: TfgGraph, views: IntArray, badly: BoolArray, scene: _Scene) -> TfgGraph:
+    """Counts the newest view as an attempt at every frontier point that it should have seen through and that lives on.
 
-
-def _count_attempts(
-    before: tuple[TfgGraph, IntArray],
-    after: tuple[TfgGraph, IntArray],
-    badly: BoolArray,
-    scene: _Scene,
-) -> TfgGraph:
-    """Counts the newest view as an attempt at every frontier point that it should have seen and that lives on.
-
-    before, after: the graph without and with that view, and the views (k,) whose stars it holds. Returns the latter.
-    badly: (n,) landmarks, see `known_badly`.
+    graph: with that view. views: (k,) those whose stars it holds. badly: (n,) landmarks, see `known_badly`.
     """
     estimate, tags = scene.estimate, scene.tags
-    center = estimate.X_MA[-1, :2]
+    points, center = place_points(graph.frontiers, estimate.X_MA), estimate.X_MA[-1, :2]
+    towards = center - points.p
+    distance = np.hypot(towards[:, 0], towards[:, 1])
+    # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody looks
+    # into what lies behind.
+    ahead = np.sum(towards * points.normal, axis=1) >= np.cos(tags.max_incidence) * distance
+    in_A = transform(inverse(estimate.X_MA[-1]), points.p)
+    looked = scene.panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
+    reach = np.where(points.on_face, NEAR_SHARE, 1.0) * tags.range
+    found_now = ~points.on_face & (points.view == graph.stage - 1)
+    asked = (points.tries < scene.explorer.frontier_attempts) & (distance <= reach) & ahead & looked & ~found_now
 
-    def in_view_of(graph: TfgGraph, placed: _Placed) -> FloatArray:
-        points = _live_frontiers(
-            graph, estimate, placed, _open_free_space_frontiers(graph, estimate, placed), scene.explorer
-        )
-        towards = center - points.p
-        distance = np.hypot(towards[:, 0], towards[:, 1])
-        # A surface must be looked at from its front, as a tag on it must; and along the edge of what it sees nobody
-        # looks into what lies behind.
-        slant = np.sum(towards * points.normal, axis=1) < np.cos(tags.max_incidence) * distance
-        clear = surely_visible(placed.segments, center, points.p, GRAZE)
-        in_A = transform(inverse(estimate.X_MA[-1]), points.p)
-        looked = scene.panorama.looked_at(np.arctan2(in_A[:, 1], in_A[:, 0]))
-        reach = np.where(points.on_surface, NEAR_SHARE, 1.0) * tags.range
-        return np.asarray(points.p[(distance <= reach) & ~slant & clear & looked])
+    def in_view(placed: _Placed) -> BoolArray:
+        return asked & _is_open(points, placed) & surely_visible(placed.segments, center, points.p, GRAZE)
 
-    def in_view(graph: TfgGraph, views: IntArray) -> FloatArray:
-        placed = _placed(graph, views, estimate, badly)
-        here = in_view_of(graph, placed)
-        # If no other frontier is in view, the robot came for a weakly tied one.
-        if len(here) or not placed.weak.landmarks.any():
-            return here
-        return in_view_of(graph, _placed(graph, views, estimate, np.zeros_like(badly)))
-
-    # Seen from here by the old map, alive, and no surface found since that explains why.
-    then, failed, graph = in_view(*before), in_view(*after), after[0]
-    failed = failed[~far_from(failed, then, TRIED_DISTANCE)]
-
-    tried = place_points(graph.tried, estimate.X_MA)
-    again = ~far_from(tried.p, failed, TRIED_DISTANCE)
-    first: list[FloatArray] = []
-    for p in failed[far_from(failed, tried.p, TRIED_DISTANCE)]:
-        if far_from(p[None], np.array(first).reshape(-1, 2), TRIED_DISTANCE)[0]:
-            first.append(p)
-    added = transform(inverse(estimate.X_MA[-1]), np.array(first).reshape(-1, 2))
-    nothing = np.zeros(len(added))
-    return replace(
-        graph,
-        tried=concat(graph.tried, points_of(graph.stage - 1, added, np.zeros_like(added), nothing)),
-        tried_count=np.concatenate([graph.tried_count + again, np.ones(len(added), dtype=np.int64)]),
-    )
+    placed = _placed(graph, views, estimate, badly)
+    failed = in_view(placed)
+    # If no other frontier is in view, the robot came for a weakly tied one.
+    if not failed.any() and placed.weak.landmarks.any():
+        failed = in_view(_placed(graph, views, estimate, np.zeros_like(badly)))
+    return replace(graph, frontiers=replace(graph.frontiers, tries=graph.frontiers.tries + failed))
