@@ -21,11 +21,10 @@ from tfg_drake.planning.candidates import (
     time_to_go_on,
     turn_gains,
 )
-from tfg_drake.planning.doubtful_tags import best_views
+from tfg_drake.planning.errands import doubtful_tags, narrow_places
 from tfg_drake.planning.goal_rules import AS_GOOD_AS_ALL, gain_per_time, nearest_frontier, stops, tour
 from tfg_drake.planning.information_gain import Gains
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER, frontier_left, given_up_open, why_end
-from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.revisit import worth_revisiting
 from tfg_drake.planning.which_place import LEAST_TOLD, place_information
 from tfg_drake.table import empty
@@ -52,8 +51,7 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept
     A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
     sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
     large map that is known after one look more: with `is_explored` the choice asks for what it takes. Where
-    none is worth going to, it goes back to passages that were too narrow (`tfg_drake.planning.narrow_places`) and looks
-    again at tags that are doubtful (`tfg_drake.planning.doubtful_tags`).
+    none is worth going to, it does what errands are left (`tfg_drake.planning.errands`).
     """
     estimate, roadmap, explorer, sensor = now.estimate, now.roadmap, now.parameters.explorer, now.parameters.sensor
     is_empty = len(estimate.ids) == 0 and len(now.tfg.segments) == 0
@@ -269,27 +267,21 @@ def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoic
 
 
 def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> tuple[int, str, str, IntArray]:
-    """The choice where no candidate is worth going to: the node before a passage that was too narrow, or from which a
-    doubtful tag is seen best, -1 where the mission ends; verdict and reason; and the ids (t,) of nodes from which the
-    robot has looked again.
+    """The choice where no candidate is worth going to: the node of an errand, -1 where the mission ends; verdict and
+    reason; and the ids (t,) of nodes from which the robot has looked again.
 
     any_left: there are candidates. looked: (s,) node ids so far.
     """
     estimate, roadmap, stop_gain = now.estimate, now.roadmap, now.parameters.explorer.stop_gain
-    narrow = narrow_places(now)
-    looked = passages_revisited(narrow, roadmap, estimate.X_MD[:2], looked)
-    back = worth_of_looking(narrow, roadmap, budget.stay, stop_gain, looked)
-    again = pick(back, (back > 0.0) & budget.affords(roadmap, narrow.entry), roadmap.travel_time[narrow.entry])
-    if again >= 0:
-        reason = f"{narrow.gain[again]:.1f} nats lie behind a passage that was too narrow: it looks once more."
-        return int(narrow.entry[again]), "goal", reason, looked
-    if back.any():
-        return -1, "budget", budget.spent(), looked
-    tags, at, looked = best_views(now, looked)
-    nearest = pick(np.zeros(len(tags)), budget.affords(roadmap, at), roadmap.travel_time[at])
-    if nearest >= 0:
-        reason = f"Tag {estimate.doubtful[tags[nearest]]} is doubtful: it looks at it once more."
-        return int(at[nearest]), "goal", reason, looked
+    narrow = narrow_places(now, budget.stay)
+    for errands in (narrow, doubtful_tags(now)):
+        looked = errands.looked_from(roadmap, estimate.X_MD[:2], looked)
+        left = errands.left(roadmap, looked)
+        best = pick(errands.worth, left & budget.affords(roadmap, errands.at), roadmap.travel_time[errands.at])
+        if best >= 0:
+            return int(errands.at[best]), "goal", errands.reasons[best], looked
+        if errands.gain[left].any():
+            return -1, "budget", budget.spent(), looked
     verdict, reason = why_end(
         any_left or len(now.tfg.keep_out) > 0,
         float(narrow.gain.max(initial=0.0)),

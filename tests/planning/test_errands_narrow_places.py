@@ -4,8 +4,8 @@ import pytest
 from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import Roadmap, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.errands import narrow_places
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
-from tfg_drake.planning.narrow_places import narrow_places, passages_revisited, worth_of_looking
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
@@ -22,7 +22,7 @@ def two_passages(at=0.0):
         stage=1,
         covariance=1e-4 * np.eye(3),
         X_MA=np.zeros((1, 3)),
-        X_MD=np.array([at, 0.0, 0]),
+        X_MD=np.array([at, -1.0, 0]),
     )
     walls = np.array([[-15.0, 1.0, 15.0, 1.0]])
     frontiers = np.array([[x + side, 3.0] for x in (-10.0, 6.0) for side in (-2.5, -2.0, 2.0, 2.5)])
@@ -46,10 +46,9 @@ def two_passages(at=0.0):
 
 def test_what_lies_behind_is_reached_past_the_entry():
     estimate, tfg, roadmap = two_passages()
-    narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS))
-    np.testing.assert_array_equal(narrow.nodes, [11, 12])
-    np.testing.assert_array_equal(narrow.entry, [1, 9])
-    np.testing.assert_allclose(narrow.time, np.array([13.0, 9.0]) / 0.5)
+    narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS), STAY)
+    np.testing.assert_array_equal(narrow.at, [1, 9])
+    np.testing.assert_allclose(narrow.worth, narrow.gain / (np.array([13.0, 9.0]) / 0.5 + STAY))
     assert (narrow.gain > STOP).all()
 
 
@@ -57,10 +56,10 @@ def test_the_robot_goes_back_to_every_passage_once_the_nearest_first():
     looked, order = np.zeros(0, dtype=np.int64), []
     for at in (0.0, 6.0, -10.0):
         estimate, tfg, roadmap = two_passages(at)
-        narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS))
-        looked = passages_revisited(narrow, roadmap, np.array([at, -1.0]), looked)
-        worth = worth_of_looking(narrow, roadmap, STAY, STOP, looked)
-        order.append(int(narrow.entry[np.argmax(worth)]) if worth.any() else -1)
+        narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS), STAY)
+        looked = narrow.looked_from(roadmap, np.array([at, -1.0]), looked)
+        left = narrow.left(roadmap, looked)
+        order.append(int(narrow.at[np.argmax(left * narrow.worth)]) if left.any() else -1)
     assert order == [9, 1, -1]
     np.testing.assert_array_equal(looked, [1, 9])
 
@@ -68,10 +67,10 @@ def test_the_robot_goes_back_to_every_passage_once_the_nearest_first():
 def test_nothing_barred_is_nowhere_to_go():
     estimate, tfg, roadmap = two_passages()
     roadmap = replace(roadmap, entry=np.where(roadmap.reachable, roadmap.entry, -1))
-    narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS))
-    looked = passages_revisited(narrow, roadmap, np.zeros(2), np.array([5]))
+    narrow = narrow_places(Situation(estimate, tfg, roadmap, PARAMETERS), STAY)
+    looked = narrow.looked_from(roadmap, np.zeros(2), np.array([5]))
     np.testing.assert_array_equal(looked, [5])
-    assert len(worth_of_looking(narrow, roadmap, STAY, STOP, looked)) == 0
+    assert len(narrow.left(roadmap, looked)) == 0
 
 
 def test_a_mission_is_stuck_only_after_the_robot_has_looked_again():

@@ -1,0 +1,110 @@
+"""Errands: places to look from once more before a mission ends.
+
+How much room a passage has and needs is known only near the robot. One may have seemed too narrow because of the drift
+of a loop that has closed since. And a tag may have been seen without being known to be at any one place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tfg_drake.geometry.segment_grid import segment_grid
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
+from tfg_drake.planning.candidates import Situation
+from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_frontiers, visible_targets
+
+# From so near a place where the robot has looked again it sees nothing else, m, and so near it is there.
+SAME_PLACE = 2.0
+THERE = 1.0
+# What was seen so near a tag that is no doubt there is that tag with a misread id, m.
+MISREAD = 0.3
+
+
+class Errands(NamedTuple):
+    """Errands of one kind: the reachable node at (e,) of the roadmap where each is done, its worth (e,), which tells
+    only which is done first, 0 for none, the gain (e,), nats, that it promises, and the reason for each."""
+
+    at: IntArray
+    worth: FloatArray
+    gain: FloatArray
+    reasons: list[str]
+
+    def looked_from(self, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
+        """Ids (t,) of nodes from which the robot has looked again: before (s,), and of these errands where it is now,
+        p_MD (2,), m in M."""
+        here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < THERE)
+        return np.union1d(before, roadmap.node_ids(self.at[here]))
+
+    def left(self, roadmap: Roadmap, looked: IntArray) -> BoolArray:
+        """Which (e,) the robot has not done from near any of the nodes that it has looked from, by their ids (t,)."""
+        known = roadmap.nodes(looked)
+        distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[self.at])
+        return np.asarray((self.worth > 0.0) & (distance >= SAME_PLACE))
+
+
+def narrow_places(now: Situation, stay: float) -> Errands:
+    """The places with room for the robot behind a passage too narrow for its uncertainty, at the last reachable node on
+    the way to each, where more than stop_gain lies; worth nats per second, as if the passage were wide enough.
+
+    stay: s at each.
+    """
+    roadmap, parameters, judge = now.roadmap, now.parameters, now.turns
+    nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
+    entry, points = roadmap.entry[nodes], roadmap.points[nodes]
+    beyond = np.hypot(*(points - roadmap.points[entry]).T)
+    distance = roadmap.travel_length[entry] + beyond
+    time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
+    frontiers = expected_frontiers(points, now.tfg, parameters.sensor)
+    gain = judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers).gain
+    worth = np.where(gain > parameters.explorer.stop_gain, gain / (time + stay), 0.0)
+    lies = "{:.1f} nats lie behind a passage that was too narrow: it looks once more."
+    return Errands(entry, worth, gain, [lies.format(one) for one in gain])
+
+
+def doubtful_tags(now: Situation) -> Errands:
+    """The doubtful tags, each at the reachable node from which it seems largest: near, and not aslant.
+
+    A tag hangs on the surface nearest to where it was seen. Where another hangs, its id was misread.
+    """
+    estimate, tfg, roadmap, sensor = now.estimate, now.tfg, now.roadmap, now.parameters.sensor
+    places = estimate.doubtful_places
+    nodes = np.flatnonzero(roadmap.reachable)
+    if not (len(places) and len(nodes) and len(tfg.segments)):
+        return Errands(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), [])
+    normals, points = _normals(places, tfg.segments), roadmap.points[nodes]
+    size = np.zeros((len(places), len(nodes)))
+    surfaces = tfg.segments, segment_grid(tfg.segments)
+    within = sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
+    for facing in (normals, -normals):
+        sees = Visibility(*visible_targets(points, places, facing, *surfaces, *within, 0.0, 0.0))
+        node, tag = np.repeat(np.arange(len(nodes)), sees.count), sees.index
+        way = points[node] - places[tag]
+        # Its width in the picture goes with the cosine of the incidence over the range.
+        width = np.sum(way * facing[tag], axis=1) / np.sum(way**2, axis=1)
+        size[tag, node] = np.where(_another_hangs(places, facing, now)[tag], 0.0, width)
+    in_sight = (size.max(axis=1) > 0.0).astype(np.float64)
+    reasons = [f"Tag {tag} is doubtful: it looks at it once more." for tag in estimate.doubtful]
+    return Errands(nodes[np.argmax(size, axis=1)], in_sight, np.zeros(len(places)), reasons)
+
+
+def _another_hangs(places: FloatArray, facing: FloatArray, now: Situation) -> BoolArray:
+    """At which of the places (d, 2) on surfaces that face (d, 2) the map has another tag, which is not doubtful."""
+    certain = ~now.estimate.is_doubtful
+    apart = np.linalg.norm(places[:, None] - now.estimate.p_ML[certain], axis=2)
+    return np.asarray(np.any((apart < MISREAD) & (facing @ now.tfg.facing[certain].T > 0.0), axis=1))
+
+
+def _normals(places: FloatArray, segments: FloatArray) -> FloatArray:
+    """(d, 2) unit normals of the segments (m, 4) nearest to each of the places (d, 2)."""
+    start, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    length = np.hypot(*along.T)
+    along = along / np.maximum(length, 1e-9)[:, None]
+    way = places[:, None] - start
+    share = np.clip(np.sum(way * along, axis=2), 0.0, length)
+    apart = np.linalg.norm(way - share[..., None] * along, axis=2)
+    # A landmark without a surface is a piece of no length, which faces nowhere.
+    nearest = np.argmin(np.where(length > 0.0, apart, np.inf), axis=1)
+    return np.column_stack([-along[nearest, 1], along[nearest, 0]])
