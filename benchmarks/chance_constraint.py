@@ -28,9 +28,11 @@ from scipy.stats import binomtest
 from tfg_drake.config import RISKS, OdometryConfig, PlannerConfig, TagSensorConfig
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, Scenario
-from tfg_drake.messages import MapEstimate, TfgMap, replace
+from tfg_drake.geometry.distance import point_distance
+from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.path import edges_on, plan_path, too_narrow, without_choice
+from tfg_drake.planning.chance_constraint import required_clearance
+from tfg_drake.planning.path import ROUNDING, edges_on, plan_path, too_narrow
 from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
 from tfg_drake.planning.routes import nodes_to, roadmap_message, routes
 
@@ -62,6 +64,20 @@ def inflated(scenario: Scenario, factor: float) -> tuple[TagSensorConfig, Odomet
         for name in names:
             setattr(config, name, factor * getattr(config, name))
     return sensor, odometry
+
+
+def without_choice(
+    path: FloatArray, narrow: BoolArray, state: RoadmapState, on_way: BoolArray, parameters: RoadmapParameters
+) -> BoolArray:
+    """Which of the narrow points (k,) of a path (k, 2), m in M, the robot has no choice about.
+
+    They lie beside an edge of the way (e,) that is open though too narrow, no farther than a rounded corner may lead,
+    or are where the robot sets off from a place with too little room.
+    """
+    edges, probability = state.edges, parameters.planner.collision_probability
+    need = required_clearance(parameters.robot.radius, state.sigma[edges.nodes].max(axis=1), probability)
+    forced = state.points[edges.nodes[on_way & (edges.clearance < need)]].reshape(-1, 4)
+    return narrow & ((point_distance(path, forced) < ROUNDING) | np.logical_and.accumulate(narrow))
 
 
 def main() -> None:

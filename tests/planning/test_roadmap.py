@@ -352,29 +352,6 @@ def test_the_path_of_a_robot_that_drives_on_turns_off_where_it_could_stop():
         np.testing.assert_array_equal(*paths)
 
 
-def test_a_path_leads_round_what_is_too_narrow_between_the_nodes(monkeypatch):
-    """Two doors; in the nearer the robot would know its place badly, which none of the roadmap's nodes is near to."""
-    doors = [[0, -2, 0, -1.4], [0, -0.6, 0, 0.6], [0, 1.4, 0, 2]]
-    walls = np.vstack([two_rooms()[np.abs(two_rooms()[:, [0, 2]]).min(axis=1) > 0.0], doors])
-    state, estimate, tfg = build(walls, [(-4, -1, 0), (3, -1, 1), (3, 1, 1)])
-    X_MB, node = np.array([-2.0, -1.0, 0.0]), nearest(state, (2, -1))
-
-    def path_with(*doubtful):
-        def deviation(path, *_):
-            return np.where([any(np.hypot(*(p - door)) < 0.3 for door in doubtful) for p in path], 0.5, 0.02)
-
-        monkeypatch.setattr(path_module, "deviation_along", deviation)
-        return plan_path(state, estimate, tfg, X_MB, node, PARAMETERS)
-
-    def crosses(path):
-        return float(np.interp(0.0, path[:, 0], path[:, 1]))
-
-    assert crosses(path_with()) == pytest.approx(-1.0, abs=0.3)
-    assert crosses(path_with((0.0, -1.0))) == pytest.approx(1.0, abs=0.3)
-    # Where neither will do it goes by what its nodes say.
-    np.testing.assert_array_equal(path_with((0.0, -1.0), (0.0, 1.0)), path_with())
-
-
 def test_a_shortcut_that_is_too_narrow_gives_way_to_the_edges_that_are_not(monkeypatch):
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     node = nearest(state, (-5, -1))

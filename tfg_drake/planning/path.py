@@ -33,10 +33,8 @@ REACTION = 1 / 16
 PATH_STEP = 0.1
 # A collision as improbable as this is none.
 NO_RISK = 1e-4
-# Edges are checked by the deviation at their ends. Where that is more between them, a path may have this much less room
-# than is asked for, m; so many ways are tried where it is too narrow still.
+# A smoothed path may have this much less room than is asked for, m.
 LACKING = 0.02
-WAYS_TRIED = 5
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
@@ -171,39 +169,28 @@ def plan_path(
 ) -> FloatArray:
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
-    The roadmap's edges keep the chance constraint by the deviation at their ends. The path keeps it at each of its
-    points, LACKING allowed, as it is smoothed, or else along the edges, or by another way; where none does, the first
-    is taken: that more is predicted between two nodes than at either is mostly too much. obstacles: (b, 4) segments met
-    at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on meanwhile: the path goes
-    straight ahead as far as it would take to stop, where there is room for that.
+    The roadmap's edges keep the chance constraint by the deviation at their ends. The path is smoothed where it then
+    keeps it at each of its points, LACKING allowed, and goes along the edges where it would not. obstacles: (b, 4)
+    segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on meanwhile: it
+    goes straight ahead as far as it would take to stop, where there is room for that.
     """
     robot, planner = parameters.robot, parameters.planner
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
-    X_MS = _where_it_stops(X_MB, speed, tfg, np.vstack([tfg.obstacles, obstacles]), robot)
+    segments = np.vstack([tfg.obstacles, obstacles])
+    X_MS = _where_it_stops(X_MB, speed, tfg, segments, robot)
     if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
         X_MS = X_MB
     before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
-    paths: list[FloatArray] = []
-    room = robot.radius + NODE_MARGIN
-    for _ in range(WAYS_TRIED):
-        segments = np.vstack([tfg.obstacles, obstacles])
-        ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
-        way = node_path(state, ways, X_MS, node)
-        if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
-            break
-        enough = max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
-        straight = np.vstack([before, shortcut(way, tfg, segments, enough, room)])
-        smooth = round_corners(straight, segments, enough, room)
-        for points in (smooth, np.vstack([before, way])):
-            paths.append(resample(points, PATH_STEP))
-            narrow = too_narrow(paths[-1], estimate, tfg, parameters)
-            if narrow.any():
-                narrow &= ~without_choice(paths[-1], narrow, state, edges_on(state, nodes_to(ways, node)), parameters)
-            if not narrow.any():
-                return paths[-1]
-        places = paths[-1][narrow]
-        obstacles = np.vstack([obstacles, lines_between(places, places)])
-    return paths[0] if paths else np.zeros((0, 2))
+    ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
+    way = node_path(state, ways, X_MS, node)
+    if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
+        return np.zeros((0, 2))
+    room, enough = robot.radius + NODE_MARGIN, max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
+    straight = np.vstack([before, shortcut(way, tfg, segments, enough, room)])
+    smooth = resample(round_corners(straight, segments, enough, room), PATH_STEP)
+    if too_narrow(smooth, estimate, tfg, parameters).any():
+        return resample(np.vstack([before, way]), PATH_STEP)
+    return smooth
 
 
 def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
@@ -213,20 +200,6 @@ def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters:
     sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
     need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - LACKING
     return np.asarray(clearance(lines_between(path, path), tfg.obstacles, float(need.max())) < need)
-
-
-def without_choice(
-    path: FloatArray, narrow: BoolArray, state: RoadmapState, on_way: BoolArray, parameters: RoadmapParameters
-) -> BoolArray:
-    """Which of the narrow points (k,) of a path (k, 2), m in M, the robot has no choice about.
-
-    They lie beside an edge of the way (e,) that is open though too narrow, no farther than a rounded corner may lead,
-    or are where the robot sets off from a place with too little room.
-    """
-    edges, probability = state.edges, parameters.planner.collision_probability
-    need = required_clearance(parameters.robot.radius, state.sigma[edges.nodes].max(axis=1), probability)
-    forced = state.points[edges.nodes[on_way & (edges.clearance < need)]].reshape(-1, 4)
-    return narrow & ((point_distance(path, forced) < ROUNDING) | np.logical_and.accumulate(narrow))
 
 
 def _where_it_stops(
