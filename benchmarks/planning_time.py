@@ -63,7 +63,7 @@ def main() -> None:
 
     def compared(*arguments: Any, **named: Any) -> Any:
         choice = choose(*arguments, **named)
-        with mock.patch.object(revisit, "SCREENING", 10**9):
+        with mock.patch.object(revisit, "SEEN", 10**9):
             same.append(goal_choice.choose(*arguments, **named).node == choice.node)
         return choice
 

@@ -9,6 +9,7 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
 from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.exact_gain import Known
 from tfg_drake.planning.expected_view import Targets, Visibility
 from tfg_drake.planning.information_gain import turn_noise
 from tfg_drake.planning.revisit import error_removed, known_jointly, known_together, worth_revisiting
@@ -46,22 +47,20 @@ def walls_among(rng, count, share=0.5):
     return wall * (rng.uniform(size=(count, 1)) < share)
 
 
+def known_of(visible, p_ML, wall, covariance):
+    """Landmarks that are their own targets, of which each point sees some."""
+    n = len(p_ML)
+    return Known(visible.offsets, visible.index, p_ML, np.arange(n), np.tile(np.eye(2), (n, 1, 1)), wall, covariance)
+
+
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("seen", [1, 2, 5, 9])
 def test_what_a_turn_takes_off_the_error_equals_brute_force(seed, seen):
     rng, p_ML, X_MD, covariance, point, Q = problem(seed)
     rows = np.sort(rng.permutation(len(p_ML))[:seen])
-    removed = error_removed(
-        point[None],
-        Q,
-        Visibility(np.array([0, seen]), rows),
-        p_ML,
-        X_MD,
-        covariance,
-        covariance[:, :-3] @ covariance[:-3],
-        NOISE,
-        wall := walls_among(rng, len(p_ML)),
-    )
+    wall = walls_among(rng, len(p_ML))
+    known = known_of(Visibility(np.array([0, seen]), rows), p_ML, wall, covariance)
+    removed = error_removed(point[None], Q, X_MD, known, covariance[:, :-3] @ covariance[:-3], NOISE)
     expected = brute_force(point, Q[0], rows, p_ML, X_MD, covariance, NOISE, wall)
     assert removed[0] == pytest.approx(expected, rel=1e-4)
     assert 0.0 < removed[0] < np.trace(covariance[:-3, :-3])
@@ -75,14 +74,14 @@ def test_places_judged_together_are_worth_what_each_is_by_itself(seed):
     visible = Visibility(np.cumsum([0, 3, 0, 7, 1]), np.concatenate(seen))
     points, Q = point + rng.normal(0.0, 1.0, (4, 2)), np.repeat(Q, 4, axis=0) * np.arange(1, 5)[:, None, None]
     none = np.zeros_like(p_ML)
-    together = error_removed(points, Q, visible, p_ML, X_MD, covariance, squared, NOISE, none)
+    together = error_removed(points, Q, X_MD, known_of(visible, p_ML, none, covariance), squared, NOISE)
     of = p_ML, X_MD, covariance, NOISE, none
     apart = [brute_force(p, q, rows, *of) for p, q, rows in zip(points, Q, seen, strict=True)]
     np.testing.assert_allclose(together, apart, atol=1e-9)
     assert together[1] == 0.0
 
 
-def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
+def test_some_of_the_tags_in_view_find_the_place_that_all_tell(monkeypatch):
     rng = np.random.default_rng(0)
     along, on = np.linspace(-4.8, 4.8, 20), np.full(20, 5.0)
     p_ML = np.vstack([np.stack(wall, axis=1) for wall in ((along, -on), (on, along), (along, on), (-on, along))])
@@ -103,12 +102,12 @@ def test_screening_finds_the_place_that_all_tags_tell(monkeypatch):
     time = np.hypot(*points.T) / 0.5
     roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, reachable, nodes, time, time)
     parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+    monkeypatch.setattr(revisit, "SEEN", 8)
     screened = worth_revisiting(nodes, Situation(estimate, tfg, roadmap, parameters))
-    monkeypatch.setattr(revisit, "SCREENING", 80)
+    monkeypatch.setattr(revisit, "SEEN", 80)
     by_all = worth_revisiting(nodes, Situation(estimate, tfg, roadmap, parameters))
     best = np.argsort(-screened)[0]
-    assert best == np.argmax(by_all)
-    assert screened[best] == pytest.approx(by_all[best], rel=1e-9)
+    assert by_all[best] > 0.95 * by_all.max()
     # Fewer tags never tell more, and here they tell less.
     assert (screened <= by_all * (1 + 1e-9)).all()
     assert (screened < by_all * 0.99).any()

@@ -11,15 +11,14 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.planning.candidates import Situation, time_all_round
-from tfg_drake.planning.exact_gain import to_arrival, whitened
+from tfg_drake.planning.exact_gain import Known, known_terms, to_arrival
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Targets, Visibility
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
 # Places that are asked, about as many at most: landmarks are seen from so far away that more tell little more.
 PLACES = 100
-# They are screened by so many of the landmarks in view, and so many of the best judged by all.
-SCREENING = 12
-BEST = 10
+# They are judged by so many of the landmarks in view at most.
+SEEN = 40
 # The error is that of about so many landmarks.
 SAMPLE = 400
 
@@ -51,17 +50,11 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     error, by_targets = np.diag(covariance)[of].sum(), covariance[:, of]
     squared = by_targets @ by_targets.T
     time = time + time_all_round(sensor, explorer)
-
-    def share_of_error(rows: IntArray, of: Visibility) -> FloatArray:
-        known = targets.p_MT, estimate.X_MD, covariance, squared, turns.noise, targets.normal
-        removed = error_removed(points[rows], Q[rows], of, *known)
-        return np.asarray(1.0 - np.sqrt(np.maximum(1.0 - removed / error, 0.0)))
-
-    share_of_time = time / (estimate.stamp + time)
-    worth = share_of_error(np.arange(len(nodes)), seen.thinned(SCREENING)) / share_of_time
-    best = np.sort(np.argsort(-worth, kind="stable")[:BEST])
-    worth[best] = share_of_error(best, seen.of(best)) / share_of_time[best]
-    value[asked] = worth
+    seen, each = seen.thinned(SEEN), np.tile(np.eye(2), (count, 1, 1))
+    known = Known(seen.offsets, seen.index, targets.p_MT, np.arange(count), each, targets.normal, covariance)
+    removed = error_removed(points, Q, estimate.X_MD, known, squared, turns.noise)
+    share_of_error = 1.0 - np.sqrt(np.maximum(1.0 - removed / error, 0.0))
+    value[asked] = share_of_error / (time / (estimate.stamp + time))
     return value
 
 
@@ -94,15 +87,7 @@ def known_together(seen: Visibility, covariance: FloatArray) -> BoolArray:
 
 
 def error_removed(
-    points: FloatArray,
-    Q: FloatArray,
-    visible: Visibility,
-    p_MT: FloatArray,
-    X_MD: FloatArray,
-    covariance: FloatArray,
-    squared: FloatArray,
-    noise: FloatArray,
-    normal: FloatArray,
+    points: FloatArray, Q: FloatArray, X_MD: FloatArray, known: Known, squared: FloatArray, noise: FloatArray
 ) -> FloatArray:
     """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the covariance of targets L.
 
@@ -111,31 +96,17 @@ def error_removed(
 
         tr S_LL - tr S_LL|z = tr((I + K Q K^T + J S J^T)^-1 J S_.L S_L. J^T).
 
-    Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). visible: which of the targets
-    p_MT (t, 2), m in M, each point sees. covariance: (2t + 3, 2t + 3) of p_MT row by row and of X_MD. squared: S_.L
-    S_L., (2t + 3, 2t + 3). noise, normal: as in `exact_gain`.
+    Q: (c, 3, 3), in M, what odometry adds on the way from the departure pose X_MD (3,). known: the targets that each
+    point sees, which are landmarks of their own. squared: S_.L S_L., (2t + 3, 2t + 3). noise: as in `exact_gain`.
     """
-    c, m = len(points), int(visible.count.max(initial=0))
-    # All points at once, as if each saw as many: the rows of what it does not see are zero and take nothing off.
-    sees = np.arange(m) < visible.count[:, None]
-    seen = np.zeros((c, m), dtype=np.int64)
-    seen[sees] = visible.index
-    d, G, by_arrival = (p_MT[seen] - points[:, None])[sees], np.zeros((c, m, 2, 2)), np.zeros((c, m, 2, 3))
-    by_place, of_wall = whitened(d, noise), normal[visible.index].any(axis=1)
-    by_place[of_wall, 0], by_place[of_wall, 1] = normal[visible.index[of_wall]], 0.0
-    G[sees] = by_place
-    by_arrival[sees, :, :2], by_arrival[sees, :, 2] = -np.eye(2), d @ np.array([[0.0, -1.0], [1.0, 0.0]])
-    K = (G @ by_arrival).reshape(c, 2 * m, 3)
-    KF = K @ to_arrival(X_MD, points)
-    rows = 2 * seen[:, :, None] + np.arange(2)
-    both = rows[:, :, None, :, None] * len(covariance) + rows[:, None, :, None, :]
-
-    def by_view(S: FloatArray) -> FloatArray:
-        """J S J^T, (c, 2m, 2m)."""
-        half = (G @ S[rows, -3:]).reshape(c, 2 * m, 3) + 0.5 * KF @ S[-3:, -3:]
-        by_pose = np.concatenate([KF, half], axis=2) @ np.concatenate([half, KF], axis=2).transpose(0, 2, 1)
-        by_targets = G[:, :, None] @ S.take(both) @ G[:, None].swapaxes(3, 4)
-        return np.asarray(by_targets.swapaxes(2, 3).reshape(c, 2 * m, 2 * m) + by_pose)
-
-    C = np.eye(2 * m) + K @ Q @ K.transpose(0, 2, 1) + by_view(covariance)
-    return np.asarray(np.trace(np.linalg.solve(C, by_view(squared)), axis1=1, axis2=2))
+    removed = np.zeros(len(points))
+    for c, ((x, y), F) in enumerate(zip(points, to_arrival(X_MD, points), strict=True)):
+        column, G, K, C = known_terms(x, y, c, known, noise)
+        of_squared = known_terms(x, y, c, known._replace(covariance=squared), noise)[3]
+        KF = K @ F
+        by_view = []
+        for S, by_targets in ((known.covariance, C), (squared, of_squared)):
+            half = G[:, :1] * S[column, -3:] + G[:, 1:] * S[column + 1, -3:] + 0.5 * KF @ S[-3:, -3:]
+            by_view.append(by_targets - np.eye(len(C)) + KF @ half.T + half @ KF.T)
+        removed[c] = np.trace(np.linalg.solve(np.eye(len(C)) + K @ Q[c] @ K.T + by_view[0], by_view[1]))
+    return removed
