@@ -400,10 +400,9 @@ class Roadmap:
 
     stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
     the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
-    for its uncertainty. entry: (n,) where there is room for a robot that knows its place fairly well, too, and where
-    it has been, the last reachable node on the way, -1 elsewhere. travel_time: (n,) expected s from the robot, turns
-    included, inf where unreachable, travel_length: (n,) m. home_time and home_length: (n,) the same between each node
-    and where the robot began, empty unless it must come home. driven: m, so far.
+    for its uncertainty. entry: (n,) of those the last reachable node on the way, -1 of others. travel_time: (n,)
+    expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
+    (n,) the same between each node and where the robot began, empty unless it must come home. driven: m, so far.
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
     TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, of the
     nodes, which keep them from stage to stage; empty where an id is the index. once_open: (n,) all the way there was

@@ -7,7 +7,7 @@ from pydrake.systems.analysis import Simulator
 
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario, MakeWorld
-from tfg_drake.planning.budget import AT_HOME
+from tfg_drake.planning.budget import THERE
 
 # The robot is called back where it has come so far from the place where it began, m.
 FAR = 2.0
@@ -36,6 +36,6 @@ def test_a_robot_that_is_called_back(return_home):
     status = explorer.GetOutputPort("mission").Eval(explorer.GetMyContextFromRoot(context))
     assert (status.phase, status.outcome) == ("done", "budget")
     assert status.reason.startswith("The battery is low: the robot was called back before all was explored.")
-    assert (from_home() < 2.0 * AT_HOME) == return_home
+    assert (from_home() < 2.0 * THERE) == return_home
     # It chooses every two seconds on its way; a stage may take it a moment longer.
     assert return_home or status.since < recalled + 10.0

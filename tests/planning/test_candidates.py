@@ -14,7 +14,7 @@ from tfg_drake.planning.candidates import (
     time_to_go_on,
 )
 from tfg_drake.planning.expected_view import Visibility
-from tfg_drake.planning.pure_pursuit import TURNING_SHARE
+from tfg_drake.planning.pure_pursuit import PLANNED_SHARE
 from tfg_drake.tfg.graph import empty_map
 
 
@@ -47,4 +47,4 @@ def test_a_stay_at_a_goal_is_half_of_what_a_turn_has_to_bring_into_view_on_avera
 
 def test_from_a_goal_the_robot_turns_by_a_quarter_and_starts_again():
     robot = RobotConfig(max_turn_rate=0.5, max_speed=0.4, max_acceleration=0.8)
-    assert time_to_go_on(robot) == pytest.approx(np.pi / TURNING_SHARE + 0.5)
+    assert time_to_go_on(robot) == pytest.approx(np.pi / PLANNED_SHARE + 0.5)

@@ -10,8 +10,8 @@ from tests.arrays import frozen
 from tfg_drake.config import RobotConfig
 from tfg_drake.planning.pure_pursuit import (
     ALL_ROUND,
+    PLANNED_SHARE,
     TURNING_BACK,
-    TURNING_SHARE,
     VIEW_MARGIN,
     at_rest,
     follow,
@@ -160,7 +160,7 @@ def test_a_command_leaves_something_of_the_limits_to_control():
         np.linspace(-np.pi, np.pi, 37), (-0.2, 0.0, 0.2), (0.0, 0.5), (True, False)
     ):
         command = follow(path, frozen([1.0, aside, heading]), speed, 1.0, turning, ROBOT)
-        assert abs(command.turn_rate) <= TURNING_SHARE * ROBOT.max_turn_rate + 1e-9
+        assert abs(command.turn_rate) <= PLANNED_SHARE * ROBOT.max_turn_rate + 1e-9
 
 
 def test_progress_is_not_lost_where_a_path_comes_back_beside_itself():

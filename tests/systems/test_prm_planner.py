@@ -15,7 +15,7 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.planner import BOLD_AFTER, BREATH, OBSTACLE_MEMORY, Now, initial_state
+from tfg_drake.planning.planner import ASK_AGAIN, BOLD_AFTER, OBSTACLE_MEMORY, Now, initial_state
 from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
@@ -140,7 +140,7 @@ def test_roadmap_then_path_then_a_watch_on_it():
     planner.set(mission=MissionStatus("plan", 1, 0.0, replans=1, path_id=1))
     planner.run()
     assert planner.output("path").id == 1
-    planner.set(pose=replace(pose(1), stamp=pose(1).stamp + BREATH))
+    planner.set(pose=replace(pose(1), stamp=pose(1).stamp + ASK_AGAIN))
     planner.run()
     around = planner.output("path")
     assert around.id == 2

@@ -16,8 +16,8 @@ from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.table import empty, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import (
-    END_LENGTH,
     PUSH,
+    SPACING,
     find_frontiers,
     open_frontiers,
     place_points,
@@ -507,12 +507,12 @@ def test_a_wall_farther_off_than_a_tag_is_seen_has_to_be_looked_at(simulate) -> 
 def test_round_the_corner_of_a_face_there_is_another_to_look_at(simulate) -> None:
     world = simulate([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
     tfg = world.observe(np.array([0.5, -3.0, 0.0]))
-    ends = tfg.frontier_length == END_LENGTH
+    ends = tfg.frontier_length == SPACING
     order = np.argsort(tfg.frontiers[ends, 0])
     np.testing.assert_allclose(tfg.frontiers[ends][order], [[-0.3, 0.15], [1.3, 0.15]], atol=0.1)
     np.testing.assert_allclose(tfg.frontier_normal[ends][order], [[-1.0, 0.0], [1.0, 0.0]], atol=0.1)
     tfg = world.observe(np.array([4.0, 0.5, 0.0]))
-    ends = tfg.frontiers[tfg.frontier_length == END_LENGTH]
+    ends = tfg.frontiers[tfg.frontier_length == SPACING]
     assert not (np.hypot(*(ends - [1.3, 0.15]).T) < 0.2).any()
 
 

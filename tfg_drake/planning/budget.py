@@ -14,8 +14,8 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 MARGIN = 1.15
 RESERVE_TIME = 20.0
 RESERVE_DISTANCE = 3.0
-# A robot this near to where it began is home, m.
-AT_HOME = 0.3
+# A robot this near to where it began is home, and this near to its goal is there, m.
+THERE = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,5 +96,5 @@ def budget_left(
 def way_home(roadmap: Roadmap, p_MH: FloatArray, p_MB: FloatArray) -> int:
     """The node at home (2,), m in M, -1 where the robot (2,) is there already."""
     node = int(np.argmin(np.hypot(*(roadmap.points - p_MH).T)))
-    there = np.hypot(*(p_MB - p_MH)) <= max(float(np.hypot(*(roadmap.points[node] - p_MH))), AT_HOME)
+    there = np.hypot(*(p_MB - p_MH)) <= max(float(np.hypot(*(roadmap.points[node] - p_MH))), THERE)
     return -1 if there else node

@@ -16,7 +16,7 @@ from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import Visibility, expected_tags
 from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
-from tfg_drake.planning.pure_pursuit import TURNING_SHARE
+from tfg_drake.planning.pure_pursuit import PLANNED_SHARE
 from tfg_drake.tfg.star_polygon import looked_round
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
@@ -102,7 +102,7 @@ def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
 
 def time_to_go_on(robot: RobotConfig) -> float:
     """s, from a goal: a quarter of a turn to the next way, on average, and the start on it."""
-    return 0.5 * math.pi / (TURNING_SHARE * robot.max_turn_rate) + robot.max_speed / robot.max_acceleration
+    return 0.5 * math.pi / (PLANNED_SHARE * robot.max_turn_rate) + robot.max_speed / robot.max_acceleration
 
 
 def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:

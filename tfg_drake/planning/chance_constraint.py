@@ -28,9 +28,7 @@ from tfg_drake.planning.exact_gain import Known, known_terms
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
 
-# Landmarks farther away are left out of the prediction: they add little and cost most, m; and of those nearer all but
-# so many.
-LOCALISATION_RANGE = 5.0
+# So many landmarks in view count for the prediction, the nearest: those farther away add little.
 LOCALISATION_TAGS = 10
 # The pose is what this much time of frames makes it, s.
 LOCALISATION_TIME = 1.0
@@ -170,14 +168,13 @@ def predicted_deviation(
     before: (n,) m, what it was found to be last, inf where it never was: where not enough landmarks are known jointly,
     far from the robot, it stays that.
     """
-    reach = min(sensor.range, LOCALISATION_RANGE)
     in_view = visible_targets(
         points,
         estimate.p_ML,
         tfg.facing,
         tfg.segments,
         segment_grid(tfg.segments),
-        max(reach, SURFACE_REACH),
+        max(sensor.range, SURFACE_REACH),
         sensor.max_incidence,
         SURFACE_TOLERANCE,
         0.0,
@@ -191,7 +188,7 @@ def predicted_deviation(
         *in_view,
         estimate.p_ML,
         tfg.facing,
-        reach,
+        sensor.range,
         sensor.max_incidence,
         noise,
         estimate.local_entry,

@@ -34,7 +34,7 @@ REASONS = (
     "where the robot does not fit",
     "where the robot does not fit or must not enter",
 )
-SHUT = 2
+SHUT = REASONS.index("behind a door that shut")
 IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 

@@ -33,7 +33,7 @@ WHY = (
     "too narrow for the uncertainty of the map",
     "too narrow for the robot",
 )
-NOT_WORTH, IN_VAIN, KEPT_OUT, BEHIND_DOOR, TOO_UNCERTAIN, TOO_NARROW = range(6)
+NOT_WORTH, IN_VAIN, KEPT_OUT, BEHIND_DOOR, TOO_UNCERTAIN, TOO_NARROW = range(len(WHY))
 
 
 @message

@@ -14,7 +14,7 @@ from tfg_drake.geometry.se2 import compose, inverse, transform
 from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
-from tfg_drake.planning.chance_constraint import deviation_along, required_clearance
+from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, deviation_along, required_clearance
 from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, nodes_to, routes
 
@@ -33,25 +33,18 @@ REACTION = 1 / 16
 PATH_STEP = 0.1
 # A collision as improbable as this is none.
 NO_RISK = 1e-4
-# A smoothed path may have this much less room than is asked for, m.
-LACKING = 0.02
 # How much of the path ahead has to be open, m.
 LOOK_AHEAD = 2.0
 # What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
 UNMAPPED_AHEAD = 1.25
-# A return is of an unmapped obstacle when no mapped surface is within this of it, m.
+# A return is of an unmapped obstacle when no mapped surface is within this of it, m, and an obstacle that a scan sees
+# this far past has gone.
 MAPPED_WITHIN = 0.08
 # The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
 # nearer to it than the outline and this, the robot may touch.
 STRAYS = 0.01
-# Returns this far off still belong to the obstacle that blocks the path, m.
-OBSTACLE_REACH = 1.0
-# An obstacle that a scan sees this far past, m, has gone.
-SEEN_PAST = 0.08
 # What is not mapped is taken to be this deep, m: its far side is not seen, nor any of it from beside.
 BODY = 0.3
-# Neighbouring returns nearer to each other than this are of one obstacle: the robot does not fit between them, m.
-SAME_OBSTACLE = 0.33
 
 
 def resample(points: FloatArray, step: float) -> FloatArray:
@@ -170,9 +163,9 @@ def plan_path(
     """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
 
     The roadmap's edges keep the chance constraint by the deviation at their ends. The path is smoothed where it then
-    keeps it at each of its points, LACKING allowed, and goes along the edges where it would not. obstacles: (b, 4)
-    segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on meanwhile: it
-    goes straight ahead as far as it would take to stop, where there is room for that.
+    keeps it at each of its points, TRACKING_DEVIATION allowed, and goes along the edges where it would not. obstacles:
+    (b, 4) segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on
+    meanwhile: it goes straight ahead as far as it would take to stop, where there is room for that.
     """
     robot, planner = parameters.robot, parameters.planner
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
@@ -194,11 +187,11 @@ def plan_path(
 
 
 def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
-    """Which points (k,) of a path (k, 2), m in M, lack more than LACKING of the room that the chance constraint asks
-    for there."""
+    """Which points (k,) of a path (k, 2), m in M, lack more than TRACKING_DEVIATION of the room that the chance
+    constraint asks for there."""
     robot = parameters.robot
     sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
-    need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - LACKING
+    need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - TRACKING_DEVIATION
     return np.asarray(clearance(lines_between(path, path), tfg.obstacles, float(need.max())) < need)
 
 
@@ -294,18 +287,18 @@ def unmapped_obstacles(
 ) -> FloatArray:
     """Obstacles on a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
 
-    The returns within OBSTACLE_REACH of the robot's outline on the path ahead that no mapped surface explains, or that
+    The returns within COMFORT of the robot's outline on the path ahead that no mapped surface explains, or that
     it may touch, neighbours too close for the robot to pass between them joined to a surface; behind the former, a
     body.
     """
-    reach = radius + OBSTACLE_REACH
+    reach = radius + COMFORT
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
     unmapped = point_distance(hits, segments) > MAPPED_WITHIN
     hits = hits[(distance < reach) & (unmapped | (distance < radius + STRAYS))]
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
-    joined = np.hypot(*(following - hits).T) < SAME_OBSTACLE
+    joined = np.hypot(*(following - hits).T) < 2.0 * radius
     fronts = lines_between(hits, np.where(joined[:, None], following, hits))
     front = hits[point_distance(hits, segments) > MAPPED_WITHIN]
     away = front - X_MB[:2]
@@ -321,4 +314,4 @@ def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple
     ray = np.searchsorted(scan.angles, bearing)
     in_view = (ray > 1) & (ray < len(scan.angles) - 1)
     least = scan.ranges[np.where(in_view, ray, 2)[:, None] + np.arange(-2, 2)].min(axis=1)
-    return in_view & (least > distance + SEEN_PAST), in_view
+    return in_view & (least > distance + MAPPED_WITHIN), in_view

@@ -49,11 +49,10 @@ BOLD_AFTER = 2
 # Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
 # map, or walk away.
 OBSTACLE_MEMORY = 10
-# Where obstacles bar every way, the robot waits for so long, s, and looks for a way so often, s.
+# Where obstacles bar every way, the robot waits for so long, s. After a way that was barred no other is looked for so
+# long, s: a person needs time to pass.
 PATIENCE = 5.0
-ASK_AGAIN = 0.5
-# After a way that was barred as soon as it was found, no other is looked for so long, s: a person needs time to pass.
-BREATH = 1.0
+ASK_AGAIN = 1.0
 
 
 @message
@@ -137,10 +136,9 @@ def planned(state: PlannerState, now: Now) -> PlannerState:
     without one."""
     goal, mission, pose = now.goal, now.mission, now.pose
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
-    in_the_way = mission.replans > 0 and _may_go(state)
-    pause = ASK_AGAIN if math.isfinite(state.waiting_since) else BREATH * in_the_way
+    is_barred = math.isfinite(state.waiting_since) or (mission.replans > 0 and _may_go(state))
     is_done = (state.path.stage, state.replans) == (mission.stage, mission.replans)
-    if mission.phase == "plan" and chosen and not is_done and pose.stamp >= state.asked + pause:
+    if mission.phase == "plan" and chosen and not is_done and pose.stamp >= state.asked + ASK_AGAIN * is_barred:
         return _plan_or_wait(state, now)
     return state
 

@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from tfg_drake.messages import GoalChoice, MapEstimate, message, replace
+from tfg_drake.planning.budget import THERE
 
 # A promise is broken where less than this share of the nats was gained; after so many in a row no other is believed.
 LEAST_KEPT, MOST_BROKEN = 0.1, 3
-# A view no farther from a goal than this was taken there, m.
-AT_GOAL = 0.3
 
 
 @message
@@ -39,7 +38,7 @@ def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promi
 
     prior_sigma: m, of a landmark that nobody has seen.
     """
-    if not promise.gain or math.dist(promise.p_MG, estimate.X_MA[-1, :2].tolist()) > AT_GOAL:
+    if not promise.gain or math.dist(promise.p_MG, estimate.X_MA[-1, :2].tolist()) > THERE:
         return promise
     new = len(estimate.ids) - promise.landmarks
     gained = promise.entropy - estimate.entropy + new * math.log(2.0 * math.pi * math.e * prior_sigma**2)

@@ -22,9 +22,8 @@ LOOK_AHEAD_MAX = 0.4
 # A heading error beyond TURN_ABOVE stops the robot to turn in place until it is below TURN_BELOW, rad.
 TURN_ABOVE = math.radians(50.0)
 TURN_BELOW = math.radians(6.0)
-# The shares of the base's limits that plans use, so that control has something left.
-BRAKING_SHARE = 0.6
-TURNING_SHARE = 0.6
+# The share of the base's limits that plans use, so that control has something left.
+PLANNED_SHARE = 0.6
 # The end of the path is reached within this, m.
 ARRIVED = 0.01
 # At rest: below these speeds, m/s and rad/s.
@@ -135,8 +134,8 @@ def _turn_towards(error: float, robot: RobotConfig) -> float:
     """Turn rate, rad/s, that takes a heading error (rad) out and can still brake."""
     rate = min(
         HEADING_GAIN * abs(error),
-        math.sqrt(2.0 * BRAKING_SHARE * robot.max_turn_acceleration * abs(error)),
-        TURNING_SHARE * robot.max_turn_rate,
+        math.sqrt(2.0 * PLANNED_SHARE * robot.max_turn_acceleration * abs(error)),
+        PLANNED_SHARE * robot.max_turn_rate,
     )
     return math.copysign(rate, error)
 
@@ -150,7 +149,7 @@ def follow(
     """
     if len(points) < 2:
         return PathCommand(0.0, 0.0, 0.0, False, True)
-    turn_rate, braking = TURNING_SHARE * robot.max_turn_rate, BRAKING_SHARE * robot.max_acceleration
+    turn_rate, braking = PLANNED_SHARE * robot.max_turn_rate, PLANNED_SHARE * robot.max_acceleration
     progress, remaining, dx, dy, error, limit = _aim(points, X_MB, speed, progress, robot.max_speed, turn_rate, braking)
     if remaining < ARRIVED:
         return PathCommand(0.0, 0.0, progress, False, True)
@@ -190,7 +189,7 @@ def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotCo
     Smooth: it brakes at a share of the base's limit. The base's own limit shapes the start.
     """
     left = target - turned
-    braking = BRAKING_SHARE * robot.max_turn_acceleration
+    braking = PLANNED_SHARE * robot.max_turn_acceleration
     return math.copysign(min(turn_rate, robot.max_turn_rate, max(0.05, math.sqrt(2.0 * braking * abs(left)))), left)
 
 

@@ -14,7 +14,7 @@ from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
-from tfg_drake.planning.pure_pursuit import TURN_ABOVE, TURNING_SHARE
+from tfg_drake.planning.pure_pursuit import PLANNED_SHARE, TURN_ABOVE
 from tfg_drake.planning.roadmap import (
     ACCEPTED,
     COMFORT,
@@ -31,9 +31,6 @@ from tfg_drake.planning.roadmap import (
 )
 from tfg_drake.planning.shortest_ways import Ways, joined, shortest_ways
 
-# The deviation of a robot that knows its place relative to the map fairly well, m. Where even this is too much, it is
-# the building that is too narrow.
-FAIR_DEVIATION = 0.05
 # The robot strays from its path anew after this length, m.
 INDEPENDENT = 0.5
 # Detour, m, that spares the whole risk a path may take; and where the way to a place is too risky still, any detour.
@@ -183,7 +180,7 @@ def _travel(
         turn = abs(math.atan2(math.sin(turn), math.cos(turn)))
         length[i] = step + (0.0 if at_robot else length[before])
         if at_robot:
-            time[i] = step / speed + turn / (TURNING_SHARE * turn_rate) + (stop if turn > TURN_ABOVE else 0.0)
+            time[i] = step / speed + turn / (PLANNED_SHARE * turn_rate) + (stop if turn > TURN_ABOVE else 0.0)
         else:
             time[i] = step / speed + turn / turn_rate + time[before]
     return length, time
@@ -212,14 +209,6 @@ def _connect(
     return near[chosen].astype(np.int64), has[chosen]
 
 
-def _fitting(
-    state: RoadmapState, robot: RobotConfig, planner: PlannerConfig, deviation: float, accepted: float
-) -> BoolArray:
-    """Edges (e,) with room for a robot that strays from its path, relative to the map, by this deviation (m), where
-    this probability of a collision is accepted, if that is more than the planner's."""
-    return state.edges.usable | state.edges.with_room(room_needed(robot, planner, np.array(deviation), accepted))
-
-
 def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> BoolArray:
     """Nodes (n,) that some edges (e,) join to any of the reachable ones (n,)."""
     label = components(state.edges.nodes, edges, len(reachable))
@@ -228,13 +217,11 @@ def _joined(state: RoadmapState, edges: BoolArray, reachable: BoolArray) -> Bool
     return np.asarray(joined[label])
 
 
-def _entries(state: RoadmapState, ways: Routes, robot: RobotConfig, planner: PlannerConfig) -> IntArray:
-    """The last reachable node (n,) on the way to each node of a robot that strays by FAIR_DEVIATION only or takes a way
-    that it has driven, -1 where there is none."""
+def _entries(state: RoadmapState, ways: Routes, fits: BoolArray) -> IntArray:
+    """The last reachable node (n,) on the way to each node by edges that the robot fits through (e,), -1 where there is
+    no such way."""
     reachable = np.isfinite(ways.cost)
     entry = np.where(reachable, np.arange(len(reachable)), -1)
-    # The robot came by that, whatever was found when it was last near.
-    fits = _fitting(state, robot, planner, FAIR_DEVIATION, 0.0) | state.edges.travelled
     beyond = _joined(state, fits, reachable) & ~reachable
     if beyond.any():
         a, b = state.edges.nodes.T
@@ -260,8 +247,10 @@ def roadmap_message(
 
     driven: m, so far. home: the routes from where the robot began, where it must come back.
     """
-    # Whatever the least careful stage would try.
-    fits = _fitting(state, robot, planner, TRACKING_DEVIATION, ACCEPTED)
+    # Whatever a robot would try that knows its place as well as it ever does.
+    least = room_needed(robot, planner, np.array(TRACKING_DEVIATION), ACCEPTED)
+    fits = state.edges.usable | state.edges.with_room(least)
+    entry = _entries(state, ways, fits)
     # A surface that crosses what was free, and had room, was not there then.
     shut = state.edges.free & (state.edges.clearance == 0.0)
     return Roadmap(
@@ -269,8 +258,8 @@ def roadmap_message(
         points=state.points,
         edges=state.edges.nodes.compress(state.edges.usable, axis=0),
         reachable=np.isfinite(ways.cost),
-        enterable=_joined(state, fits, np.isfinite(ways.cost)),
-        entry=_entries(state, ways, robot, planner),
+        enterable=entry >= 0,
+        entry=entry,
         travel_time=ways.time,
         travel_length=ways.length,
         home_time=np.zeros(0) if home is None else home.time,

@@ -22,7 +22,8 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import covered, joined, sample, segments_of, uncovered_runs
 from tfg_drake.tfg.stars import Stars
 
-# How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m.
+# How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m. A point of two
+# views' frontiers counts once within the former.
 PUSH = 0.35
 SPACING = 0.4
 # How far on the free side of the edge the line to a frontier point begins that no surface may cut, m.
@@ -44,11 +45,9 @@ NARROW_SHARE = 1.0 / 3.0
 LEAST_FACE = 0.25
 # Free space this close behind a surface means a thin wall, m.
 THIN_WALL = 0.25
-# A surface that ends farther than this from every other one goes on round a corner, m; how much of it is unseen, m.
+# A surface that ends farther than this from every other one goes on round a corner, m; so much is unseen as a frontier
+# point stands for.
 END_GAP = 0.15
-END_LENGTH = 0.4
-# A point of two views' frontiers counts once within this distance, m.
-SAME_FRONTIER = 0.35
 # What a frontier point stands for: the unknown beyond free space; a face of a surface that no view has seen; a face
 # that none has seen well enough to have found a tag there.
 FREE, UNSEEN, POORLY_SEEN = range(3)
@@ -185,7 +184,7 @@ def find_faces(offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagS
         p = in_front(points[rows], outwards[rows], segments, STANDOFF)
         faces.append(points_of(0, p, outwards[rows], length, kind))
     ends, normal = find_open_ends(offsets, vertices, stars.polygons)
-    return concat(*faces, points_of(0, ends, normal, np.full(len(ends), END_LENGTH), UNSEEN))
+    return concat(*faces, points_of(0, ends, normal, np.full(len(ends), SPACING), UNSEEN))
 
 
 def _parts(owner: IntArray, start: FloatArray, stop: FloatArray, which: BoolArray) -> tuple[IntArray, FloatArray]:

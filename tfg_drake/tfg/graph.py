@@ -37,7 +37,7 @@ from tfg_drake.tfg.feature_graph import TfgGraph, behind, part_of, seen_nearest,
 from tfg_drake.tfg.frontier import (
     GRAZE,
     POORLY_SEEN,
-    SAME_FRONTIER,
+    PUSH,
     FrontierPoints,
     far_from,
     find_faces,
@@ -49,13 +49,21 @@ from tfg_drake.tfg.frontier import (
 )
 from tfg_drake.tfg.near import within
 from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
-from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.panorama import MOST_LOST, Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of
 from tfg_drake.tfg.segmentation import panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
-from tfg_drake.tfg.surfaces import END, REFUTED_DEPTH, Surfaces, add_observation, place, without_doubles
+from tfg_drake.tfg.surfaces import (
+    END,
+    KNOWN_TAG_DISTANCE,
+    REFUTED_DEPTH,
+    Surfaces,
+    add_observation,
+    place,
+    without_doubles,
+)
 
 # Frontier points this near to each other hang together, and one that is found so near to another has been tried as
 # often, m.
@@ -65,10 +73,6 @@ TOGETHER = 0.5
 NEAR_SHARE = 0.5
 # How far two places that were once next to each other may have been torn apart by a loop that closed, m.
 TORN = 1.0
-# A landmark this far from any surface stands on one that was too small to be seen, m: no way leads through it.
-BARE_TAG = 0.1
-# Bins on either side of one where nothing was met that tell whether it was lost.
-LOST_BINS = 4
 # Where a building has shown no tag on so much surface that was inspected, m, none is looked for.
 WITHOUT_TAGS = 30.0
 # Then a metre of face that was not seen is worth this much frontier: no room lies behind it.
@@ -183,7 +187,7 @@ def _free_space_frontiers(
     then, now = place_points(old, estimate.X_MA), place_points(new, estimate.X_MA)
     explored = inside_any(then.p, *star.polygons) | explored_elsewhere(then, stars, estimate)
     theirs = weak[old.view]
-    is_new = far_from(now.p, then.p[~theirs & ~explored], SAME_FRONTIER)
+    is_new = far_from(now.p, then.p[~theirs & ~explored], PUSH)
     is_new &= ~inside_any(now.p, *stars.polygons)
     new = replace(new, tries=tried_like(now, then, TOGETHER).tries)
     return concat(take(old, theirs | ~explored), take(new, is_new))
@@ -214,7 +218,7 @@ def _up_to_surfaces(panorama: Panorama, segments: FloatArray, X_MA: FloatArray) 
     nothing = np.flatnonzero(np.isinf(panorama.ranges))
     wall = cast_rays(segments, X_MA[:2], panorama.angles[nothing] + X_MA[2], panorama.range_max)
     # Where all beside it go farther, a door was opened or the map has drifted.
-    beside = minimum_filter1d(np.nan_to_num(panorama.ranges, nan=math.inf), 2 * LOST_BINS + 1, mode="wrap")[nothing]
+    beside = minimum_filter1d(np.nan_to_num(panorama.ranges, nan=math.inf), 2 * MOST_LOST + 1, mode="wrap")[nothing]
     ranges = panorama.ranges.copy()
     ranges[nothing] = np.where(beside < wall + REFUTED_DEPTH, wall, math.inf)
     return replace(panorama, ranges=ranges)
@@ -258,7 +262,7 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
     faces = tried_like(faces, place_points(graph.frontiers, X_MA), TOGETHER)
     p, k = place_points(free, X_MA).p, np.count_nonzero(~first.frontiers.on_face)
     is_open = ~inside_any(p, *stars.polygons)
-    is_open[k:] &= far_from(p[k:], p[:k][is_open[:k]], SAME_FRONTIER)
+    is_open[k:] &= far_from(p[k:], p[:k][is_open[:k]], PUSH)
     frontiers = concat(take(free, is_open), anchored(faces, X_MA, np.arange(len(X_MA))))
     return replace(graph, surfaces=surfaces, frontiers=frontiers)
 
@@ -285,7 +289,8 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     frontier = take(replace(points, length=points.length * left**2), is_open & (left > 0.0))
     worth = np.where(frontier.on_face & tagless, FACE_WORTH, 1.0)
     given_up = _openings(take(points, is_open & ~points.on_face & (left <= 0.0)), robot)
-    bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, BARE_TAG) >= BARE_TAG
+    # A landmark on no surface stands on one that was too small to be seen: no way leads through it.
+    bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, KNOWN_TAG_DISTANCE) >= KNOWN_TAG_DISTANCE
     posts = tag_ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
     facing = np.zeros((len(tag_ids), 2))
