@@ -8,7 +8,7 @@ import pytest
 from tests.walls import no_walls
 from tfg_drake.messages import replace
 from tfg_drake.planning.goal_choice import empty_choice
-from tfg_drake.planning.mission_end import FrontierLeft, why_end
+from tfg_drake.planning.mission_end import REASONS, why_end
 from tfg_drake.planning.promises import MOST_BROKEN, Promise, judged, promised
 from tfg_drake.slam.keyframe_graph import empty_map
 
@@ -58,7 +58,7 @@ def test_a_look_from_elsewhere_breaks_nothing_and_a_goal_without_gain_promises_n
 
 
 def test_the_reason_says_so():
-    assert why_end(True, 0.0, 0.0, FrontierLeft(), math.inf) == (
+    assert why_end(True, 0.0, 0.0, np.zeros(len(REASONS)), math.inf) == (
         "complete",
         "No frontier is left and places give less than 10% of what they promise, 3 times in a row.",
     )

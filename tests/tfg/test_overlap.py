@@ -101,7 +101,7 @@ def test_what_is_known_worse_than_the_way_can_have_made_it_is_weakly_tied(share,
 
     told = tied(estimate)
     weak = share > 1.0
-    assert told.landmarks.tolist() == [False, weak, weak, False]
+    assert known_badly(estimate).tolist() == [False, weak, weak, False]
     assert told.views.tolist() == [False, False, weak, False, False]
     assert told.surfaces.tolist() == [weak, False, weak, weak, False]
     # What is in view is here, however badly it is known ...

@@ -16,8 +16,6 @@ from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, 
 STATUS_LATENCY = 0.125
 # New paths asked for at one stage before the robot observes where it stands instead.
 MAX_REPLANS = 5
-# The same where nothing is in the way, but the base does not move: it has not seen its way, and a look round shows it.
-MAX_STALLS = 1
 # Stages in a row without reaching the chosen goal before the mission is stuck.
 MAX_FAILURES = 6
 # A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
@@ -156,7 +154,9 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     late = inputs.time - status.since > 60.0 and _overdue(status, inputs)
     if not (late or _held_up(status, inputs)):
         return _begin(status, inputs, "glance", moving=True) if _glance_due(status, inputs) else status
-    if status.replans < (MAX_REPLANS if _seen_or_felt(status, inputs) else MAX_STALLS):
+    # Where nothing is in the way, but the base does not move, it has not seen its way, and a look round shows it.
+    may_replan = status.replans < MAX_REPLANS if _seen_or_felt(status, inputs) else status.replans == 0
+    if may_replan:
         return _begin(status, inputs, "plan", replans=status.replans + 1)
     return _give_up_goal(status, inputs)
 

@@ -15,10 +15,10 @@ from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_frontiers, visible_targets
+from tfg_drake.tfg.polyline import nearest
 
-# From so near a place where the robot has looked again it sees nothing else, m, and so near it is there.
+# From so near a place where the robot has looked again it sees nothing else, m; half as near it is there.
 SAME_PLACE = 2.0
-THERE = 1.0
 # What was seen so near a tag that is no doubt there is that tag with a misread id, m.
 MISREAD = 0.3
 
@@ -35,7 +35,7 @@ class Errands(NamedTuple):
     def looked_from(self, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
         """Ids (t,) of nodes from which the robot has looked again: before (s,), and of these errands where it is now,
         p_MD (2,), m in M."""
-        here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < THERE)
+        here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < 0.5 * SAME_PLACE)
         return np.union1d(before, roadmap.node_ids(self.at[here]))
 
     def left(self, roadmap: Roadmap, looked: IntArray) -> BoolArray:
@@ -74,7 +74,8 @@ def doubtful_tags(now: Situation) -> Errands:
     nodes = np.flatnonzero(roadmap.reachable)
     if not (len(places) and len(nodes) and len(tfg.segments)):
         return Errands(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), [])
-    normals, points = _normals(places, tfg.segments), roadmap.points[nodes]
+    _, _, _, normals = nearest(places, 2 * np.arange(len(tfg.segments) + 1), tfg.segments.reshape(-1, 2))
+    points = roadmap.points[nodes]
     size = np.zeros((len(places), len(nodes)))
     surfaces = tfg.segments, segment_grid(tfg.segments)
     within = sensor.range, sensor.max_incidence, SURFACE_TOLERANCE
@@ -95,16 +96,3 @@ def _another_hangs(places: FloatArray, facing: FloatArray, now: Situation) -> Bo
     certain = ~now.estimate.is_doubtful
     apart = np.linalg.norm(places[:, None] - now.estimate.p_ML[certain], axis=2)
     return np.asarray(np.any((apart < MISREAD) & (facing @ now.tfg.facing[certain].T > 0.0), axis=1))
-
-
-def _normals(places: FloatArray, segments: FloatArray) -> FloatArray:
-    """(d, 2) unit normals of the segments (m, 4) nearest to each of the places (d, 2)."""
-    start, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    length = np.hypot(*along.T)
-    along = along / np.maximum(length, 1e-9)[:, None]
-    way = places[:, None] - start
-    share = np.clip(np.sum(way * along, axis=2), 0.0, length)
-    apart = np.linalg.norm(way - share[..., None] * along, axis=2)
-    # A landmark without a surface is a piece of no length, which faces nowhere.
-    nearest = np.argmin(np.where(length > 0.0, apart, np.inf), axis=1)
-    return np.column_stack([-along[nearest, 1], along[nearest, 0]])

@@ -198,9 +198,13 @@ def _among(choice: GoalChoice, now: Situation, ranked: _Ranked) -> GoalChoice:
     choice = _of_candidates(choice, candidates.node_ids, candidates.gains, ranked.value)
     if best < 0:
         return choice
-    look = _directions(now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - choice.p_MG)
+    d = now.tfg.frontiers[_seen(candidates.open_ahead[best], ranked.look)] - choice.p_MG
     is_tour = now.parameters.explorer.goal == "tour"
-    return replace(choice, look=look, tour=candidates.node_ids[stops(ranked.value, best)] if is_tour else choice.tour)
+    return replace(
+        choice,
+        look=np.arctan2(d[:, 1], d[:, 0]),
+        tour=candidates.node_ids[stops(ranked.value, best)] if is_tour else choice.tour,
+    )
 
 
 def _nearer_before(best: int, candidates: Candidates, open_to: BoolArray, previous: GoalChoice) -> int:
@@ -297,11 +301,6 @@ def _seen(open_ahead: FloatArray, look: BoolArray) -> IntArray:
     them."""
     seen = np.flatnonzero(open_ahead > 0.0)
     return seen[look[seen]] if look[seen].any() else seen
-
-
-def _directions(d: FloatArray) -> FloatArray:
-    """Headings (n,), rad, of displacements (n, 2), m."""
-    return np.arctan2(d[:, 1], d[:, 0])
 
 
 def _in_question(candidates: Candidates, affordable: BoolArray, explorer: ExplorerConfig) -> BoolArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import IntArray, Roadmap, TfgMap
+from tfg_drake.messages import FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.promises import LEAST_KEPT, MOST_BROKEN
 from tfg_drake.tfg.frontier import PUSH, ROOT
@@ -25,8 +24,10 @@ ENOUGH_FRONTIER = 0.36
 MOST_LEFT = 2.0
 # A place this near to where the robot can get, m, may be cut off by a wall that was mapped twice, no door.
 DRIFTED = 1.5
-# What keeps the robot from a frontier, in the order of the fields of FrontierLeft; that it has tried too often, and
-# that no time was left to look at one that it can reach.
+# What keeps the robot from a frontier. It is seen from a place that it can reach, which is not worth the way; only from
+# behind passages that have room for it but not for its uncertainty; only from where it could have driven when that was
+# seen to be free, but not by the newest map; from no other place that it fits into; likewise, where there are areas
+# that it must not enter.
 REASONS = (
     "not worth the way",
     "behind passages too narrow for the uncertainty of the map",
@@ -34,7 +35,8 @@ REASONS = (
     "where the robot does not fit",
     "where the robot does not fit or must not enter",
 )
-SHUT = REASONS.index("behind a door that shut")
+NOT_WORTH, TOO_UNCERTAIN, SHUT, TOO_NARROW, KEPT_OUT = range(len(REASONS))
+# That it has tried too often, and that no time was left to look at one that it can reach.
 IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 
@@ -56,38 +58,15 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
     return float(tfg.given_up_length[reached[clearance(through, tfg.obstacles, need) >= need]].sum())
 
 
-@dataclasses.dataclass(frozen=True)
-class FrontierLeft:
-    """Length (m) of the live frontier, by what keeps the robot from it.
-
-    not_worth: it is seen from places that the robot can reach, none of which is worth the way. too_uncertain: only from
-    behind passages that have room for the robot but not for its uncertainty. shut: only from where it could have driven
-    when that was seen to be free, but not by the newest map: a door that shut. too_narrow: from no other place that it
-    fits into. kept_out: likewise, where there are areas that it must not enter.
-    """
-
-    not_worth: float = 0.0
-    too_uncertain: float = 0.0
-    shut: float = 0.0
-    too_narrow: float = 0.0
-    kept_out: float = 0.0
-
-    def __str__(self) -> str:
-        lengths = dataclasses.astuple(self)
-        named = [(lengths[i], REASONS[i]) for i in (3, 4, 1, 2, 0)]
-        return ", ".join(f"{length:.1f} m {why}" for length, why in named if length >= 0.05)
-
-
-def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FrontierLeft:
-    """The live frontier by what keeps the robot from it. Arguments as of `hindrances`."""
-    least = hindrances(tfg, roadmap, sensor, radius)
-    return FrontierLeft(*np.bincount(least, tfg.frontier_length, minlength=5).tolist())
+def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FloatArray:
+    """Length (5,), m, of the live frontier by the REASONS that keep the robot from it. Arguments as of `hindrances`."""
+    return np.bincount(hindrances(tfg, roadmap, sensor, radius), tfg.frontier_length, minlength=len(REASONS))
 
 
 def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> IntArray:
     """The row (f,) of REASONS that keeps the robot from each of the live frontier points, by the places of the roadmap
     that see it; of these the one counts that is the easiest to get to. radius: of the robot, m."""
-    elsewhere = 4 if len(tfg.keep_out) else 3
+    elsewhere = KEPT_OUT if len(tfg.keep_out) else TOO_NARROW
     hindrance = np.full(len(roadmap.points), elsewhere)
     shut = np.flatnonzero(roadmap.once_open)
     # Where the free space is narrower than the robot it was seen by rays that some wall swallowed.
@@ -96,8 +75,8 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
     shut = shut[free.reshape(-1, 4).all(axis=1)]
     apart, _ = cKDTree(roadmap.points[roadmap.reachable]).query(roadmap.points[shut])
     hindrance[shut[apart > DRIFTED]] = SHUT
-    hindrance[roadmap.enterable] = 1
-    hindrance[roadmap.reachable] = 0
+    hindrance[roadmap.enterable] = TOO_UNCERTAIN
+    hindrance[roadmap.reachable] = NOT_WORTH
     seen = expected_frontiers(roadmap.points, tfg, sensor)
     least = np.full(len(tfg.frontiers), elsewhere)
     np.minimum.at(least, seen.index, np.repeat(hindrance, seen.count))
@@ -105,18 +84,19 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
 
 
 def why_end(
-    candidates: bool, narrow_gain: float, given_up_length: float, left: FrontierLeft, stop_gain: float
+    candidates: bool, narrow_gain: float, given_up_length: float, left: FloatArray, stop_gain: float
 ) -> tuple[str, str]:
     """Verdict and reason where no candidate is worth going to.
 
     candidates: there are any, or areas not to be entered, for which there may be none. narrow_gain: nats, of the best
     place behind a passage that is too narrow for the robot's uncertainty. given_up_length: m of open frontier that was
-    tried too often. left: what is left of the live frontier.
+    tried too often. left: what is left of the live frontier, see `frontier_left`.
     """
-    named = str(left)
-    if not candidates and sum(dataclasses.astuple(left)) > MOST_LEFT:
+    worst_first = (TOO_NARROW, KEPT_OUT, TOO_UNCERTAIN, SHUT, NOT_WORTH)
+    named = ", ".join(f"{left[why]:.1f} m {REASONS[why]}" for why in worst_first if left[why] >= 0.05)
+    if not candidates and left.sum() > MOST_LEFT:
         return "stuck", f"The robot cannot reach any other place. Frontier is left: {named}."
-    if left.too_uncertain + left.shut > MOST_LEFT:
+    if left[TOO_UNCERTAIN] + left[SHUT] > MOST_LEFT:
         return "stuck", f"Frontier is left: {named}."
     if narrow_gain > stop_gain:
         return "stuck", f"{narrow_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."

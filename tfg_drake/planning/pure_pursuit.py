@@ -15,10 +15,9 @@ from numba import njit
 from tfg_drake.config import RobotConfig
 from tfg_drake.messages import FloatArray
 
-# The point steered for is what the robot reaches in LOOK_AHEAD_TIME s, within these bounds, m.
+# The point steered for is what the robot reaches in LOOK_AHEAD_TIME s, and this far ahead at least, m.
 LOOK_AHEAD_TIME = 0.7
 LOOK_AHEAD_MIN = 0.2
-LOOK_AHEAD_MAX = 0.4
 # A heading error beyond TURN_ABOVE stops the robot to turn in place until it is below TURN_BELOW, rad.
 TURN_ABOVE = math.radians(50.0)
 TURN_BELOW = math.radians(6.0)
@@ -122,7 +121,7 @@ def _aim(
     """Progress (m) made by now, what is left of the path, m, where the point steered for is from the robot, m along M's
     axes, the error of the heading to it, rad, and `_speed_limit`, m/s."""
     progress, length = _project(points, X_MB[0], X_MB[1], progress, SEARCH)
-    ahead = min(max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN), LOOK_AHEAD_MAX)
+    ahead = max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN)
     px, py, _ = _at(points, progress + ahead)
     dx, dy = px - X_MB[0], py - X_MB[1]
     error = math.atan2(dy, dx) - X_MB[2]

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Roadmap, message, replace
+from tfg_drake.planning.budget import THERE
 
-# Who looks round this near to the place, m, was there.
-AT_PLACE = 0.5
 # After so many attempts in a row that failed the robot is not sent there any more.
 MOST_FAILURES = 3
 REASON = "Somebody has sent the robot there."
@@ -68,7 +67,7 @@ def where_sent(
         return before
     row = int(roadmap.nodes(np.array([before.node]))[0])
     over = row < 0 or not roadmap.reachable[row] or mission.failures >= MOST_FAILURES
-    if over or (not mission.moving and np.hypot(*(roadmap.points[row] - p_MA)) < AT_PLACE):
+    if over or (not mission.moving and np.hypot(*(roadmap.points[row] - p_MA)) < THERE):
         return Sent(before.count)
     return before
 

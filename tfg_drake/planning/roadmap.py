@@ -29,6 +29,7 @@ from tfg_drake.geometry.distance import clearance, nearest_on_segment, room_besi
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
+from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
 from tfg_drake.table import concat, empty, put, take
@@ -517,6 +518,4 @@ def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatA
 
 
 def _to_anchor(p_MN: FloatArray, anchor: IntArray, X_MA: FloatArray) -> FloatArray:
-    d, theta = p_MN - X_MA[anchor, :2], X_MA[anchor, 2]
-    c, s = np.cos(theta), np.sin(theta)
-    return np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]], axis=1)
+    return turned(p_MN - X_MA[anchor, :2], -X_MA[anchor, 2])

@@ -453,6 +453,6 @@ def _count_attempts(graph: TfgGraph, views: IntArray, badly: BoolArray, scene: _
     placed = _placed(graph, views, estimate, badly)
     failed = in_view(placed)
     # If no other frontier is in view, the robot came for a weakly tied one.
-    if not failed.any() and placed.weak.landmarks.any():
+    if not failed.any() and badly.any():
         failed = in_view(_placed(graph, views, estimate, np.zeros_like(badly)))
     return replace(graph, frontiers=replace(graph.frontiers, tries=graph.frontiers.tries + failed))

@@ -66,10 +66,9 @@ class WeaklyTied:
     """Which parts of the map have an unknown place relative to the robot, as they were mapped along another arm of a
     loop that has not closed.
 
-    landmarks: (n,) of the map, views: (k,) of the map, surfaces: (s,) of the graph.
+    views: (k,) of the map, surfaces: (s,) of the graph.
     """
 
-    landmarks: BoolArray
     views: BoolArray
     surfaces: BoolArray
 
@@ -93,10 +92,10 @@ def known_badly(estimate: MapEstimate) -> BoolArray:
 def weakly_tied(
     surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate, landmarks: BoolArray
 ) -> WeaklyTied:
-    """The weakly tied parts of a large map: landmarks (n,) of unknown place relative to the robot, see `known_badly`,
-    views that saw none but such of the landmarks known jointly, and the surfaces of these views or landmarks.
+    """The weakly tied parts of a large map: views that saw none but landmarks of unknown place relative to the robot of
+    those known jointly, and the surfaces of these views or landmarks.
 
-    tag_ids, tag_view: (m,) landmarks and a view that saw each.
+    tag_ids, tag_view: (m,) landmarks and a view that saw each. landmarks: (n,) those, see `known_badly`.
     """
     known = estimate.is_local
     view, ids = _saw(surfaces, tag_ids, tag_view)
@@ -106,7 +105,7 @@ def weakly_tied(
     )
     views = (these > 0) & (others == 0)
     anchored = np.isin(surfaces.ids, estimate.ids[landmarks]).any(axis=1)
-    return WeaklyTied(landmarks, views, views[surfaces.view] | anchored)
+    return WeaklyTied(views, views[surfaces.view] | anchored)
 
 
 def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[IntArray, IntArray]:
