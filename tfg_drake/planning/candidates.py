@@ -132,10 +132,9 @@ def judged(now: Situation) -> Candidates:
 
 def turn_gains(nodes: IntArray, now: Situation) -> Gains:
     """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap."""
-    roadmap, judge = now.roadmap, now.turns
-    points, distance, time = roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes]
+    roadmap = now.roadmap
     frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
-    return judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers)
+    return now.turns.at(roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes], frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:

@@ -143,7 +143,7 @@ def _deviation_at(
 @njit(cache=True)
 def _largest(S: FloatArray) -> float:
     """The larger eigenvalue of a covariance (2, 2)."""
-    return 0.5 * (S[0, 0] + S[1, 1]) + math.sqrt(0.25 * (S[0, 0] - S[1, 1]) ** 2 + S[0, 1] ** 2)
+    return float(0.5 * (S[0, 0] + S[1, 1]) + math.sqrt(0.25 * (S[0, 0] - S[1, 1]) ** 2 + S[0, 1] ** 2))
 
 
 def predicted_deviation(

@@ -51,14 +51,14 @@ def narrow_places(now: Situation, stay: float) -> Errands:
 
     stay: s at each.
     """
-    roadmap, parameters, judge = now.roadmap, now.parameters, now.turns
+    roadmap, parameters = now.roadmap, now.parameters
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
     entry, points = roadmap.entry[nodes], roadmap.points[nodes]
     beyond = np.hypot(*(points - roadmap.points[entry]).T)
     distance = roadmap.travel_length[entry] + beyond
     time = roadmap.travel_time[entry] + beyond / parameters.robot.max_speed
     frontiers = expected_frontiers(points, now.tfg, parameters.sensor)
-    gain = judge.gains(points, judge.arrival(points, distance, time), judge.seen(points), frontiers).gain
+    gain = now.turns.at(points, distance, time, frontiers).gain
     worth = np.where(gain > parameters.explorer.stop_gain, gain / (time + stay), 0.0)
     lies = "{:.1f} nats lie behind a passage that was too narrow: it looks once more."
     return Errands(entry, worth, gain, [lies.format(one) for one in gain])

@@ -133,6 +133,10 @@ class Turns:
         """The points that the known landmarks are seen at."""
         return targets(self.estimate, self.tfg)
 
+    def at(self, points: FloatArray, distance: FloatArray, time: FloatArray, frontiers: Visibility) -> Gains:
+        """The gains of a full turn at each point (c, 2) after distance (c,) m and time (c,) s, with what it sees."""
+        return self.gains(points, self.arrival(points, distance, time), self.seen(points), frontiers)
+
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
         """The arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known by
         odometry since the last departure alone, as in the factor that will tie the two views."""

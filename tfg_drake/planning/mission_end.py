@@ -60,7 +60,8 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
 
 def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FloatArray:
     """Length (5,), m, of the live frontier by the REASONS that keep the robot from it. Arguments as of `hindrances`."""
-    return np.bincount(hindrances(tfg, roadmap, sensor, radius), tfg.frontier_length, minlength=len(REASONS))
+    why = hindrances(tfg, roadmap, sensor, radius)
+    return np.bincount(why, tfg.frontier_length, minlength=len(REASONS)).astype(np.float64)
 
 
 def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> IntArray:

@@ -15,7 +15,7 @@ from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, deviation_along, required_clearance
-from tfg_drake.planning.roadmap import COMFORT, RoadmapParameters, RoadmapState, in_free_space
+from tfg_drake.planning.roadmap import COMFORT, RETURN_OFF, RoadmapParameters, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, nodes_to, routes
 
 # A shortcut is as good as what it replaces with this clearance, m.
@@ -37,9 +37,6 @@ NO_RISK = 1e-4
 LOOK_AHEAD = 2.0
 # What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
 UNMAPPED_AHEAD = 1.25
-# A return is of an unmapped obstacle when no mapped surface is within this of it, m, and an obstacle that a scan sees
-# this far past has gone.
-MAPPED_WITHIN = 0.08
 # The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
 # nearer to it than the outline and this, the robot may touch.
 STRAYS = 0.01
@@ -274,7 +271,7 @@ def path_is_free(
     close = np.flatnonzero(distance < near)
     if len(close) < 2:
         return True
-    unmapped = point_distance(hits[close], segments) > MAPPED_WITHIN
+    unmapped = point_distance(hits[close], segments) > RETURN_OFF
     here = ~unmapped | (np.hypot(*(hits[close] - X_MB[:2]).T) < UNMAPPED_AHEAD)
     close, unmapped = close[here], unmapped[here]
     if np.count_nonzero(distance[close] < radius + (-0.02 if bold else STRAYS)) >= 2:
@@ -293,14 +290,14 @@ def unmapped_obstacles(
     """
     reach = radius + COMFORT
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
-    unmapped = point_distance(hits, segments) > MAPPED_WITHIN
+    unmapped = point_distance(hits, segments) > RETURN_OFF
     hits = hits[(distance < reach) & (unmapped | (distance < radius + STRAYS))]
     if len(hits) == 0:
         return np.zeros((0, 4))
     following = np.vstack([hits[1:], hits[-1:]])
     joined = np.hypot(*(following - hits).T) < 2.0 * radius
     fronts = lines_between(hits, np.where(joined[:, None], following, hits))
-    front = hits[point_distance(hits, segments) > MAPPED_WITHIN]
+    front = hits[point_distance(hits, segments) > RETURN_OFF]
     away = front - X_MB[:2]
     behind = front + BODY * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)[:, None]
     return np.vstack([fronts, lines_between(front, behind)])
@@ -314,4 +311,4 @@ def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple
     ray = np.searchsorted(scan.angles, bearing)
     in_view = (ray > 1) & (ray < len(scan.angles) - 1)
     least = scan.ranges[np.where(in_view, ray, 2)[:, None] + np.arange(-2, 2)].min(axis=1)
-    return in_view & (least > distance + MAPPED_WITHIN), in_view
+    return in_view & (least > distance + RETURN_OFF), in_view

@@ -29,7 +29,7 @@ from tfg_drake.messages import (
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
-from tfg_drake.planning.path import MAPPED_WITHIN, path_is_free, plan_path, seen_past, unmapped_obstacles
+from tfg_drake.planning.path import RETURN_OFF, path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     DRIVEN_STEP,
     RoadmapParameters,
@@ -285,7 +285,7 @@ def _may_go(state: PlannerState) -> bool:
     if not len(state.obstacles):
         return False
     met = obstacles_in_map(state, state.estimate)
-    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), state.tfg.segments) > MAPPED_WITHIN).any())
+    return bool((point_distance(0.5 * (met[:, :2] + met[:, 2:]), state.tfg.segments) > RETURN_OFF).any())
 
 
 def _watch(state: PlannerState, pose: PoseEstimate, scan: LaserScan, radius: float, bold: bool) -> PlannerState:

@@ -59,8 +59,9 @@ SAME_NODE = 0.15
 ACCEPTED, TIGHT = 0.2, 10.0
 # Clearance beyond which a path costs its length only, m.
 COMFORT = 1.0
-# Obstacles met on the way, which no map covers, are passed at this distance from the robot's outline, m.
-OBSTACLE_MARGIN = 0.08
+# How far a return may lie from what it is of, m: one is of an obstacle that is not mapped when no mapped surface is
+# within this of it, an obstacle that a scan sees this far past has gone, and others are passed at this distance.
+RETURN_OFF = 0.08
 
 
 # What edges of a length (e,), m, with a clearance (e,), m, cost, (e,), m.

@@ -20,7 +20,7 @@ from tfg_drake.planning.roadmap import (
     COMFORT,
     EDGE_LENGTH,
     NEIGHBOURS,
-    OBSTACLE_MARGIN,
+    RETURN_OFF,
     TIGHT,
     EdgeCost,
     RoadmapState,
@@ -76,7 +76,7 @@ def routes(
     if obstacles is not None and len(obstacles):
         room = np.full(len(edges), np.inf)
         room[is_open] = clearance(state.points[edges.nodes[is_open]].reshape(-1, 4), obstacles, COMFORT)
-        has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + OBSTACLE_MARGIN)
+        has, is_open = np.minimum(has, room), is_open & (room >= robot.radius + RETURN_OFF)
     length = edge_lengths(state.points, edges.nodes)
     at_ease = required_clearance(robot.radius, state.sigma, planner.collision_probability)[edges.nodes].max(axis=1)
     lacks = np.maximum(0.0, at_ease - edges.clearance)

@@ -21,21 +21,19 @@ from tfg_drake.table import concat
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import covered, joined, sample, segments_of, uncovered_runs
 from tfg_drake.tfg.stars import Stars
+from tfg_drake.tfg.surfaces import ON_SURFACE
 
 # How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m. A point of two
 # views' frontiers counts once within the former.
 PUSH = 0.35
 SPACING = 0.4
-# How far on the free side of the edge the line to a frontier point begins that no surface may cut, m.
+# How far on the free side of the edge the line to a frontier point begins that no surface may cut, m, and how far in
+# front of a face it must have been seen from.
 ROOT = 0.2
-# A frontier point this close to a surface is part of it, m.
-SURFACE_DISTANCE = 0.1
 # Past one end of a surface it must be seen by more than this, m: what lies between the last two rays may hide it.
 GRAZE = 0.1
-# Spacing of the samples of faces, m, how far in front of a face they must have been seen from, m, and how far in front
-# of it its frontier points lie, m.
+# Spacing of the samples of faces, m, and how far in front of a face its frontier points lie, m.
 FACE_SPACING = 0.1
-LIFT = 0.2
 STANDOFF = 0.3
 # Where another surface lies opposite, nearer than this, m, the two are this share of that: a robot between the two
 # would stand nearer to a surface than its frontier points, and could never look at them from in front.
@@ -174,7 +172,7 @@ def find_faces(offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagS
     """
     points, normals, owner, start, stop = sample(offsets, vertices, FACE_SPACING)
     segments, _ = segments_of(offsets, vertices)
-    front = in_front(points, normals, segments, LIFT)
+    front = in_front(points, normals, segments, ROOT)
     poorly = ~inspected(front, normals, *stars, tags.range, tags.max_incidence)
     unseen = inside_any(points - THIN_WALL * normals, *stars.polygons)
     unseen &= ~covered(points, -normals, segments, np.full(len(points), THIN_WALL))
@@ -247,7 +245,7 @@ def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
 
 def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
     """Which points p (f, 2) no surface (m, 4) runs through, (f,)."""
-    return np.asarray(clearance(np.hstack([p, p]), segments, SURFACE_DISTANCE) >= SURFACE_DISTANCE)
+    return np.asarray(clearance(np.hstack([p, p]), segments, ON_SURFACE) >= ON_SURFACE)
 
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:

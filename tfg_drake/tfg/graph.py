@@ -57,7 +57,7 @@ from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
 from tfg_drake.tfg.surfaces import (
     END,
-    KNOWN_TAG_DISTANCE,
+    ON_SURFACE,
     REFUTED_DEPTH,
     Surfaces,
     add_observation,
@@ -290,7 +290,7 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
     worth = np.where(frontier.on_face & tagless, FACE_WORTH, 1.0)
     given_up = _openings(take(points, is_open & ~points.on_face & (left <= 0.0)), robot)
     # A landmark on no surface stands on one that was too small to be seen: no way leads through it.
-    bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, KNOWN_TAG_DISTANCE) >= KNOWN_TAG_DISTANCE
+    bare = clearance(np.hstack([p_ML, p_ML]), placed.pieces, ON_SURFACE) >= ON_SURFACE
     posts = tag_ids[bare]
     kind, ids = graph.surfaces.kind[placed.owner], graph.surfaces.ids[placed.owner]
     facing = np.zeros((len(tag_ids), 2))
@@ -448,7 +448,8 @@ def _count_attempts(graph: TfgGraph, views: IntArray, badly: BoolArray, scene: _
     asked = (points.tries < scene.explorer.frontier_attempts) & (distance <= reach) & ahead & looked & ~found_now
 
     def in_view(placed: _Placed) -> BoolArray:
-        return asked & _is_open(points, placed) & surely_visible(placed.segments, center, points.p, GRAZE)
+        clear = surely_visible(placed.segments, center, points.p, GRAZE)
+        return np.asarray(asked & _is_open(points, placed) & clear)
 
     placed = _placed(graph, views, estimate, badly)
     failed = in_view(placed)

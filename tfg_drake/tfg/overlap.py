@@ -20,12 +20,12 @@ from scipy.sparse.csgraph import dijkstra
 from tfg_drake.geometry.star import looked_through
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate
 from tfg_drake.tfg.drift import MOST_DRIFT, drift_from_robot
+from tfg_drake.tfg.passing import DEPTH
 from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
 
-# A surface has drifted if it lies this deep, m, in the free space of a view at most this far away, m, that did not look
-# at its front.
-DEPTH = 0.2
+# A surface has drifted if it lies as deep as a passer-by in the free space of a view at most this far away, m, that did
+# not look at its front.
 REACH = 5.0
 # Landmarks mapped on the robot's own way are known relative to it within MOST_DRIFT plus this much a metre of distance,
 # for the uncertain heading. It is small, so that the two ends of a room are treated alike.

@@ -7,11 +7,11 @@ from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.panorama import Panorama
+from tfg_drake.tfg.segmentation import CORNER_TOLERANCE
 
 # How far the polygon stays in front of surfaces, m.
 SHRINK = 0.04
-# How far simplifying may pull it back from there, m, to begin with, and the greatest number of vertices.
-TOLERANCE = 0.03
+# The greatest number of vertices.
 MOST_VERTICES = 150
 # Range where the turn never looked, m.
 UNSEEN = 0.02
@@ -67,7 +67,8 @@ def star_polygon(panorama: Panorama) -> FloatArray:
     seen = np.where(np.isnan(panorama.ranges), UNSEEN + SHRINK, seen)
     reach = np.maximum(seen - SHRINK, UNSEEN)
     limit = np.maximum(seen - 0.5 * SHRINK, UNSEEN)
-    tolerance = TOLERANCE
+    # How far simplifying may pull it back from there, m, to begin with.
+    tolerance = CORNER_TOLERANCE
     keep = _simplify(reach, limit, panorama.angles, tolerance)
     while keep.sum() > MOST_VERTICES and tolerance < 0.5:
         tolerance *= 1.5

@@ -38,9 +38,10 @@ from tfg_drake.tfg.segmentation import Components
 
 EDGE, END, LOOSE = 0, 1, 2
 
-# A tag seen in this turn belongs to a surface this close, m; one known from earlier turns must lie closer, m.
+# A tag seen in this turn belongs to a surface this close, m; one known from earlier turns, or any other point of the
+# map, must lie closer to be on it, m.
 SEEN_TAG_DISTANCE = 0.2
-KNOWN_TAG_DISTANCE = 0.1
+ON_SURFACE = 0.1
 # What is seen this close to a wall's line, m, is on the wall, if so much of it hangs together, m.
 ON_WALL = 0.06
 LEAST_ON_WALL = 0.15
@@ -233,7 +234,7 @@ def _find_tags(
     row = np.searchsorted(estimate.ids, known_ids)
     facing[row] = transform(np.array([0.0, 0.0, X_AM[2]]), known_facing)
     same_side = np.sum(facing[near] * normal, axis=1) > 0.5
-    on = np.where(observed, distance <= SEEN_TAG_DISTANCE, (distance <= KNOWN_TAG_DISTANCE) & same_side)
+    on = np.where(observed, distance <= SEEN_TAG_DISTANCE, (distance <= ON_SURFACE) & same_side)
     on &= component >= 0
     return _SeenTags(ids[on], p_AL[on], component[on], along[on], normal[on])
 
@@ -308,7 +309,7 @@ def _split(pieces: list[_Surface], tags: _SeenTags, new_tag: BoolArray) -> list[
     """The pieces, each that newly mapped tags lie on cut at these. new_tag: (t,) of the tags seen."""
     new = np.flatnonzero(new_tag)
     owner, along, distance, normal = nearest(tags.p_AL[new], *pack([piece.polyline for piece in pieces]))
-    lies_on = (distance <= KNOWN_TAG_DISTANCE) & (np.sum(normal * tags.normal[new], axis=1) > 0.5)
+    lies_on = (distance <= ON_SURFACE) & (np.sum(normal * tags.normal[new], axis=1) > 0.5)
     split: list[_Surface] = []
     for i, piece in enumerate(pieces):
         on = np.flatnonzero(lies_on & (owner == i))
