@@ -11,12 +11,12 @@ from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSen
 from tfg_drake.messages import WALLS_BELOW, replace
 from tfg_drake.planning.candidates import GoalParameters, Situation
 from tfg_drake.planning.goal_choice import choose_near, empty_choice
-from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
+from tfg_drake.planning.local import local, local_roadmap, planning_radius
 from tfg_drake.planning.planner import grow, initial_state, make_roadmap
 from tfg_drake.planning.roadmap import extend, unchecked
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
-from tfg_drake.tfg.near import RADIUS, radius_of
+from tfg_drake.tfg.near import RADIUS, radius_of, within
 
 
 def scattered(seed, spread=40.0):
@@ -112,8 +112,8 @@ def edges_of(state):
 @pytest.mark.parametrize("radius", [1.0, 3.0, 6.0, 50.0])
 def test_only_what_is_near_of_a_roadmap_changes(radius):
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    near = near_nodes(state, estimate, radius)
-    part = local_roadmap(state, near)
+    near = within(state.points, estimate.X_MA[-1], radius)
+    part = local_roadmap(state, estimate, radius)
     assert part.ids.tolist() == state.ids[near].tolist()
     whole = edges_of(state)
     assert edges_of(part) == {pair: row for pair, row in whole.items() if set(pair) <= set(part.ids.tolist())}
@@ -125,7 +125,7 @@ def test_only_what_is_near_of_a_roadmap_changes(radius):
     assert (np.diff(after.ids) > 0).all()
     old = len(near)
     assert len(after.ids) > old
-    near = near_nodes(after, later, radius)
+    near = within(after.points, later.X_MA[-1], radius)
     ids, were = set(after.ids[near].tolist()), edges_of(unknown)
     for pair, row in edges_of(after).items():
         assert row[3] > 0.0 if set(pair) <= ids else row == were[pair]

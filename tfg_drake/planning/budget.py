@@ -33,8 +33,6 @@ class Budget:
         """Whether the robot could go to each of the nodes (c,) of the roadmap, observe, and come home if it must."""
         if self.recalled:
             return np.zeros(len(nodes), dtype=np.bool_)
-        if not self.limited:
-            return np.ones(len(nodes), dtype=np.bool_)
         home_time, home_length = _home(roadmap)
         time, length = roadmap.travel_time[nodes] + home_time[nodes], roadmap.travel_length[nodes] + home_length[nodes]
         in_time = MARGIN * time + self.stay + RESERVE_TIME <= self.time

@@ -13,7 +13,7 @@ import numpy as np
 
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.geometry.distance import clearance
-from tfg_drake.messages import BoolArray, MapEstimate, TfgMap, is_tag, replace
+from tfg_drake.messages import MapEstimate, TfgMap, is_tag, replace
 from tfg_drake.planning.roadmap import RoadmapState, place_in_map
 from tfg_drake.slam.walls import wall_ends
 from tfg_drake.table import take
@@ -55,13 +55,10 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
     return estimate.of_landmarks(landmarks), take(tfg, **near)
 
 
-def near_nodes(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> BoolArray:
-    """Which nodes (n,) of a roadmap lie within a radius (m) of the map's newest view."""
-    return within(place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA), estimate.X_MA[-1], radius)
-
-
-def local_roadmap(nodes: RoadmapState, near: BoolArray) -> RoadmapState:
-    """The roadmap with those of its nodes (n,) only that are near, and the edges between them."""
+def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> RoadmapState:
+    """The roadmap with those of its nodes only that lie within a radius (m) of the map's newest view, and the edges
+    between them."""
+    near = within(place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA), estimate.X_MA[-1], radius)
     if near.all():
         return nodes
     rows = nodes.edges.between(near)

@@ -28,7 +28,7 @@ from tfg_drake.messages import (
 )
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight
 from tfg_drake.planning.expected_view import expected_frontiers
-from tfg_drake.planning.local import local, local_roadmap, near_nodes, planning_radius
+from tfg_drake.planning.local import local, local_roadmap, planning_radius
 from tfg_drake.planning.path import RETURN_OFF, path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     DRIVEN_STEP,
@@ -149,14 +149,11 @@ def watched(state: PlannerState, now: Now) -> PlannerState:
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
         state = _watch(state, pose, scan, now.parameters.robot.radius, bold)
-    if pose.stage == state.nodes.stage and _moved(state, pose):
+    if pose.stage != state.nodes.stage or not len(state.driven):
+        return state
+    if math.dist(pose.X_MB[:2].tolist(), state.driven[-1].tolist()) >= DRIVEN_STEP:
         state = replace(state, driven=np.vstack([state.driven, pose.X_MB[:2]]))
     return state
-
-
-def _moved(state: PlannerState, pose: PoseEstimate) -> bool:
-    """Whether the robot is a step away from where it was last noted."""
-    return len(state.driven) > 0 and math.dist(pose.X_MB[:2].tolist(), state.driven[-1].tolist()) >= DRIVEN_STEP
 
 
 def _length(driven: FloatArray, p_MD: FloatArray) -> float:
@@ -184,7 +181,7 @@ def grow(
     estimate, tfg = local(estimate, tfg, radius, parameters.sensor.range)
     state = replace(state, driven_before=driven_before, radius=radius, estimate=estimate, tfg=tfg)
     nodes = extend(state.nodes, tfg, estimate, parameters, driven=state.driven, radius=radius, in_vain=in_vain)
-    part, obstacles = local_roadmap(nodes, near_nodes(nodes, estimate, radius)), obstacles_in_map(state, estimate)
+    part, obstacles = local_roadmap(nodes, estimate, radius), obstacles_in_map(state, estimate)
     roadmap = make_roadmap(part, tfg, estimate, parameters, obstacles, driven_before)
     if len(obstacles) and not frontier_in_sight(roadmap, tfg, parameters.sensor):
         # Before the mission ends, what lies behind them is tried once more.
