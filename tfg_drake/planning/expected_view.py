@@ -23,6 +23,8 @@ from tfg_drake.tfg.frontier import GRAZE
 SURFACE_TOLERANCE = 0.1
 # A wall's point is looked for so far from its end, m, at most a quarter of the wall: the next wall does not hide it.
 FROM_CORNER = 0.2
+# A frontier point lies a little inside the unknown: count it only well within range.
+FRONTIER_RANGE_SHARE = 0.9
 # A frontier must be looked at this much less slantwise than the sensor could, rad.
 FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
@@ -210,7 +212,7 @@ def expected_frontiers(
     least_range: m, nearer the scanner sees nothing.
     """
     surfaces = tfg.segments, segment_grid(tfg.segments)
-    within = sensor.range, sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN, 0.0
+    within = FRONTIER_RANGE_SHARE * sensor.range, sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN, 0.0
     visible = Visibility(*visible_targets(points, tfg.frontiers, tfg.frontier_normal, *surfaces, *within, GRAZE, 0.0))
     if least_range == 0.0:
         return visible

@@ -43,8 +43,9 @@ PASSAGE_SPACING = 0.3
 # Neighbours that a new node is joined to, and how far they may be, m.
 NEIGHBOURS = 10
 EDGE_LENGTH = 3.0
-# Darts thrown into the newest star and as many into older ones, and at each frontier point.
-DARTS = 500
+# Darts thrown into the newest star, into older ones and at each frontier point.
+NEWEST_DARTS = 700
+OLDER_DARTS = 300
 FRONTIER_DARTS = 5
 # Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
 HALF_GAP = 0.475
@@ -273,8 +274,8 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float) -> tuple[Fl
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
     fringe = np.repeat(tfg.frontiers, FRONTIER_DARTS, axis=0) + back * normal + aside * tangent
     stars = len(tfg.star_centers)
-    newest = _darts_in_stars(rng, tfg, stars - 1, stars, DARTS)
-    older = _darts_in_stars(rng, tfg, 0, stars - 1, DARTS)
+    newest = _darts_in_stars(rng, tfg, stars - 1, stars, NEWEST_DARTS)
+    older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS)
     groups = [gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
     spacing = np.repeat([PASSAGE_SPACING, FRONTIER_SPACING, SPACING, SPACING], sizes)
