@@ -8,7 +8,7 @@ import pytest
 
 from tests.walls import no_walls
 from tfg_drake.config import ExplorerConfig, RobotConfig, ScanConfig, TagSensorConfig
-from tfg_drake.geometry.distance import point_distance
+from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import TfgMap, replace
@@ -676,3 +676,18 @@ def test_surface_is_looked_at_for_tags_until_there_seem_to_be_none_and_again_whe
     again = world.observe(np.array([8.0, 6.0, 0.0]))
     assert for_tags(again)[0] > 2.0
     assert for_tags(again)[1] > 0.5
+
+
+@pytest.mark.parametrize("by_walls", [False, True])
+def test_an_opening_that_was_seen_through_stays_open_at_grazing_incidence(simulate, by_walls) -> None:
+    corridor = [[0, 0, 20, 0], [20, 0, 20, 2], [20, 2, 10.3, 2], [9.7, 2, 0, 2], [0, 2, 0, 0]]
+    world = simulate([*corridor, [9.7, 2, 9.7, 5], [9.7, 5, 10.3, 5], [10.3, 5, 10.3, 2]])
+    if by_walls:
+        # Both sides of the door are on one line, and one landmark.
+        world.landmarks = np.array([[20.0, 2.0, 0.0, 2.0], [0.0, 0.0, 20.0, 0.0]])
+        world.p_WT, world.normal = np.zeros((2, 0, 2))
+    through = np.array([[10.0, 1.5, 10.0, 2.5]])
+    world.observe(np.array([10.0, 1.0, 0.5]))
+    for x in np.arange(3.0, 17.5, 0.5):
+        far = world.observe(np.array([x, 1.5, 0.0]))
+        assert clearance(through, far.segments, 1.0)[0] > 0.2

@@ -164,6 +164,30 @@ def lines_in_stars(lines: FloatArray, star_offsets: IntArray, star_vertices: Flo
     return inside
 
 
+@read_only_arguments
+@njit(cache=True)
+def lines_in_one_star(lines: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
+    """Which lines (n, 4), from a to b, lie inside one star polygon, looked up every STEP: some view saw all along them,
+    (n,). Star polygons as in `inside_any`."""
+    boxes, grid, runs, reach = star_index(star_offsets, star_vertices)
+    near, seen = np.empty(len(grid[4]), dtype=np.int64), np.zeros(len(lines), dtype=np.bool_)
+    for i in range(len(lines)):
+        ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
+        steps = max(1, math.ceil(math.hypot(bx - ax, by - ay) / STEP))
+        for k in range(rows_in_box(grid, min(ax, bx), max(ax, bx), min(ay, by), max(ay, by), near)):
+            j, inside = near[k], 0
+            while inside <= steps:
+                t = inside / steps
+                x, y = (1 - t) * ax + t * bx, (1 - t) * ay + t * by
+                if not (_may_hold(boxes[j], x, y) and _inside(x, y, j, star_offsets, star_vertices, runs, reach)):
+                    break
+                inside += 1
+            if inside > steps:
+                seen[i] = True
+                break
+    return seen
+
+
 def inside_any(points: FloatArray, star_offsets: IntArray, star_vertices: FloatArray) -> BoolArray:
     """Which points (n, 2) lie inside at least one star polygon, (n,).
 

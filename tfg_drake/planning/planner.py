@@ -29,9 +29,10 @@ from tfg_drake.messages import (
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.local import local, local_roadmap, planning_radius
-from tfg_drake.planning.path import RETURN_OFF, path_is_free, plan_path, seen_past, unmapped_obstacles
+from tfg_drake.planning.path import path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     DRIVEN_STEP,
+    RETURN_OFF,
     RoadmapParameters,
     RoadmapState,
     empty_roadmap,

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import NODE_MARGIN, ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.se2 import inverse, transform
-from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.star import inside_any, lines_in_one_star
 from tfg_drake.geometry.turned import turned
 from tfg_drake.geometry.visibility import cast_rays, surely_visible
 from tfg_drake.messages import (
@@ -52,7 +52,7 @@ from tfg_drake.tfg.overlap import WeaklyTied, known_badly, standing, weakly_tied
 from tfg_drake.tfg.panorama import MOST_LOST, Panorama
 from tfg_drake.tfg.passing import SAME_PLACE, STAYS, seen_past, without_bodies, without_dynamic
 from tfg_drake.tfg.polyline import segments_of
-from tfg_drake.tfg.segmentation import panorama_links, segment
+from tfg_drake.tfg.segmentation import JOIN_REACH, panorama_links, segment
 from tfg_drake.tfg.star_polygon import star_polygon
 from tfg_drake.tfg.stars import Stars, placed_stars, some_stars
 from tfg_drake.tfg.surfaces import (
@@ -128,7 +128,11 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     estimate = scene.estimate
     view, X_MA = estimate.stage - 1, estimate.X_MA
     graph, panorama = _without_dynamic(graph, scene.panorama, estimate, X_MA[views])
+    badly = _known_badly(estimate, is_large=math.isfinite(scene.radius))
+    then = weakly_tied(graph.surfaces, graph.tag_ids, graph.tag_view, estimate, badly)
+    stars_then = some_stars(placed_stars(graph.star_offsets, graph.star_vertices, X_MA[views]), ~then.views[views])
     links = panorama_links(panorama)
+    links &= ~_seen_through(panorama, links, stars_then, X_MA[view])
     components = segment(panorama, links)
 
     surfaces, seen_ids, seen_normal = add_observation(
@@ -138,7 +142,6 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
     with_tags = _with_facing(graph, estimate, seen_ids, seen_normal)
     # Where the map overlaps itself, weakly tied views say nothing of the robot's surroundings, and the newest view says
     # nothing of theirs.
-    badly = _known_badly(estimate, is_large=math.isfinite(scene.radius))
     weak = weakly_tied(surfaces, with_tags.tag_ids, with_tags.tag_view, estimate, badly)
     segments, surface = segments_of(surfaces.offsets, placed)
     free = _up_to_surfaces(panorama, segments[~weak.surfaces[surface]], X_MA[view])
@@ -168,6 +171,23 @@ def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
         frontiers=concat(free_space, faces),
     )
     return updated if scene.glance else _count_attempts(updated, views_now, badly, scene)
+
+
+def _seen_through(panorama: Panorama, links: BoolArray, stars: Stars, X_MA: FloatArray) -> BoolArray:
+    """The links (b,) of a panorama over gaps that some earlier view saw through: an opening that this one sees at too
+    grazing an incidence to tell it from the wall. stars: theirs, in M; X_MA: (3,) the pose of the panorama."""
+    bins = np.flatnonzero(links)
+    a, b = panorama.points[bins], np.roll(panorama.points, -1, axis=0)[bins]
+    along, gap = b - a, np.hypot(*(b - a).T)
+    wide = gap > JOIN_REACH
+    bins, a, b, along = bins[wide], a[wide], b[wide], along[wide] / gap[wide, None]
+    # The robot is to the left of the way from one bin to the next.
+    behind = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    middle = 0.5 * (a + b)
+    lines = np.hstack([transform(X_MA, middle + to * behind) for to in (-REFUTED_DEPTH, 2.0 * REFUTED_DEPTH)])
+    through = np.zeros(len(links), dtype=np.bool_)
+    through[bins[lines_in_one_star(lines, *stars.polygons)]] = True
+    return through
 
 
 def _known_badly(estimate: MapEstimate, *, is_large: bool = False) -> BoolArray:
