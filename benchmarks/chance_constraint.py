@@ -109,7 +109,7 @@ def main() -> None:
             ways = routes(again, tfg, loose.X_MD, scenario.robot, config)
             reach.append(
                 np.isfinite(ways.cost).sum()
-                / max(roadmap_message(again, ways, scenario.robot, config).enterable.sum(), 1)
+                / max(roadmap_message(again, ways, tfg, scenario.robot, config).enterable.sum(), 1)
             )
             there = np.flatnonzero(np.isfinite(ways.cost))
             for node in rng.choice(there, min(options.paths, len(there)), replace=False):

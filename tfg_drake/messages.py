@@ -406,8 +406,8 @@ class Roadmap:
     frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
     TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, of the
     nodes, which keep them from stage to stage; empty where an id is the index. once_open: (n,) all the way there was
-    room enough for the robot when it was seen to be free, whatever has shut since; empty for none. need: (n,) m, the
-    clearance that a way needs by the robot's deviation at each node; empty where it is not known.
+    room enough for the robot when it was seen to be free, but surfaces cross it since; empty for none. need: (n,) m,
+    the clearance that a way needs by the robot's deviation at each node; empty where it is not known.
     """
 
     stage: int

@@ -199,7 +199,7 @@ def test_no_probability_squeezes_the_robot_through_what_is_hardly_wider_than_its
     estimate, tfg = known(two_rooms(0.45), [(-4, 0, 0)])
     assert required_clearance(ROBOT.radius, np.array(0.0225), ACCEPTED) < 0.225 < ROBOT.radius + NODE_MARGIN
     state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
-    message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
+    message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), tfg, ROBOT, PLANNER)
     assert not (message.reachable | message.enterable)[message.points[:, 0] > 0.3].any()
 
 
@@ -261,15 +261,27 @@ def test_a_door_that_shut_is_open_until_the_robot_has_tried_in_vain():
     reached, open_once = {}, {}
     for in_vain in (False, True):
         after = extend(state, shut, estimate, PARAMETERS, in_vain=in_vain)
-        message = roadmap_message(after, routes(after, shut, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
+        message = roadmap_message(after, routes(after, shut, estimate.X_MD, ROBOT, PLANNER), shut, ROBOT, PLANNER)
         reached[in_vain], open_once[in_vain] = bool(message.reachable[far]), bool(message.once_open[far])
-    assert (reached, open_once) == ({False: True, True: False}, {False: True, True: True})
+    assert (reached, open_once) == ({False: True, True: False}, {False: False, True: True})
+
+
+def test_a_door_that_is_left_ajar_is_too_narrow_and_has_not_shut():
+    state, estimate, tfg = build(two_rooms(0.9), [(3, 0, 0), (-4, 0.1, 0)])
+    far, told = nearest(state, (-4, 0.1)), {}
+    for gap in (0.0, 0.15):
+        ajar = replace(tfg, segments=np.vstack([tfg.segments, [[0.0, -0.45, 0.0, 0.45 - gap]]]))
+        estimate, _ = known(two_rooms(0.9), [(3, 0, 0), (-4, 0.1, 0), (2, 0, 0)])
+        after = extend(state, ajar, estimate, PARAMETERS)
+        message = roadmap_message(after, routes(after, ajar, estimate.X_MD, ROBOT, PLANNER), ajar, ROBOT, PLANNER)
+        told[gap] = bool(message.enterable[far]), bool(message.once_open[far])
+    assert told == {0.0: (False, True), 0.15: (False, False)}
 
 
 def test_an_edge_needs_what_the_robot_needs_at_the_end_where_it_knows_its_place_worse():
     state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
-    need = roadmap_message(state, ways, ROBOT, PLANNER).need
+    need = roadmap_message(state, ways, tfg, ROBOT, PLANNER).need
     assert (need >= ROBOT.radius + NODE_MARGIN - 1e-9).all()
     np.testing.assert_allclose(need[state.edges.nodes].max(axis=1), state.edges.required)
 
@@ -288,7 +300,7 @@ def test_tight_doors_driven_through_stay_open():
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
-    message = roadmap_message(state, ways, ROBOT, PLANNER)
+    message = roadmap_message(state, ways, tfg, ROBOT, PLANNER)
     assert message.stage == 2
     reachable = message.reachable
     assert (message.enterable >= reachable).all()
@@ -305,7 +317,7 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
     for width in (0.42, 0.5, 0.65):
         estimate, tfg = known(two_rooms(width), [(-4, 0, 0)])
         state = extend(empty_roadmap(), tfg, estimate, dataclasses.replace(PARAMETERS, sensor=vague))
-        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), ROBOT, PLANNER)
+        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), tfg, ROBOT, PLANNER)
         behind = message.points[:, 0] > 0.3
         seen[width] = [bool(w[behind].any()) for w in (message.reachable, message.enterable, message.entry >= 0)]
         beyond = behind & (message.entry >= 0) & ~message.reachable

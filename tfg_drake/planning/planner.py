@@ -217,7 +217,7 @@ def make_roadmap(
     home = None
     if parameters.explorer.return_home:
         home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles, parameters.cost)
-    roadmap = roadmap_message(nodes, ways, robot, planner, driven, home)
+    roadmap = roadmap_message(nodes, ways, tfg, robot, planner, driven, home)
     return with_frontiers(roadmap, estimate, tfg, parameters.sensor, parameters.least_range)
 
 

@@ -235,9 +235,18 @@ def _entries(state: RoadmapState, ways: Routes, fits: BoolArray) -> IntArray:
     return entry
 
 
+def _uncrossed(state: RoadmapState, tfg: TfgMap) -> BoolArray:
+    """The edges (e,) that lie in free space and that no surface crosses, however narrow they are."""
+    open_ = state.edges.clearance > 0.0
+    ask = np.flatnonzero(open_ & ~state.edges.free)
+    open_[ask] = in_free_space(state.points[state.edges.nodes[ask]].reshape(-1, 4), tfg)
+    return np.asarray(open_)
+
+
 def roadmap_message(
     state: RoadmapState,
     ways: Routes,
+    tfg: TfgMap,
     robot: RobotConfig,
     planner: PlannerConfig,
     driven: float = 0.0,
@@ -251,13 +260,16 @@ def roadmap_message(
     least = room_needed(robot, planner, np.array(TRACKING_DEVIATION), ACCEPTED)
     fits = state.edges.usable | state.edges.with_room(least)
     entry = _entries(state, ways, fits)
-    # A surface that crosses what was free, and had room, was not there then.
-    shut = state.edges.free & (state.edges.clearance == 0.0)
+    # A surface that crosses what was free, and had room, was not there then: a door that shut, unless it left a gap.
+    reachable = np.isfinite(ways.cost)
+    shut = _joined(state, fits | state.edges.free & (state.edges.clearance == 0.0), reachable)
+    if shut.any():
+        shut &= ~_joined(state, _uncrossed(state, tfg), reachable)
     return Roadmap(
         stage=state.stage,
         points=state.points,
         edges=state.edges.nodes.compress(state.edges.usable, axis=0),
-        reachable=np.isfinite(ways.cost),
+        reachable=reachable,
         enterable=entry >= 0,
         entry=entry,
         travel_time=ways.time,
@@ -266,7 +278,7 @@ def roadmap_message(
         home_length=np.zeros(0) if home is None else home.length,
         driven=driven,
         ids=state.ids,
-        once_open=_joined(state, fits | shut, np.isfinite(ways.cost)),
+        once_open=shut,
         need=room_needed(robot, planner, state.sigma, ACCEPTED),
     )
 
