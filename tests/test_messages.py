@@ -78,6 +78,12 @@ def test_messages_share_what_a_message_holds_already():
     assert dataclasses.replace(scan, stamp=1.0).angles is scan.angles
 
 
+def test_what_was_worked_out_of_a_message_is_not_that_of_the_changed_one():
+    estimate = empty_map()
+    assert estimate.of_tags is estimate.of_tags
+    assert messages.replace(estimate, stage=3).of_tags.stage == 3
+
+
 @pytest.mark.parametrize(
     "array",
     [

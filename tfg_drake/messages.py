@@ -49,12 +49,14 @@ else:
     def replace(message, /, **changes):
         """The message with some fields changed: `dataclasses.replace` without another look at all that stays."""
         old, new, array = message.__dict__, object.__new__(type(message)), np.ndarray
-        fields = new.__dict__
-        fields.update(old)
+        fields, names = new.__dict__, message.__dataclass_fields__
+        # What was worked out of the old fields and kept beside them is not the new message's.
+        fields.update((name, old[name]) for name in names)
         for name, value in changes.items():
             fields[name] = _freeze(value) if isinstance(value, array) else value
-        if len(fields) != len(old):
-            raise TypeError(f"{type(message).__name__} has no field {', '.join(sorted(changes.keys() - old.keys()))}.")
+        if len(fields) != len(names):
+            unknown = ", ".join(sorted(changes.keys() - names.keys()))
+            raise TypeError(f"{type(message).__name__} has no field {unknown}.")
         return new
 
 

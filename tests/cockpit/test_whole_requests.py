@@ -301,7 +301,7 @@ with Cockpit("", "robot", timeline=Path(sys.argv[1])) as cockpit:
     while b"more" not in seen:
         seen += page.recv(65536)
 device = Device.__new__(Device)
-device._ended = device._full = None
+device.ended = device._full = None
 device._connection, other = Pipe()
 assert device._connection.fileno() > 1024
 device.command(0.1, 0.2)
