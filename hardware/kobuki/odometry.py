@@ -30,6 +30,8 @@ _FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
 LONGEST_GAP = 1.0
 # Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
 _REST = 0.1
+# The wheels have turned the base so far, rad, while the gyro's angle has not changed by a unit: the gyro is stuck.
+_UNNOTICED = 0.15
 # Gyro and wheels may disagree by this share of the wheels' turn, as wheels slip, and at this rate, rad/s, as they are
 # not quite alike. What is more adds up; at _APART, rad, gyro or wheels are wrong. What no slip explains, as where the
 # gyro tells more turn than the wheels, adds up at _PUSHED, rad/s, at the most: a push turns a base far, not for long.
@@ -46,8 +48,9 @@ class Reckoning:
 
     core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
     base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
-    of the host's clock, never decreasing. moved: stamp of the last tick, s. apart: by how much gyro and wheels
-    disagree, rad, see _apart. fault: why the base must stand now, None where all is well.
+    of the host's clock, never decreasing. moved: stamp of the last tick, s. unnoticed: how far the wheels have turned
+    the base since the gyro's angle last changed, rad. apart: by how much gyro and wheels disagree, rad, see _apart.
+    fault: why the base must stand now, None where all is well.
     """
 
     core: CoreSensors
@@ -58,6 +61,7 @@ class Reckoning:
     V_B: tuple[float, float]
     stamp: float
     moved: float
+    unnoticed: float = 0.0
     apart: float = 0.0
     fault: str | None = None
 
@@ -113,13 +117,14 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
     stamp = max(state.stamp, base_time + offset)
     moved = stamp if left or right else state.moved
     speed = (distance / duration, GYRO_UNIT * inertia.rate)
-    apart, fault = state.apart, None
+    unnoticed, apart, fault = state.unnoticed, state.apart, None
     if driven:
-        apart = _apart(apart, turn, (right - left) / WHEEL_BASE, duration)
-    if apart > _APART:
-        apart = 0.0
+        by_wheels = (right - left) / WHEEL_BASE
+        unnoticed, apart = 0.0 if turn else unnoticed + by_wheels, _apart(apart, turn, by_wheels, duration)
+    if abs(unnoticed) > _UNNOTICED or apart > _APART:
+        unnoticed = apart = 0.0
         fault = "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
-    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, apart, fault)
+    return Reckoning(core, inertia, base_time, offset, pose, speed, stamp, moved, unnoticed, apart, fault)
 
 
 def _apart(before: float, turn: float, by_wheels: float, duration: float) -> float:

@@ -174,9 +174,9 @@ def test_odometry_goes_on_after_a_jump():
 
 
 def test_a_gyro_that_does_not_notice_a_turn_is_a_fault():
-    found = faults(STEADY, turns=[1.6 * time for time in STEADY])
-    assert [k for k, fault in enumerate(found) if fault] == [24, 48]
-    assert found[24] == "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
+    found = faults(STEADY, turns=[0.8 * time for time in STEADY])
+    assert [k for k, fault in enumerate(found) if fault] == [10, 20, 30, 40]
+    assert found[10] == "the gyro does not turn with the wheels: it is broken, or they slip; look at the base"
     # Wheels that are not quite alike, straight ahead.
     assert set(faults(STEADY, turns=[0.1 * time for time in STEADY])) == {None}
 
