@@ -55,7 +55,7 @@ def errors(recording: Recording) -> list[float]:
     if truth is None:
         raise SystemExit(f"{recording.name} comes without a truth to compare with.")
     online = run_online(recording)
-    run = smooth(recording.odometry, recording.detections, recording.model)
+    run = smooth(recording.odometry, recording.detections, recording.model, way=(online.stamps, online.X_MB))
     return [
         robot_error(truth, run.stamps, run.X_MB).rmse,
         robot_error(truth, online.stamps[online.seen], online.X_MB[online.seen]).rmse,

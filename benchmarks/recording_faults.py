@@ -158,7 +158,8 @@ def measure(recording: Recording, batch: bool, clean: Figures | None = None, end
     landmarks = math.nan if online.map is None else landmark_error(truth, online.map.ids, online.map.p_ML).rmse
     smoothed, back, clean_back = math.nan, math.nan, math.nan
     if batch:
-        solution = smooth(recording.odometry, recording.detections, recording.model)
+        way = online.stamps, online.X_MB
+        solution = smooth(recording.odometry, recording.detections, recording.model, way=way)
         smoothed = robot_error(truth, solution.stamps, solution.X_MB).rmse
     sightings = [frame.stamp for frame in recording.detections for _ in frame.ids if frame.stamp >= end]
     if clean is not None and len(sightings) >= SIGHTINGS:

@@ -208,7 +208,11 @@ def of_missions(name: str, options: argparse.Namespace) -> str | None:
     columns = [(METHOD, head, read) for head, read in CELLS[name]]
     if name == EXPLORED:
         columns += [(METHOD, *NEES), *((OTHER, head, read) for head, read in CELLS[name])]
-    heads = ["world", "seeds", *(f"{method}: {head}" if method == OTHER else head for method, head, _ in columns)]
+    heads = [
+        f"`--tables {name}`, `{version()}`",
+        "seeds",
+        *(f"{method}: {head}" if method == OTHER else head for method, head, _ in columns),
+    ]
     heads += ["over"] * (name == EXPLORED)
     lines = []
     for row in MISSIONS[name]:
@@ -226,8 +230,7 @@ def of_missions(name: str, options: argparse.Namespace) -> str | None:
         lines.append("| " + " | ".join(cells) + " |")
     if not lines:
         return None
-    told = f"$ python benchmarks/results.py --tables {name}  # {version()}"
-    return "\n".join([f"`{told}`", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *lines, ""])
+    return "\n".join([f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *lines, ""])
 
 
 @functools.cache
@@ -245,13 +248,13 @@ def version() -> str:
 
 
 def replaced(text: str, name: str, table: str) -> str:
-    """The document with a table from the mark of its name to the mark of its end."""
-    mark, end = f"<!-- {name}: made by benchmarks/results.py -->\n", f"<!-- end of {name} -->\n"
+    """The document with a table from the mark of its name to the next empty line."""
+    mark = f"<!-- {name}: made by benchmarks/results.py -->\n"
     before, found, rest = text.partition(mark)
-    _, ended, after = rest.partition(end)
-    if not (found and ended):
-        raise SystemExit(f"{DOCUMENT}: has no mark {mark.strip()} or {end.strip()}")
-    return f"{before}{mark}{table}{end}{after}"
+    if not found:
+        raise SystemExit(f"{DOCUMENT}: has no mark {mark.strip()}")
+    _, _, after = rest.partition("\n\n")
+    return f"{before}{mark}{table}\n{after}"
 
 
 def printed(name: str, data: Path | None, out: Path) -> str | None:

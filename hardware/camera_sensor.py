@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -66,7 +67,7 @@ class CameraDriver(SensorReader):
         size = self._calibration.width, self._calibration.height
         self._device = FrameReader(self._source, size, self._latency)
         self._looked.clear()
-        self._opened = time.monotonic()
+        self._opened = math.inf
 
     def _missing(self) -> str:
         return "" if self._messages else f"no image in {PATIENCE:.0f} s; is it there, and free?"
@@ -106,6 +107,7 @@ class CameraDriver(SensorReader):
         self._messages.append(seen.detections)
         tell(self.refusals, self.name, seen.remarks)
         self._seen = True
+        self._opened = min(self._opened, now)
         self._looked.append(now)
         self._light = float(frame.image[::_SPARSE, ::_SPARSE].mean())
         self._tag_seen = bool(len(seen.detections.ids))

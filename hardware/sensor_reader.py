@@ -47,7 +47,7 @@ class SensorReader(Driver, abc.ABC):
         self.name, self.sources = name, sources
         self._device: Any = None
         # Whether it is lost; when to connect again, s.
-        self._lost, self._retry, self._delays = False, 0.0, delays()
+        self._lost, self._retry, self._delays = "", 0.0, delays()
 
     @abc.abstractmethod
     def _connect(self) -> None:
@@ -81,7 +81,7 @@ class SensorReader(Driver, abc.ABC):
             before = len(self._messages)
             self._receive(left)
             if self._lost and len(self._messages) > before:
-                self._lost, self._delays = False, delays()
+                self._lost, self._delays = "", delays()
                 self._remark("connected again")
 
     def _connect_again(self, left: float) -> None:
@@ -95,10 +95,10 @@ class SensorReader(Driver, abc.ABC):
             self._wait()
 
     def _lose(self, why: str) -> None:
-        """The device is lost, and looked for; told once until something arrives again."""
-        if not self._lost:
+        """The device is lost, and looked for; a reason is told once until something arrives again."""
+        if why != self._lost:
             self._remark(why)
-        self._lost = True
+        self._lost = why
         self._hang_up()
         self._wait()
 

@@ -18,6 +18,9 @@ from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.table import dtype_of
 
+# A server that does not answer holds up the process for so long, s: less than it may say nothing.
+CONNECT_WITHIN = 2.0
+
 # A line that is longer than this is none, bytes.
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
@@ -111,7 +114,7 @@ class SocketDriver(SensorReader):
         return f"no {missing[0]} in {PATIENCE:.0f} s{why}: name what serves them" if missing else ""
 
     def _connect(self) -> None:
-        self._device = socket.create_connection(self._address, PATIENCE)
+        self._device = socket.create_connection(self._address, CONNECT_WITHIN)
         self._device.setblocking(False)
         self._pending.clear()  # of a line that the old connection began
 

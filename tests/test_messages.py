@@ -1,6 +1,7 @@
 import copy
 import dataclasses
 import inspect
+import weakref
 
 import numpy as np
 import pytest
@@ -82,6 +83,13 @@ def test_what_was_worked_out_of_a_message_is_not_that_of_the_changed_one():
     estimate = empty_map()
     assert estimate.of_tags is estimate.of_tags
     assert messages.replace(estimate, stage=3).of_tags.stage == 3
+
+
+def test_a_map_without_walls_is_let_go_at_once():
+    estimate = messages.replace(empty_map(), stage=3)
+    left = weakref.ref(estimate.of_tags)
+    del estimate
+    assert left() is None
 
 
 @pytest.mark.parametrize(

@@ -261,11 +261,15 @@ class MapEstimate:
         places[walls] = self.anchor[walls] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         return places
 
-    @functools.cached_property
+    @property
     def of_tags(self) -> MapEstimate:
         """The map without its walls."""
-        tags = is_tag(self.ids)
-        return self if tags.all() else replace(self.of_landmarks(tags), by_walls=True)
+        return self if is_tag(self.ids).all() else self._without_walls
+
+    @functools.cached_property
+    def _without_walls(self) -> MapEstimate:
+        # Not itself where there are none: it would hold itself in memory.
+        return replace(self.of_landmarks(is_tag(self.ids)), by_walls=True)
 
     @property
     def is_adrift(self) -> bool:

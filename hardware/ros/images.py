@@ -10,7 +10,7 @@ import numpy as np
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, Camera
 from tfg_drake.messages import replace
-from tfg_drake.vision.calibration import WIDEST_IMAGE, CameraCalibration, calibration_of
+from tfg_drake.vision.calibration import WIDEST_IMAGE, CalibrationError, CameraCalibration, calibration_of
 from tfg_drake.vision.image import Image
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import Sighting, TagNoise
@@ -77,7 +77,11 @@ def lens(camera_info: Any, rectified: bool) -> CameraCalibration:
         return replace(conversions.calibration(camera_info), width=width, height=height)
     found = {name: conversions.field(camera_info, name) for name in _LENS if conversions.has(camera_info, name)}
     plain_lists = {name: np.asarray(value).tolist() for name, value in found.items()}
-    return calibration_of(plain_lists)
+    try:
+        return calibration_of(plain_lists)
+    except CalibrationError as error:
+        what, _, _ = str(error).partition(";")
+        raise ValueError(f"camera_info: {what}; calibrate the camera with its driver") from None
 
 
 def _bytes(message: Any) -> Image:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tfg_drake.hardware.camera_sensor import tell
 from tfg_drake.hardware.device import Inbox, Message
-from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
+from tfg_drake.hardware.plausible import AHEAD
 from tfg_drake.hardware.ros import conversions
 from tfg_drake.hardware.ros.preset import COMPRESSED_IMAGE, IMAGE, Preset, Topic
 from tfg_drake.hardware.sensor_reader import OLDEST, SILENT
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 LEARN = SILENCE
 # What was less delayed than all before shortens the offset no faster than this, s/s, so that stamps keep their order.
 SLEW = 1e-3
+# What is more delayed than all before lengthens it no faster than this, s/s: as fast as a clock is slewed.
+RISE = 5e-4
 # The robot's clock may differ from the host's by this, s; what a camera sees may be OLDEST when it arrives. A stamp
 # that is farther in the future, or before the one before it, is a jump of the clock.
 JUMP = MAX_SKEW = AHEAD
@@ -70,7 +72,7 @@ class StampClock:
             self._began, self._offset = arrival, delay
         elif delay > self._offset - JUMP:
             slew = SLEW * dt if self.ready else math.inf
-            self._offset = max(self._offset - slew, min(self._offset + CLOCK_DRIFT * dt, delay))
+            self._offset = max(self._offset - slew, min(self._offset + RISE * dt, delay))
         self._heard = arrival
 
     def host(self, topic: str, stamp: float, arrival: float) -> float | None:

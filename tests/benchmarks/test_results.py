@@ -56,7 +56,7 @@ def test_every_command_is_of_a_benchmark(results) -> None:
 def test_every_table_has_its_place_in_the_document(results) -> None:
     text = results.DOCUMENT.read_text()
     for name in (*results.PRINTED, *results.MISSIONS):
-        assert results.replaced(text, name, "new\n").count("new\n<!-- end of") == 1
+        assert results.replaced(text, name, "new\n").count(" -->\nnew\n\n") == 1
 
 
 def test_a_document_without_a_table_s_marks_is_refused(results) -> None:

@@ -282,7 +282,8 @@ def test_malformed_lines_are_counted_and_said_once(server):
 
 
 def test_a_server_with_another_clock(monkeypatch):
-    monkeypatch.setattr(socket_sensors, "PATIENCE", 1.0)
+    for waits in (socket_sensors, sensor_reader):
+        monkeypatch.setattr(waits, "PATIENCE", 1.0)
     with Server(ahead=86400.0) as server:
         with pytest.raises(DeviceError) as error:
             SocketDriver(*server.address, (TagDetections,))
@@ -314,7 +315,8 @@ def test_nobody_listens():
 
 
 def test_a_server_of_something_else(monkeypatch):
-    monkeypatch.setattr(socket_sensors, "PATIENCE", 1.0)
+    for waits in (socket_sensors, sensor_reader):
+        monkeypatch.setattr(waits, "PATIENCE", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         host, port = listener.getsockname()
         with pytest.raises(DeviceError) as error:

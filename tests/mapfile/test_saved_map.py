@@ -368,6 +368,8 @@ def test_a_map_of_before_is_read(path, small_map):
     np.testing.assert_array_equal(frontiers.kind, np.repeat([FREE, POORLY_SEEN, UNSEEN], len(before.p)))
     before_faces = before.p + STANDOFF * before.normal
     np.testing.assert_array_equal(frontiers.p, np.vstack([before.p, before_faces, before_faces]))
+    np.savez(path, **{**arrays, "tfg_graph.uninspected.p": np.zeros((1, 3))})
+    assert error_of(path).startswith("FILE is not a whole map: its frontiers do not fit together: ")
     del arrays["tfg_graph.open_ends.p"]
     np.savez(path, **arrays)
     assert error_of(path) == "FILE is not a whole map: tfg_graph.open_ends.p is missing"

@@ -189,3 +189,14 @@ def test_the_robot_does_not_wait_for_ever():
 
 def test_what_is_out_of_view_bars_no_way():
     assert len(before_a_door(blocked=True)(0.0, 2.0, bearing=2.0).path.points)
+
+
+def test_what_was_met_is_forgotten_only_where_that_opens_something():
+    state, views = initial_state(), [(-4, 1, 0), (3, 0.5, 0), (3.5, 0.5, 0)]
+    for count in (1, 2, 3):
+        estimate, tfg = known(two_rooms(0.9), views[:count])
+        if count == 3:
+            # Beside the way, when nothing is open any more.
+            state = replace(state, obstacles=np.array([[2.0, 0.0, 2.05, 0.0]]), obstacle_view=np.array([1]))
+        state = grow(state, estimate, tfg, PARAMETERS)
+    assert len(state.obstacles) == 1

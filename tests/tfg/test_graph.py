@@ -691,3 +691,15 @@ def test_an_opening_that_was_seen_through_stays_open_at_grazing_incidence(simula
     for x in np.arange(3.0, 17.5, 0.5):
         far = world.observe(np.array([x, 1.5, 0.0]))
         assert clearance(through, far.segments, 1.0)[0] > 0.2
+
+
+def test_a_face_that_is_open_moves_with_the_view_that_saw_its_surface(simulate) -> None:
+    # A room, and a passage next door, from which the room's walls are nearer than from within.
+    room = [[-3.0, 0.2, 12.0, 0.2], [12.0, 0.2, 12.0, 3.0], [12.0, 3.0, -3.0, 3.0], [-3.0, 3.0, -3.0, 0.2]]
+    world = simulate([*room, [-8.0, 0.0, 18.0, 0.0], [18.0, 0.0, 18.0, -1.0], [18.0, -1.0, -8.0, -1.0]])
+    world.observe(np.array([-2.0, 1.6, 0.0]))
+    world.observe(np.array([6.0, -0.5, 0.0]))
+    faces = take(world.graph.frontiers, world.graph.frontiers.on_face)
+    in_room = place_points(faces, np.array(world.X_MA)).p[:, 1] > 0.3
+    assert in_room.any()
+    assert set(faces.view[in_room].tolist()) == {0}

@@ -133,7 +133,7 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
     if one.grid is not None:
         draw(axes, one.world.start, layers("grid", grid_cells(one.grid), cell=one.grid.resolution), symbol)
     if len(one.X_WB):
-        axes.plot(*one.X_WB[:, :2].T, color=css(LIGHT.robot), linewidth=0.4, alpha=0.6, label="true path", zorder=1)
+        axes.plot(*one.X_WB[:, :2].T, color=css(LIGHT.robot), linewidth=0.4, alpha=0.6, label="true path", zorder=2)
     if one.saved is not None:
         draw_known(axes, one.saved.X_WM, one.saved, one.saved.tfg, one.saved.graph, symbol)
 

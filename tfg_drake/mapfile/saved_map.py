@@ -220,10 +220,20 @@ def load_map(path: Path) -> SavedMap:
     if len(FLOORS) > np.size(arrays.get(BY_FLOOR, ())) > 0:  # From before walls could be off by more than four times.
         arrays[BY_FLOOR] = np.pad(arrays[BY_FLOOR], (0, len(FLOORS) - len(arrays[BY_FLOOR])), mode="edge")
     try:
-        arrays = arrays if schema == SCHEMA else _with_one_table(arrays)
+        arrays = arrays if schema == SCHEMA else _of_before(arrays)
         return whole_map(arrays, int(schema))
     except ArraysError as error:
         raise MapFileError(f"{path} is not a whole map: {error}") from None
+
+
+def _of_before(arrays: dict[str, Array]) -> dict[str, Array]:
+    """`_with_one_table` of arrays that may be damaged. Raises ArraysError."""
+    try:
+        return _with_one_table(arrays)
+    except ArraysError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise ArraysError(f"its frontiers do not fit together: {error}") from None
 
 
 def _with_one_table(arrays: dict[str, Array]) -> dict[str, Array]:

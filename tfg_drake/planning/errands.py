@@ -21,21 +21,25 @@ from tfg_drake.tfg.polyline import nearest
 SAME_PLACE = 2.0
 # What was seen so near a tag that is no doubt there is that tag with a misread id, m.
 MISREAD = 0.3
+# A doubtful tag was looked at from so near to the best place, m.
+AT_TAG = 0.5
 
 
 class Errands(NamedTuple):
     """Errands of one kind: the reachable node at (e,) of the roadmap where each is done, its worth (e,), which tells
-    only which is done first, 0 for none, the gain (e,), nats, that it promises, and the reason for each."""
+    only which is done first, 0 for none, the gain (e,), nats, that it promises, and the reason for each. near: m, it is
+    done where the robot is so near."""
 
     at: IntArray
     worth: FloatArray
     gain: FloatArray
     reasons: list[str]
+    near: float
 
     def looked_from(self, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
         """Ids (t,) of nodes from which the robot has looked again: before (s,), and of these errands where it is now,
         p_MD (2,), m in M."""
-        here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < 0.5 * SAME_PLACE)
+        here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < self.near)
         return np.union1d(before, roadmap.node_ids(self.at[here]))
 
     def left(self, roadmap: Roadmap, looked: IntArray) -> BoolArray:
@@ -61,7 +65,7 @@ def narrow_places(now: Situation, stay: float) -> Errands:
     gain = now.turns.at(points, distance, time, frontiers).gain
     worth = np.where(gain > parameters.explorer.stop_gain, gain / (time + stay), 0.0)
     lies = "{:.1f} nats lie behind a passage that was too narrow: it looks once more."
-    return Errands(entry, worth, gain, [lies.format(one) for one in gain])
+    return Errands(entry, worth, gain, [lies.format(one) for one in gain], SAME_PLACE)
 
 
 def doubtful_tags(now: Situation) -> Errands:
@@ -73,7 +77,7 @@ def doubtful_tags(now: Situation) -> Errands:
     places = estimate.doubtful_places
     nodes = np.flatnonzero(roadmap.reachable)
     if not (len(places) and len(nodes) and len(tfg.segments)):
-        return Errands(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), [])
+        return Errands(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), [], AT_TAG)
     _, _, _, normals = nearest(places, 2 * np.arange(len(tfg.segments) + 1), tfg.segments.reshape(-1, 2))
     points = roadmap.points[nodes]
     size = np.zeros((len(places), len(nodes)))
@@ -88,7 +92,7 @@ def doubtful_tags(now: Situation) -> Errands:
         size[tag, node] = np.where(_another_hangs(places, facing, now)[tag], 0.0, width)
     in_sight = (size.max(axis=1) > 0.0).astype(np.float64)
     reasons = [f"Tag {tag} is doubtful: it looks at it once more." for tag in estimate.doubtful]
-    return Errands(nodes[np.argmax(size, axis=1)], in_sight, np.zeros(len(places)), reasons)
+    return Errands(nodes[np.argmax(size, axis=1)], in_sight, np.zeros(len(places)), reasons, AT_TAG)
 
 
 def _another_hangs(places: FloatArray, facing: FloatArray, now: Situation) -> BoolArray:

@@ -26,7 +26,8 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight
+from tfg_drake.planning.budget import leads_home
+from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.local import local, local_roadmap, planning_radius
 from tfg_drake.planning.path import path_is_free, plan_path, seen_past, unmapped_obstacles
@@ -186,8 +187,12 @@ def grow(
     roadmap = make_roadmap(part, tfg, estimate, parameters, obstacles, driven_before)
     if len(obstacles) and not frontier_in_sight(roadmap, tfg, parameters.sensor):
         # Before the mission ends, what lies behind them is tried once more.
-        state = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
-        roadmap = make_roadmap(part, tfg, estimate, parameters, state.obstacles, driven_before)
+        cleared = take(state, b=np.zeros(len(state.obstacles), dtype=np.bool_))
+        without = make_roadmap(part, tfg, estimate, parameters, cleared.obstacles, driven_before)
+        comes_home = parameters.explorer.return_home and not leads_home(roadmap) and leads_home(without)
+        is_shut_in = not len(places(roadmap, tfg, estimate.X_MD[:2]))
+        if comes_home or is_shut_in or frontier_in_sight(without, tfg, parameters.sensor):
+            state, roadmap = cleared, without
     return replace(
         state,
         nodes=nodes,

@@ -262,7 +262,7 @@ def roadmap_message(
     entry = _entries(state, ways, fits)
     # A surface that crosses what was free, and had room, was not there then: a door that shut, unless it left a gap.
     reachable = np.isfinite(ways.cost)
-    shut = _joined(state, fits | state.edges.free & (state.edges.clearance == 0.0), reachable)
+    shut = _joined(state, fits | state.edges.free & (state.edges.clearance == 0.0), reachable) & (entry < 0)
     if shut.any():
         shut &= ~_joined(state, _uncrossed(state, tfg), reachable)
     return Roadmap(

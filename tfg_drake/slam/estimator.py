@@ -515,7 +515,9 @@ def _cut(state: EstimatorState, *, is_turn: bool = False) -> EstimatorState:
     if state.stamp <= piece.begin.stamp:
         return replace(state, log=(*before, replace(piece, is_turn=is_turn)))
     if state.map is not None:
-        state, _, seen = _reduced(state, piece)
+        learnt, _, seen = _reduced(state, piece)
+        # What moves a robot that is carried is not its wheels.
+        state = state if state.is_kidnapped else learnt
         if not state.path_keyframe_period:
             seen = seen.only(np.zeros(len(seen.frames), dtype=bool))
         before = (*before, replace(piece, solved=seen))

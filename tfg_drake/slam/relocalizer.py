@@ -248,7 +248,12 @@ def begun_elsewhere(state: EstimatorState, begun: Stretch) -> EstimatorState:
     turn = state.turn
     if turn is not None and begun.begin.stamp < turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
-    return replace(state, log=(*state.log, replace(begun, is_turn=turn is not None, is_apart=True)))
+    # The search goes on with what was seen from the stretch on in which the doubt began.
+    before: tuple[Stretch, ...] = ()
+    if state.suspect is not None:
+        since = state.suspect.begin.stamp
+        before = state.log[max((k for k, one in enumerate(state.log) if one.begin.stamp <= since), default=0) :]
+    return replace(state, log=(*before, replace(begun, is_turn=turn is not None, is_apart=True)))
 
 
 def found_again(

@@ -19,7 +19,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.storage.serialization import Packed, pack
 
 FILE_NAME = "checkpoint.bin"
-MAGIC = b"tfg_drake checkpoint 2\n"
+MAGIC = b"tfg_drake checkpoint 3\n"
 # What is told: names of scenario, world, robot and method; own: whether the method is a file or has parts of somebody's
 # own; scenario_digest: of what the mission is defined by; stamps (n,) s and X_WB (n, 3): the estimated poses.
 TOLD: Mapping[str, Any] = {

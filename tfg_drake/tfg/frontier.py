@@ -73,8 +73,10 @@ class FrontierPoints:
         return np.asarray(self.kind != FREE)
 
 
-def points_of(view: int, p: FloatArray, normal: FloatArray, length: FloatArray, kind: int = FREE) -> FrontierPoints:
-    """Points (f, 2), normals (f, 2) and lengths (f,) of one kind in the frame of one view."""
+def points_of(
+    view: int | IntArray, p: FloatArray, normal: FloatArray, length: FloatArray, kind: int = FREE
+) -> FrontierPoints:
+    """Points (f, 2), normals (f, 2) and lengths (f,) of one kind in the frame of one view, or of each its own (f,)."""
     n = len(p)
     return FrontierPoints(np.full(n, view), p, normal, length, np.full(n, kind), np.zeros(n, dtype=np.int64))
 
@@ -163,12 +165,15 @@ def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     return starts, stops
 
 
-def find_faces(offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagSensorConfig) -> FrontierPoints:
+def find_faces(
+    view: IntArray, offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagSensorConfig
+) -> FrontierPoints:
     """Frontier points before faces of surfaces that no view has seen, or none well enough to find a tag there.
 
     A face is seen well by a view that has what lies in front of it in its star, near enough and not too slantwise for
     the tag sensor. Free space that begins right behind a surface means a thin wall; where no surface faces it, the far
-    face has not been seen. offsets, vertices: all surfaces, packed, m in M as the stars and the points.
+    face has not been seen. offsets, vertices: all surfaces, packed, m in M as the stars and the points; view: (s,) that
+    saw each, which is that of its points.
     """
     points, normals, owner, start, stop = sample(offsets, vertices, FACE_SPACING)
     segments, _ = segments_of(offsets, vertices)
@@ -180,9 +185,9 @@ def find_faces(offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagS
     for which, outwards, kind in ((poorly, normals, POORLY_SEEN), (unseen, -normals, UNSEEN)):
         rows, length = _parts(owner, start, stop, which)
         p = in_front(points[rows], outwards[rows], segments, STANDOFF)
-        faces.append(points_of(0, p, outwards[rows], length, kind))
-    ends, normal = find_open_ends(offsets, vertices, stars.polygons)
-    return concat(*faces, points_of(0, ends, normal, np.full(len(ends), SPACING), UNSEEN))
+        faces.append(points_of(view[owner[rows]], p, outwards[rows], length, kind))
+    ends, normal, of = find_open_ends(offsets, vertices, stars.polygons)
+    return concat(*faces, points_of(view[of], ends, normal, np.full(len(ends), SPACING), UNSEEN))
 
 
 def _parts(owner: IntArray, start: FloatArray, stop: FloatArray, which: BoolArray) -> tuple[IntArray, FloatArray]:
@@ -197,8 +202,9 @@ def _parts(owner: IntArray, start: FloatArray, stop: FloatArray, which: BoolArra
 
 def find_open_ends(
     offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, and normals (u, 2).
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, normals (u, 2), and the
+    surface (u,) of each.
 
     There a surface ends in the open: no other one goes on, but what lies behind it is free. offsets, vertices: all
     surfaces, packed, m. stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
@@ -211,17 +217,17 @@ def find_open_ends(
     along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     segments, segment_owner = segments_of(offsets, vertices)
     is_open = ~joined(at, along, is_last, owner, segments, segment_owner, END_GAP)
-    at, along, is_last = at[is_open], along[is_open], is_last[is_open]
+    at, along, is_last, owner = at[is_open], along[is_open], is_last[is_open], owner[is_open]
     # Behind the surface is on its right, which is on the left of the way back to its start.
     behind = np.where(is_last, 1.0, -1.0)[:, None] * np.stack([along[:, 1], -along[:, 0]], axis=1)
     points = at + STANDOFF * along + END_GAP * behind
     is_open = inside_any(points, *stars)
     # The other face of a thin wall is not round the corner but behind: see find_faces.
     is_open[is_open] = ~inside_any((at - END_GAP * along + THIN_WALL * behind)[is_open], *stars)
-    points, along, at = points[is_open], along[is_open], at[is_open]
+    points, along, at, owner = points[is_open], along[is_open], at[is_open], owner[is_open]
     cut_off = clearance(np.hstack([at + 1e-3 * along, points]), segments, 1e-6) == 0.0
     is_open = ~cut_off & _off_surface(points, segments)
-    return points[is_open], along[is_open]
+    return points[is_open], along[is_open], owner[is_open]
 
 
 def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: float) -> FloatArray:

@@ -217,8 +217,8 @@ def _faces(old: FrontierPoints, surfaces: Surfaces, stars: Stars, weak: WeaklyTi
     """The frontier points before faces: those found now near the newest view, where it is known how far two faces may
     have drifted apart; elsewhere, and of weakly tied views, the old ones.
 
-    surfaces: placed in M. stars: as of `_free_space_frontiers`. Each point is kept in the frame of the view nearest to
-    it: in the newest view's it would leave its surface when that view's heading is corrected later.
+    surfaces: placed in M. stars: as of `_free_space_frontiers`. Each point is kept in the frame of the
+    view that saw its surface, and moves with it.
     """
     X_MA = scene.estimate.X_MA
 
@@ -227,9 +227,9 @@ def _faces(old: FrontierPoints, surfaces: Surfaces, stars: Stars, weak: WeaklyTi
 
     firm = take(surfaces, s=~weak.surfaces)
     then = place_points(old, X_MA)
-    found = tried_like(find_faces(firm.offsets, firm.vertices, stars, scene.tags), then, TOGETHER)
+    found = tried_like(find_faces(firm.view, firm.offsets, firm.vertices, stars, scene.tags), then, TOGETHER)
     stays = weak.views[old.view] | ~here(then.p)
-    return concat(take(old, stays), anchored(take(found, here(found.p)), X_MA, np.flatnonzero(~weak.views)))
+    return concat(take(old, stays), anchored(take(found, here(found.p)), X_MA))
 
 
 def _up_to_surfaces(panorama: Panorama, segments: FloatArray, X_MA: FloatArray) -> Panorama:
@@ -278,12 +278,13 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
     graph, X_MA = behind(first, second), estimate.X_MA
     surfaces = without_doubles(graph.surfaces, len(first.surfaces.view), estimate)
     placed, stars = place(surfaces, estimate), placed_stars(graph.star_offsets, graph.star_vertices, X_MA)
-    free, faces = take(graph.frontiers, ~graph.frontiers.on_face), find_faces(surfaces.offsets, placed, stars, tags)
+    free = take(graph.frontiers, ~graph.frontiers.on_face)
+    faces = find_faces(surfaces.view, surfaces.offsets, placed, stars, tags)
     faces = tried_like(faces, place_points(graph.frontiers, X_MA), TOGETHER)
     p, k = place_points(free, X_MA).p, np.count_nonzero(~first.frontiers.on_face)
     is_open = ~inside_any(p, *stars.polygons)
     is_open[k:] &= far_from(p[k:], p[:k][is_open[:k]], PUSH)
-    frontiers = concat(take(free, is_open), anchored(faces, X_MA, np.arange(len(X_MA))))
+    frontiers = concat(take(free, is_open), anchored(faces, X_MA))
     return replace(graph, surfaces=surfaces, frontiers=frontiers)
 
 
@@ -414,12 +415,10 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
     return take(points, length[label] >= 2.0 * (robot.radius + NODE_MARGIN))
 
 
-def anchored(points: FrontierPoints, X_MA: FloatArray, views: IntArray) -> FrontierPoints:
-    """Points placed in M, each in the frame of the nearest of some views (v,); X_MA: (k, 3)."""
-    _, nearest = cKDTree(X_MA[views, :2]).query(points.p)
-    view = views[nearest]
-    d, theta = points.p - X_MA[view, :2], X_MA[view, 2]
-    return replace(points, view=view, p=turned(d, -theta), normal=turned(points.normal, -theta))
+def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
+    """Points placed in M, each in the frame of its view; X_MA: (k, 3)."""
+    d, theta = points.p - X_MA[points.view, :2], X_MA[points.view, 2]
+    return replace(points, p=turned(d, -theta), normal=turned(points.normal, -theta))
 
 
 def _facing(graph: TfgGraph, X_MA: FloatArray) -> FloatArray:

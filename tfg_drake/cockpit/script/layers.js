@@ -29,7 +29,7 @@ const draw = {
         name,
         flat
           ? discs(points, some, LOOKS[name].size * unit, MAP_HEIGHT + 0.02, material(name))
-          : copies(count > MANY ? UPRIGHT : POST, material(name, { lit: true }), some.length, (i, m) => {
+          : copies(count > MANY ? BOX : POST, material(name, { lit: true }), some.length, (i, m) => {
               m[0] = m[5] = LOOKS[name].size * unit;
               m[10] = LOOKS[name].high;
               m[14] = 0.5 * m[10];
