@@ -174,9 +174,9 @@ def _last(runs: list[Summary]) -> np.ndarray:
 
 
 def run(arguments: list[str], folder: Path) -> Summary | None:
-    """summary.json of one mission, run where it is not there yet; None of one that left none."""
+    """summary.json of one mission, run where it is not there yet or was interrupted; None of one that left none."""
     path = folder / "summary.json"
-    if not path.exists():
+    if not path.exists() or json.loads(path.read_text())["outcome"] == "interrupted":
         command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "explore", *arguments, "--headless", "--out", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         print(f"{folder}: {'done' if path.exists() else done.stderr.strip()[-200:]}", flush=True)
@@ -224,9 +224,11 @@ def of_missions(name: str, options: argparse.Namespace) -> str | None:
         seeds = row.seeds[: options.seeds]
         cells = [row.name, f"{seeds[0]} to {seeds[-1]}", *(read(runs[method]) for method, _, read in columns)]
         if name == EXPLORED:
-            ours, theirs = (np.array(values(some, "explored_s")) for some in runs.values())
-            both = np.isfinite(ours) & np.isfinite(theirs)
-            cells.append(f"{ours[both].mean() / theirs[both].mean():.2f}")
+            ours, theirs = ({one["seed"]: one["explored_s"] or 0.0 for one in some} for some in runs.values())
+            both = [seed for seed in ours if ours[seed] and theirs.get(seed)]
+            cells.append(
+                f"{sum(ours[seed] for seed in both) / sum(theirs[seed] for seed in both):.2f}" if both else "-"
+            )
         lines.append("| " + " | ".join(cells) + " |")
     if not lines:
         return None

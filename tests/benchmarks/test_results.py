@@ -64,9 +64,10 @@ def test_a_document_without_a_table_s_marks_is_refused(results) -> None:
         results.replaced("text\n", "kills", "")
 
 
-def summary(explored: float | None, **fields) -> dict:
+def summary(seed: int, explored: float | None, **fields) -> dict:
     """What a table reads of a mission."""
     return {
+        "seed": seed,
         "outcome": "complete" if explored else "stuck",
         "explored_s": explored,
         "position_error_m": {"mean": 0.01, "max": 0.02},
@@ -82,7 +83,8 @@ def test_methods_are_compared_over_the_seeds_that_both_explore(results, monkeypa
     def run(arguments, folder):
         method = arguments[arguments.index("--method") + 1]
         assert arguments[arguments.index("--seed") + 1] == folder.name
-        return summary(seconds[method][int(folder.name)])
+        seed = int(folder.name)
+        return None if (method, seed) == ("grid-nearest", 1) else summary(seed, seconds[method][seed])
 
     monkeypatch.setattr(results, "run", run)
     monkeypatch.setattr(results, "version", lambda: "abc")
@@ -91,7 +93,7 @@ def test_methods_are_compared_over_the_seeds_that_both_explore(results, monkeypa
     table = results.of_missions("explored", options)
     assert table.splitlines()[-1] == (
         "| `house` | 1 to 3 | 3 of 3 | 433 | 0.010 | 90.0 | 10 | 0.50 (0.50)"
-        " | 2 of 3 | 400 | 0.010 | 90.0 | 10 | 0.50 |"
+        " | 1 of 2 | 500 | 0.010 | 90.0 | 10 | 0.60 |"
     )
 
 
