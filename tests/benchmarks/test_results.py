@@ -65,7 +65,7 @@ def test_a_document_without_a_table_s_marks_is_refused(results) -> None:
 
 
 def summary(seed: int, explored: float | None, **fields) -> dict:
-    """What a table reads of a mission."""
+    """The fields of a mission's summary that a table reads."""
     return {
         "seed": seed,
         "outcome": "complete" if explored else "stuck",

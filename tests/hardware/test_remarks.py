@@ -96,7 +96,7 @@ def test_what_is_left_is_told_as_it_is_known():
 
 
 def frames(*lost):
-    """What is told of shares of frames that were lost in each second."""
+    """Remarks on shares of frames that were lost in each second."""
     return lines([(float(i), [], base_state(float(i), lost=share)) for i, share in enumerate(lost)])
 
 

@@ -495,7 +495,7 @@ def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> 
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> Stretch | None:
-    """Where the pose came into doubt, which the newest frame may end or begin."""
+    """The place in the log where the pose came into doubt, which the newest frame may end or begin."""
     suspect = state.suspect if state.contradictions else None
     if (
         suspect is not None

@@ -186,7 +186,8 @@ def _seen_through(panorama: Panorama, links: BoolArray, stars: Stars, X_MA: Floa
     middle = 0.5 * (a + b)
     lines = np.hstack([transform(X_MA, middle + to * behind) for to in (-REFUTED_DEPTH, 2.0 * REFUTED_DEPTH)])
     through = np.zeros(len(links), dtype=np.bool_)
-    through[bins[lines_in_one_star(lines, *stars.polygons)]] = True
+    if len(bins):
+        through[bins[lines_in_one_star(lines, *stars.polygons)]] = True
     return through
 
 
