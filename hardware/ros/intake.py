@@ -1,8 +1,8 @@
 """Stamps and converts the messages that either transport receives.
 
 ROS stamps serve for order and age only. The robot's ROS clock is brought to the host's monotonic clock by the least of
-host's arrival minus stamp, of the odometry (the shortest way there is), and as two quartzes drift apart that may grow
-slowly. Where only sensors are heard it is theirs: their stamps are then late by the least delay of any of them.
+host's arrival minus stamp, of the newest odometry (the shortest way there is; two quartzes drift apart). Where only
+sensors are heard it is theirs: their stamps are then late by the least delay of any of them.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 # The clock is learned from this much odometry before anything is believed, s.
 LEARN = SILENCE
-# What was less delayed than all before shortens the offset no faster than this, s/s, so that stamps keep their order.
+# The offset is the least delay of the newest one to two spans of this, s, and changes no faster than that, s/s, so that
+# stamps keep their order.
+SPAN = 10.0
 SLEW = 1e-3
-# What is more delayed than all before lengthens it no faster than this, s/s: as fast as a clock is slewed.
-RISE = 5e-4
 # The robot's clock may differ from the host's by this, s; what a camera sees may be OLDEST when it arrives. A stamp
 # that is farther in the future, or before the one before it, is a jump of the clock.
 JUMP = MAX_SKEW = AHEAD
@@ -58,7 +58,8 @@ class StampClock:
     def _reset(self) -> None:
         self._least: dict[str, float] = {}
         self._last: dict[str, float] = {}
-        self._began = self._heard = math.nan
+        self._began = self._heard = self._span_began = math.nan
+        self._span = self._span_before = math.inf
 
     @property
     def ready(self) -> bool:
@@ -69,10 +70,15 @@ class StampClock:
         dt, delay = arrival - self._heard, arrival - stamp
         if not dt <= self._silence:  # nor is it before anything was heard
             self._reset()
-            self._began, self._offset = arrival, delay
+            self._began = self._span_began = arrival
+        if arrival - self._span_began > SPAN:
+            self._span_began, self._span_before, self._span = arrival, self._span, math.inf
+        self._span = min(self._span, delay)
+        least = min(self._span, self._span_before)
+        if not self.ready:
+            self._offset = least
         elif delay > self._offset - JUMP:
-            slew = SLEW * dt if self.ready else math.inf
-            self._offset = max(self._offset - slew, min(self._offset + RISE * dt, delay))
+            self._offset += min(SLEW * dt, max(-SLEW * dt, least - self._offset))
         self._heard = arrival
 
     def host(self, topic: str, stamp: float, arrival: float) -> float | None:
