@@ -38,6 +38,7 @@ DATA, SEED, PLAN = "DATA", "SEED", "PLAN"
 PRINTED: dict[str, str] = {
     "relations": f"relations.py {DATA}/radish --methods walls --out relations.jsonl",
     "mapex": f"mapex.py {DATA}/mapex --methods nearest exact ours --out mapex.jsonl",
+    "regret": "regret.py --seeds 2 --out regret --tours tours",
     "stated": "offices.py --rows offices --out stated.jsonl"
     " + offices.py --rows 'people, glass' --seeds 10 --out stated.jsonl + look_alikes.py --seeds 3 --out stated.jsonl",
     "regions": f"relation_regions.py {DATA}/radish regions",
