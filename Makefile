@@ -70,8 +70,8 @@ kernels: $(VENV)/.test  ## list anew which kernels missions call, and with what 
 results: $(VENV)/.test  ## make the tables of docs/results.md anew, some hours (DATA=FOLDER: those of recordings, too)
 	$(BIN)/python benchmarks/results.py $(if $(DATA),--data $(DATA))
 
-figures: $(VENV)/.test  ## make the figures of the docs anew, twenty minutes
-	$(BIN)/python benchmarks/figures.py
+figures: $(VENV)/.test  ## make the figures of the docs anew, twenty minutes (DATA=FOLDER: the laser log's, too)
+	$(BIN)/python benchmarks/figures.py $(if $(DATA),--data $(DATA))
 
 clean:  ## remove the environments and every cache
 	rm -rf .venv* build dist *.egg-info .*_cache .hypothesis
