@@ -71,7 +71,9 @@ class MessageInputs:
     """Input ports for messages, by name; called with a context and one of the names it is the message there."""
 
     def __init__(self, system: LeafSystem, *names: str, **kinds: type) -> None:
-        """Declares them. names: of KINDS. kinds: what others hold, by the port's name."""
+        """Declares them. names: of KINDS. kinds: what others hold, by the port's name. Raises ValueError."""
+        if unknown := [name for name in names if name not in KINDS]:
+            raise ValueError(f"no message is known as {unknown[0]}; name its kind, or one of {', '.join(KINDS)}")
         self._kinds = {name: KINDS[name] for name in names} | kinds
         anything = AbstractValue.Make(object())
         self.ports = {name: system.DeclareAbstractInputPort(name, anything) for name in self._kinds}

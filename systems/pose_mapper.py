@@ -80,6 +80,8 @@ class PoseMapper(LeafSystem):
 
     def _Update(self, context: Context, seen: _Seen) -> _Seen:
         X_MB = self._X_MB.Eval(context)
+        if not np.all(np.isfinite(X_MB)):
+            raise ValueError(f"{self._X_MB.GetFullDescription()} must be finite, not {X_MB}, at {context.get_time()} s")
         detections, mission = self._inputs.each(context, "detections", "mission")
         if detections.stamp > max(seen.stamp, context.get_time() - PERIOD):
             seen = _with_detections(seen, X_MB, detections, self._covariance)

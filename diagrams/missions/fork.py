@@ -163,6 +163,8 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, MissionRequest]:
     method = run.summary["method"]
     if run.summary["contacts"] is None:
         raise ForkError(f"{run.folder}: is no simulated run; nobody knows what its world would have done")
+    if method == "own":
+        raise ForkError(f"{run.folder}: had parts of your own, which no file holds; clone its Context instead")
     if method not in METHODS or not METHODS[method].has_candidates:
         names = ", ".join(name for name, one in METHODS.items() if one.has_candidates)
         raise ForkError(f"{run.folder}: its method {method} chooses from no candidates; fork a run of {names}")

@@ -101,6 +101,16 @@ def test_the_selectors_verdict_ends_the_mission_with_its_reason(verdict):
     assert step(status, inputs(51.0, stop=True)) is status
 
 
+@pytest.mark.parametrize(
+    ("verdict", "node", "words"),
+    [("go", 3, "'go' is none of the verdicts"), ("goal", -1, "there is no node")],
+)
+def test_a_choice_that_cannot_be_one_is_refused(verdict, node, words):
+    status = dataclasses.replace(initial_status(), phase="choose", stage=1)
+    with pytest.raises(ValueError, match=f"goal of stage 1: .*{words}"):
+        step(status, inputs(5.0, goal=goal(1, verdict, node)))
+
+
 def test_a_blocked_path_is_planned_again_and_given_up_in_the_end():
     status = following()
     for replan in range(1, MAX_REPLANS + 1):

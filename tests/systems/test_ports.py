@@ -36,6 +36,11 @@ def test_the_wrong_message_and_no_message_are_named():
         relay.inputs(context, "odometry")
 
 
+def test_a_port_whose_message_is_not_known_is_named():
+    with pytest.raises(ValueError, match=r"no message is known as base\.odometry; .* odometry"):
+        MessageInputs(LeafSystem(), "base.odometry")
+
+
 def test_state_survives_a_clone():
     relay = _Relay()
     context = relay.CreateDefaultContext()

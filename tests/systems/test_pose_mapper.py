@@ -80,6 +80,13 @@ def test_the_pose_is_the_one_given(mapper):
     np.testing.assert_allclose(np.sqrt(np.diag(pose.covariance)), SIGMA)
 
 
+def test_a_pose_that_is_none_is_named(mapper):
+    system, context, update = mapper
+    system.GetInputPort("X_MB").FixValue(context, [0.0, np.nan, 0.0])
+    with pytest.raises(ValueError, match=r"X_MB.* of System ::pose_mapper .* must be finite, .* at 1\.0 s"):
+        update(1.0, seen(1.0, [7], [2.0], [0.0]), "observe")
+
+
 def test_an_estimator_has_the_inputs_of_its_source_and_of_the_mapper():
     made = MakePoseEstimator(PassThrough(3))
     assert {made.get_input_port(i).get_name() for i in range(made.num_input_ports())} == {

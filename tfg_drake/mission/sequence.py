@@ -32,6 +32,8 @@ BUMPER_PATIENCE = 2.0
 # A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
 PATIENCE = 4.0
 # Why it is paused.
+# With a goal: go there, look round where the robot stands, or end the mission so.
+VERDICTS = ("goal", "look", "complete", "stuck", "budget")
 PAUSED = "paused by the operator"
 NOT_ENABLED = "the base is not enabled: whoever operates it enables it"
 
@@ -121,6 +123,10 @@ def _choose(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     goal = inputs.goal()
     if goal.stage != status.stage:
         return status
+    if goal.verdict not in VERDICTS:
+        raise ValueError(f"goal of stage {goal.stage}: {goal.verdict!r} is none of the verdicts {', '.join(VERDICTS)}")
+    if goal.verdict == "goal" and goal.node < 0:
+        raise ValueError(f"goal of stage {goal.stage}: the verdict is 'goal', but there is no node to go to")
     if goal.verdict == "look":
         return _begin(status, inputs, "observe")
     if goal.node >= 0:

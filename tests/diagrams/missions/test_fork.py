@@ -98,6 +98,9 @@ def test_what_cannot_be_forked_is_told_in_a_line(original, tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps(original.summary | {"method": "grid-nearest"}))
     with pytest.raises(ForkError, match="its method grid-nearest chooses from no candidates; fork a run of tfg, "):
         fork(tmp_path, 1)
+    (tmp_path / "summary.json").write_text(json.dumps(original.summary | {"method": "own"}))
+    with pytest.raises(ForkError, match="had parts of your own, which no file holds"):
+        fork(tmp_path, 1)
     (tmp_path / "summary.json").write_text(json.dumps(original.summary))
     lines = [json.loads(line) for line in (tmp_path / "stages.jsonl").read_text().splitlines()]
     lines[0]["entropy_nats"] += 1e-9
