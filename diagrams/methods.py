@@ -35,6 +35,7 @@ class Method:
     """name; MakeExplorer: the diagram for a scenario, of whose world it reads nothing. needs_drive: the scenario must
     have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates: its goal_selector
     is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press keys meanwhile.
+    needs_tags: it maps nothing else.
     knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is one.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
@@ -49,6 +50,7 @@ class Method:
     keeps_budget: bool = True
     has_candidates: bool = False
     needs_keys: bool = False
+    needs_tags: bool = False
     source: str = ""
     knows_map: bool = True
 
@@ -66,6 +68,8 @@ class Method:
         where it starts."""
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
+        if self.needs_tags and scenario.world.walls and not scenario.world.tags:
+            raise MethodError(f"{self.name}: maps tags alone, and the world has none; --tag-spacing 1 places some")
         limits = [key for key in ("budget_time", "budget_distance", "return_home") if getattr(scenario.explorer, key)]
         if limits and not self.keeps_budget:
             key = limits[0]
@@ -102,7 +106,7 @@ METHODS = {
             has_candidates=True,
         ),
         # The paper's rules as printed: goals, gain, frontiers, path cost; tags are mapped at goals only.
-        Method("paper", MakePaperExplorer, has_candidates=True),
+        Method("paper", MakePaperExplorer, has_candidates=True, needs_tags=True),
         # The nearest frontier on the TFG.
         Method("tfg-nearest", _TfgWith("nearest_frontier"), has_candidates=True),
         # The paper's baseline: GMapping and the nearest frontier.

@@ -21,7 +21,7 @@ from tfg_drake.datasets.estimated import GRAPH_METHOD, estimated, shares
 from tfg_drake.datasets.evaluation import hits, poses_between, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.figure import draw_laser_map
 from tfg_drake.datasets.pose_graph import PoseGraph
-from tfg_drake.datasets.recording import DatasetError, OnProgress, Recording
+from tfg_drake.datasets.recording import DatasetError, OnProgress, Recording, as_told
 from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
 from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
@@ -271,7 +271,7 @@ def map_recording(
         "walls_mapped": None if state is None else len(walls),
         "online_cpu_s": mission.estimator_cpu,
     }
-    write_tum(folder / "trajectory.tum", at, X_MB)
+    write_tum(folder / "trajectory.tum", as_told(at, recording.told_stamps), X_MB)
     write_tum(folder / "online.tum", online_stamps + start, online)
     true_path = np.empty((0, 2)) if truth is None else truth_at(truth, at)[:, :2]
     if truth is not None:

@@ -34,6 +34,12 @@ def test_bands_of_any_size_are_drawn(factor):
     assert draw_coverage(bands).axes[0].get_yscale() == "linear"
 
 
+def test_a_robot_that_stands_has_no_error_on_a_logarithmic_scale():
+    curve = Curve(np.arange(3.0), np.array([0.0, 0.2, 0.1]))
+    bands = {"a": band([curve], 1.0), "b": band([Curve(curve.x, 100.0 * curve.y)], 1.0)}
+    assert [np.isnan(line.get_ydata()).any() for line in draw_errors(bands, bands).axes[0].lines[::2]] == [True, True]
+
+
 def test_a_grid_is_turned_into_the_world(tmp_path, small_map):
     probability = np.full((40, 60), 0.5, dtype=np.float32)
     probability[:, -2:] = 1.0  # the far end in x of M, which is the top in W

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tfg_drake.config import OdometryConfig, ScanConfig
 from tfg_drake.datasets.intake import believed
-from tfg_drake.datasets.recording import DatasetError, Recording
+from tfg_drake.datasets.recording import DatasetError, Recording, as_told
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.messages import Odometry, replace
@@ -233,3 +233,10 @@ def test_where_the_scanner_looks_is_found(name, yaw, shared_data):
     nearest = int(np.nanargmin(read.scans[0].ranges)), int(np.nanargmin(result.scans[0].ranges))
     turned = result.scans[0].angles[nearest[1]] - read.scans[0].angles[nearest[0]]
     assert abs(math.remainder(turned - yaw, 2.0 * math.pi)) < 0.05
+
+
+def test_a_trajectory_has_the_stamps_of_its_data_set():
+    here = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(as_told(here[1:], np.column_stack([here - 0.05, here])), here[1:] - 0.05)
+    np.testing.assert_array_equal(as_told(here, np.empty((0, 2))), here)
+    np.testing.assert_array_equal(as_told(here, np.column_stack([[1.0, 0.5, 2.0], here])), here)

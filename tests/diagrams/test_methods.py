@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tfg_drake.diagrams.explorer import SENSED
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
-from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, PrepareScenario
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,6 +53,12 @@ def test_what_is_no_method_is_refused_in_one_line(name, text, complaint, tmp_pat
     with pytest.raises(MethodError) as caught:
         FindMethod(name)
     assert str(caught.value) == complaint
+
+
+def test_the_papers_method_needs_a_tag():
+    FindMethod("paper").Check(PrepareScenario("house", [], 0))
+    with pytest.raises(MethodError, match="paper: maps tags alone, and the world has none"):
+        FindMethod("paper").Check(PrepareScenario("house", [], 0, None, np.inf))
 
 
 @pytest.mark.parametrize("setting", ["budget_time=60", "budget_distance=9", "return_home=true"])

@@ -141,18 +141,20 @@ def _draw_final_map(axes: Axes, one: FinalMap, symbol: float) -> None:
 def _draw_bands(axes: Axes, bands: Mapping[str, Band], *, may_be_wide: bool = True) -> None:
     """Mean line and shaded range; the line is thin where some of the runs have ended."""
     palette = colours(list(bands))
+    levels = [float(np.median(one.mean)) for one in bands.values()]
+    wide = may_be_wide and bool(levels) and min(levels) > 0.0 and max(levels) > _WIDE * min(levels)
+    bottom = 0.05 * min(levels) if wide else 0.0
     for method, one in bands.items():
         colour, together = palette[method], one.x <= one.common
+        # Robots that have not moved yet have no error, which no logarithm shows.
+        mean = np.where(one.mean >= bottom, one.mean, np.nan)
         axes.fill_between(one.x, one.low, one.high, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(one.x[together], one.mean[together], color=colour, linewidth=1.3, label=method)
+        axes.plot(one.x[together], mean[together], color=colour, linewidth=1.3, label=method)
         rest = one.x >= (one.x[together][-1] if together.any() else 0.0)
-        axes.plot(one.x[rest], one.mean[rest], color=colour, linewidth=0.6)
-    levels = [float(np.median(one.mean)) for one in bands.values()]
-    if may_be_wide and levels and min(levels) > 0.0 and max(levels) > _WIDE * min(levels):
+        axes.plot(one.x[rest], mean[rest], color=colour, linewidth=0.6)
+    if wide:
         axes.set_yscale("log")
-        axes.set_ylim(bottom=0.05 * min(levels))
-    else:
-        axes.set_ylim(bottom=0.0)
+    axes.set_ylim(bottom=bottom)
     axes.set_xlim(0.0, max((float(one.x[-1]) for one in bands.values()), default=0.0) or 1.0)
     axes.grid(color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)

@@ -70,6 +70,14 @@ class Recording:
     told_stamps: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
 
 
+def as_told(stamps: FloatArray, told_stamps: FloatArray) -> FloatArray:
+    """Stamps (n,), s, of scans as their data set has them, by `Recording.told_stamps`; the same where it has none, or
+    where its own run back."""
+    told, here = told_stamps.T
+    known = len(told) > 0 and bool(np.all(np.diff(told) > 0.0) and np.all(np.diff(here) > 0.0))
+    return np.interp(stamps, here, told) if known else stamps
+
+
 def said_of_scanner(path: Path, said: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Settings that the user gives for a recording's scanner, by fields of `RobotScannerConfig`.
 
