@@ -385,11 +385,17 @@ class Mission:
     @property
     def placed_since(self) -> float:
         """Since when the robot has known where it is in the map that it began with, s; -inf where it began with none,
-        nan or inf where it has not found itself."""
+        nan where it has not found itself."""
         state = self.estimator_state()
         if state is None:
             return -math.inf
         return math.nan if self.apart else state.placed
+
+    @property
+    def adrift(self) -> bool:
+        """Whether the robot was carried and does not know where it is in what it mapped before."""
+        state = self.estimator_state()
+        return state is not None and state.map is not None and state.map.is_adrift
 
     @property
     def apart(self) -> bool:
@@ -483,8 +489,8 @@ class Mission:
         data = log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
-        if math.isfinite(self.placed_since):
-            lost_since = self.resumed[-1] if self.resumed and self.robot.real else -math.inf
+        lost_since = self.resumed[-1] if self.resumed and self.robot.real else -math.inf
+        if math.isfinite(self.placed_since) or math.isfinite(lost_since):
             lived &= (stamps < lost_since) | (stamps > self.placed_since)
         return stamps[lived], data[1:, first[lived]].T
 

@@ -142,6 +142,8 @@ class MissionRunner:
             outcome, reason = mission.status.outcome, mission.status.reason
             if mission.apart and outcome in ("complete", "stuck"):
                 outcome, reason = "apart", f"It has not found itself in the map that it began with: {reason}"
+            elif mission.adrift and outcome in ("complete", "stuck"):
+                outcome, reason = "apart", f"It does not know where it is in what it mapped before: {reason}"
         elif self._interrupted.is_set():
             by = f" by {NAMES[self._interrupted.number]}" if isinstance(self._interrupted, Interruption) else ""
             outcome, reason = "interrupted", f"interrupted{by} at {mission.time:.0f} s"

@@ -30,9 +30,9 @@ def frame(saved, X_MB, stamp):
     return TagDetections(stamp, saved.ids, distance, bearing, sigma, sigma)
 
 
-def looked(state, saved, X_MB, ids=None):
+def looked(state, saved, X_MB, since=0.0):
     """The state after a second of looking round, at rest at a pose."""
-    odometry = [Odometry(stamp=k / 16, X_OB=np.zeros(3), V_B=np.zeros(2), at_rest=True) for k in range(20)]
+    odometry = [Odometry(stamp=since + k / 16, X_OB=np.zeros(3), V_B=np.zeros(2), at_rest=True) for k in range(20)]
     for k, one in enumerate(odometry):
         state = process_odometry(state, one)
         if k == 1:
@@ -71,6 +71,18 @@ def test_a_carried_robot_finds_itself_anew(known, small_map):
     assert math.isnan(state.placed)
     old = Odometry(stamp=0.0, X_OB=np.zeros(3), V_B=np.zeros(2), at_rest=True)
     assert process_odometry(state, old) is state
+
+
+def test_a_carried_robot_looks_for_itself_until_it_has_found_itself(known, small_map):
+    strange = replace(small_map, graph=replace(small_map.graph, ids=small_map.graph.ids + 1000))
+    state = carried(looked(known, small_map, np.array([1.0, 0.0, 0.0])))
+    state = looked(state, strange, np.array([1.0, 2.0, 0.5]), since=2.0)
+    assert math.isnan(state.placed)
+    assert state.map.is_adrift
+    state = looked(state, small_map, np.array([1.0, 2.0, 0.5]), since=4.0)
+    assert math.isfinite(state.placed)
+    assert not state.map.is_adrift
+    np.testing.assert_allclose(pose_estimate(state).X_MB, [1.0, 2.0, 0.5], atol=0.05)
 
 
 def test_a_robot_that_sees_no_mapped_tag_maps_apart(known, small_map):

@@ -636,7 +636,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     state = replace(
         state,
         hypotheses=state.hypotheses if state.known is not None else hypotheses,
-        placed=math.inf if math.isnan(state.placed) else state.placed,
+        placed=state.stamp if math.isnan(state.placed) and j < 0 else state.placed,
         contradictions=0.0,
         suspect=None,
         walls=walls,

@@ -117,7 +117,7 @@ class EstimatorState:
     first that contradicts it was seen, without frames; None where none does. log: what was seen since the last view,
     the pieces of the way and the turn after them; the newest is under way. placed: s, since when the robot knows where
     it is in a map that it began with, or in which it may have been carried while nobody looked; nan as long as it does
-    not in the latter, inf where it has mapped on without. map: what has become of the solved graph since, None before
+    not in the latter. map: what has become of the solved graph since, None before
     the first view. look: the newest messages in the order of their arrival, None once the first turn is over. sources:
     of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of
     `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken for a stretch.

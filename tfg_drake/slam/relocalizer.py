@@ -192,7 +192,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
     begin = adrift(graph) + 1
     mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces else ())
-    expected, anywhere = newest.X_MB, math.isnan(state.placed)
+    expected, anywhere = newest.X_MB, math.isnan(state.placed) and not begin
     sigma, carried = FROM_HERE if state.is_kidnapped else (DRIFTED, CARRIED)
     prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
     found, places = _where((known, mapped), seen, prior, is_growing=True)
@@ -263,7 +263,7 @@ def found_again(
     is. Else the poses in M, as hypotheses, at which what is adrift may begin."""
     graph, estimate = state.graph, state.map or state.localizer.map
     j, lost = adrift(graph), any(is_unknown(one.keyframe) for one in way)
-    if not (lost or j >= 0) or not state.placed < np.inf:
+    if not lost and j < 0:
         return graph, estimate, way, empty(Hypotheses)
     before, since = seen_by(graph, graph.keyframes[:j]), seen_by(graph, graph.keyframes[j + 1 :])
     before = before if j >= 0 else since
