@@ -1,4 +1,4 @@
-"""Missions from Python, with each Drake object at hand: `tfg_drake.explore`, `tfg_drake.fork`."""
+"""Missions from Python with access to every Drake object: `tfg_drake.explore`, `tfg_drake.fork`."""
 
 from __future__ import annotations
 
@@ -73,50 +73,49 @@ def explore(
     realtime_rate: float = 0.0,
     until: float = 3600.0,
 ) -> Exploration:
-    """Build a mission and drive it.
+    """Build a mission and run it.
 
-    A simulated mission can be driven on, step by step. One that is kept (out, page), and that of a real robot, ends
-    when explore returns, as by the command line: the same seed gives the same files.
+    A simulated mission can be advanced further, step by step. A mission whose files are kept (out, page) and that of a
+    real robot are over when explore returns. They leave the files of the command line; equal seeds give equal files.
 
     Args:
-        scenario: a shipped scenario's name, a YAML file, or one in memory.
-        seed: of every random number; None for the scenario's own.
-        settings: such as "explorer.stop_gain=10".
+        scenario: name of a shipped scenario, a YAML file, or a Scenario in memory.
+        seed: seed of all random numbers; None for the scenario's own.
+        settings: changes of the scenario, such as "explorer.stop_gain=10".
         world: other walls, as `tfg-drake explore --world`.
-        tag_spacing: m, places tags so far apart; None: without any tag; by default as the scenario has them.
-        start: (x, y, yaw), m and rad.
-        method: what explores, as `tfg-drake explore --method`.
-        goal_selector, estimator, planner, follower: each makes a part for the scenario, in place of the method tfg's
-            own, as MakeTfgExplorer has them. A Factory is a function of a Scenario that returns a System, or a class
-            whose instances are made with a Scenario, such as `estimator=lambda scenario: MyEstimator(0.1)`.
-        plant: makes likewise what moves in the simulated station, see MakeTurtlebotStation.
-        station: makes the station, in place of MakeTurtlebotStation; a System with its ports. One that plays a laser
-            recording, as `functools.partial(MakeRecordedStation, recording="drive.mcap")` makes it, is mapped by method
-            walls (the default) or grid, with an estimator of one's own if there is one. That of a real robot,
-            as `functools.partial(MakeTurtlebotStation, hardware=True)` makes it, keeps real time; its mission is
-            rehearsed in simulation first and kept, and the robot is closed at the end.
-        enable: a real robot may move from the beginning; else when somebody enables it, by the page or its buttons.
-        meshcat: where the mission is shown as it goes on; `pydrake.all.StartMeshcat()` makes one.
-        page: serve the page that shows and operates it until explore returns; its address is printed.
-        map: the file of a map of the building, or the folder of a run: the mission begins with it; its summary's
-            `changes` tells what has changed since.
-        resume: the folder of a mission that was cut short, to go on with: its scenario and seed are the run's, and its
-            method by name; a method, parts or a station of one's own are given again.
-        out: the run's folder; with a page or a real robot runs/<time>-<name>-<seed> by default, else none is kept. A
-            simulated run that is in it is replaced.
-        realtime_rate: simulated s per second at most, 0 for as fast as possible.
-        until: s to drive, or less where the mission ends before; 0 to build it only.
+        tag_spacing: distance between the tags to place, m; None removes all tags; by default the scenario's tags.
+        start: (x, y, yaw) of the start in W, m and rad.
+        method: the exploration method, as `tfg-drake explore --method`.
+        goal_selector, estimator, planner, follower: factories of parts that replace those of the method tfg, see
+            MakeTfgExplorer. A Factory is a function of a Scenario that returns a System, or a class whose constructor
+            takes a Scenario, such as `estimator=lambda scenario: MyEstimator(0.1)`.
+        plant: factory of the plant of the simulated station, see MakeTurtlebotStation.
+        station: factory of a System with the ports of MakeTurtlebotStation that replaces it. A station that plays a
+            laser recording, `functools.partial(MakeRecordedStation, recording="drive.mcap")`, is mapped by the method
+            walls (the default) or grid; estimator= may replace the estimator. A station of a real robot,
+            `functools.partial(MakeTurtlebotStation, hardware=True)`, runs in real time; the mission is first rehearsed
+            in simulation, its files are kept, and the robot's devices are closed at the end.
+        enable: the wheels of a real robot are enabled from the beginning; otherwise by the page or its buttons.
+        meshcat: a Meshcat that shows the running mission, such as `pydrake.all.StartMeshcat()`.
+        page: serve the page that shows and operates the mission until explore returns, and print its address.
+        map: a map file of the building, or the folder of a run, to begin with; `changes` in the summary lists what has
+            changed since.
+        resume: folder of an interrupted mission to continue. Scenario, seed and a method known by name are the run's;
+            a method, parts or a station of your own must be given again.
+        out: the run's folder; by default runs/<time>-<name>-<seed> with a page or a real robot, otherwise no files are
+            kept. A simulated run in the folder is replaced.
+        realtime_rate: limit of simulated seconds per second; 0 for no limit.
+        until: duration of the mission, s, unless it ends earlier; 0 only builds it.
 
     Returns:
-        The Exploration, driven until it ended or for `until` s: its Drake objects, its map, what it says at each port.
+        The Exploration, run for `until` s or to its end: its Drake objects, its map, the values of all ports.
 
     Raises:
         ScenarioError, MethodError: the scenario or the method cannot be used.
         ValueError: until or realtime_rate is negative.
-        TypeError: a part is given that is no such function, or lacks a port that others listen to, or has another kind
-            of message there.
-        BadInput: the folder holds a real robot's run, or the scenario that is read; the page cannot be served; or there
-            is no mission to go on with.
+        TypeError: a part is not a factory, lacks a port that another part reads, or has another type of message there.
+        BadInput: the folder holds a real robot's run or the scenario file itself; the page cannot be served; or there
+            is no mission to resume.
         DeviceError: the robot cannot be used.
         OSError: the folder cannot be written.
     """
@@ -193,17 +192,17 @@ def explore(
 def fork(
     run: Run | str | Path, stage: int, *, goal: Sequence[float] | None = None, candidate: int | None = None
 ) -> Simulator:
-    """A simulator of a run at a stage, its goal chosen and not yet driven to, to go on with.
+    """Return a simulator of a run at a stage, with the goal chosen but not yet driven to.
 
     Args:
-        run: the folder of a simulated run, or what `load_run` read of it.
-        stage: which, from 1 on.
-        goal: (2,) in W, m: drive there instead, to the reachable place next to it, and look round.
-        candidate: or to the candidate of this number, 1 for that with the most gain.
+        run: the folder of a simulated run, or its Run from `load_run`.
+        stage: number of the stage, from 1 on.
+        goal: (2,) another goal in W, m: the robot drives to the nearest reachable place and looks around.
+        candidate: or the number of another candidate, 1 for the one with the most gain.
 
-    The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. Whatever
-    was asked for is driven to while the simulator is advanced. Without a goal or candidate it ends as the run did, to
-    the bit.
+    The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. The robot
+    drives to the new goal as the simulator advances. Without goal and candidate the mission ends as the run did, to the
+    bit.
 
     Raises:
         ForkError: the run cannot be forked there; see `forkable` and `Fork`.
@@ -220,7 +219,7 @@ def fork(
 
 
 def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:
-    """The robot of a station of one's own, and the scenario within its limits."""
+    """Return the robot of a user's station, and the scenario within its limits."""
     devices = DevicesOf(station)
     if devices is None:
         return dataclasses.replace(SIMULATED, MakeStation=lambda _: station), scenario
@@ -230,16 +229,16 @@ def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot,
 
 
 class Exploration:
-    """A mission under way or ended. In a notebook it shows itself, as `figure` draws it.
+    """A running or finished mission. A notebook displays its `figure`.
 
-    scenario: all that defines it. Its Drake objects: simulator, of the context, where `advance` also notes what happens
-    meanwhile; diagram, the whole of station, the robot, explorer, logs and picture; and context, the diagram's root
-    Context. stages: a row a stage, as in a run's stages.jsonl. folder: where it was kept, summary: as its summary.json;
-    None where it was not.
+    scenario: the Scenario that defines it. Its Drake objects: simulator (advance it by `advance`, which also records
+    trajectory and stages); diagram, which contains station, explorer and recorders; station; explorer; context, the
+    diagram's root Context. stages: one row per stage, as in a run's stages.jsonl. folder: the run's folder, summary:
+    the contents of its summary.json; both None if no files are kept.
     """
 
     def __init__(self, mission: Mission, kept: RunResult | None = None) -> None:
-        """mission: begun; kept: what has become of it."""
+        """mission: a mission that has begun; kept: its result if it is finished and its files are kept."""
         self.scenario, self._mission = mission.scenario, mission
         self.simulator: Simulator = mission.simulator
         self.diagram: Diagram = mission.simulator.get_system()
@@ -251,17 +250,17 @@ class Exploration:
 
     @property
     def context(self) -> Context:
-        """The diagram's, with all state; a system's own is `system.GetMyContextFromRoot(context)`."""
+        """The diagram's root Context with all state; a system's own is `system.GetMyContextFromRoot(context)`."""
         return self.simulator.get_mutable_context()
 
     @property
     def time(self) -> float:
-        """Simulated s so far."""
+        """The simulated time, s."""
         return self._mission.time
 
     @property
     def outcome(self) -> str:
-        """How the mission ended, "" while it has not."""
+        """The outcome of the mission, "" while it runs."""
         return self._mission.outcome or self.status.outcome
 
     @property
@@ -271,7 +270,7 @@ class Exploration:
 
     @property
     def map(self) -> MapEstimate | None:
-        """The landmarks and views in the map frame M; None before the first view, and of a grid."""
+        """The landmarks and views in the map frame M; None before the first view, and for grid methods."""
         return self._mission.map
 
     @property
@@ -286,20 +285,21 @@ class Exploration:
 
     @property
     def X_WB(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,), s, and poses (n, 3), m and rad, as they were estimated at the time."""
+        """Stamps (n,), s, and poses (n, 3), m and rad, of the online estimate."""
         return self._mission.estimated_poses()
 
     @property
     def X_WB_true(self) -> tuple[FloatArray, FloatArray]:
-        """The same, the truth, with stamps of its own."""
+        """Stamps (m,), s, and true poses (m, 3), m and rad; the stamps differ from those of X_WB."""
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:
-        """Simulate so many s more, to the mission's end, or until a monitor of the simulator ends it. Returns itself.
+        """Simulate for `seconds` more, at most to the mission's end or until the simulator's monitor stops; returns
+        self.
 
         Raises:
             ValueError: seconds is negative.
-            RuntimeError: the mission was kept, or is that of a real robot, and is over.
+            RuntimeError: the mission is over, as its files are kept or it is that of a real robot.
         """
         if self.folder is not None:
             raise RuntimeError(f"{self.folder}: the run is over; only one without out=, page= or a real robot goes on")
@@ -310,8 +310,8 @@ class Exploration:
         return self
 
     def look(self, port: str) -> Any:
-        """Value now of a port of the explorer or, for names such as "truth.pose", of the station: a message, or a
-        vector (n,). Raises KeyError where neither has such a port."""
+        """The current value of an output port of the explorer or, for names such as "truth.pose", of the station: a
+        message or a vector (n,). Raises KeyError if neither has the port."""
         for system in (self.explorer, self.station):
             if system.HasOutputPort(port):
                 return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.context))
@@ -320,8 +320,8 @@ class Exploration:
         raise KeyError(f"no port {port}; there are {', '.join(names)}")
 
     def figure(self) -> Figure:
-        """The building, the map so far and the way, as a matplotlib Figure; `savefig` writes it."""
-        # What could have been reached is a run's summary's to say.
+        """A matplotlib Figure of the building, the map and the path so far; `savefig` writes it."""
+        # The reachable area is computed for a run's summary only.
         return figure_of(self._mission, self._title, self.map, self.tfg)
 
     @property

@@ -47,7 +47,7 @@ def MakeTfgExplorer(
     planner: Factory | None = None,
     follower: Factory | None = None,
 ) -> Diagram:
-    """The explorer for a scenario's robot, sensors and method; of the scenario's world it reads nothing.
+    """Make the explorer for a scenario's robot, sensors and method; it does not read the scenario's world.
 
     .. pydrake_system::
 
@@ -85,27 +85,27 @@ def MakeTfgExplorer(
     said_pose: a SaidPose message; these six may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn
     rate (rad/s).
 
-    For whoever wants to look: pose: PoseEstimate, map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
+    For inspection: pose: PoseEstimate, map: MapEstimate of the tags, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
-    local_roadmap: Roadmap, as much of roadmap as planning needs at a stage.
-    landmarks: MapEstimate of tags and walls. hypotheses: Hypotheses, in which places of a known map the robot may be.
-    estimator_state: EstimatorState and tfg_graph: TfgGraph, what a map's file keeps besides; of an estimator of one's
-    own that has no estimator_state the file keeps its map.
+    local_roadmap: Roadmap, the part of roadmap that planning needs at a stage.
+    landmarks: MapEstimate of tags and walls. hypotheses: Hypotheses, the places of a known map where the robot may be.
+    estimator_state: EstimatorState and tfg_graph: TfgGraph, for the map file; with an estimator that has no
+    estimator_state the file is made from map.
 
-    Each of the others is a function of the scenario that makes a part in place of the usual one, a System. It has any
-    of that one's inputs, and its outputs. One more input may have the name of any port of the station, such as
-    truth.pose of a simulated one: it becomes the explorer's.
+    Each keyword argument is a factory: a function of the scenario that returns a System in place of the default part,
+    with all outputs of that part and any of its inputs. Further inputs named like ports of the station, such as
+    truth.pose of a simulated one, become inputs of the explorer.
 
     Args:
-        scenario: see Scenario; its explorer.parts names parts, too, which count where none is given here.
-        goal_selector: chooses where to go, in place of an InfoGainGoalSelector.
-        estimator: in place of a SlamEstimator.
-        planner: in place of a PrmPlanner; without roadmap and local_roadmap where its goal_selector needs none.
-        follower: in place of a PurePursuitFollower.
+        scenario: see Scenario; parts named in its explorer.parts are used unless given here.
+        goal_selector: replaces InfoGainGoalSelector.
+        estimator: replaces SlamEstimator.
+        planner: replaces PrmPlanner; roadmap and local_roadmap may be missing if the goal selector needs none.
+        follower: replaces PurePursuitFollower.
 
     Raises:
-        ScenarioError: the scenario has a value that it cannot have.
-        TypeError: a part is given that is no such function.
+        ScenarioError: the scenario has an invalid value.
+        TypeError: a part is not a factory.
     """
     CheckScenario(scenario)
     given = {"estimator": estimator, "goal_selector": goal_selector, "planner": planner, "follower": follower}

@@ -1,4 +1,4 @@
-"""An estimator from a system that knows the robot's pose, and nothing else."""
+"""Makes an estimator from a system that outputs the robot's pose."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from tfg_drake.systems.pose_mapper import PoseMapper
 
 
 def MakePoseEstimator(pose: System, sigma: Sequence[float] = (0.05, 0.05, 0.02)) -> Diagram:
-    """An estimator for MakeTfgExplorer, of a pose X_MB (x, y, theta), m and rad, in M, which is where the robot began.
+    """Make an estimator for MakeTfgExplorer from the pose X_MB (x, y, theta), m and rad, in M, the robot's start pose.
 
     Args:
-        pose: a System whose one output is that pose, a vector of size 3. Its inputs are found by their names, as of any
-            part, such as base.odometry, which is a message, or truth.pose of a simulated station, a vector.
-        sigma: the standard deviations of the pose that are stated, m, m, rad.
+        pose: a System whose only output is that pose, a vector of size 3. Its inputs are connected by name, as those of
+            any part, such as base.odometry, a message, or truth.pose of a simulated station, a vector.
+        sigma: standard deviations to state for the pose, m, m, rad.
 
-    Raises TypeError where it has no such output.
+    Raises TypeError if there is no such output.
     """
     sizes = [pose.get_output_port(i).size() for i in range(pose.num_output_ports())]
     if sizes != [3]:

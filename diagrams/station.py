@@ -34,14 +34,14 @@ _TRUTH = ("pose", "contacts", "clearance", "contacts_received", "people", "world
 def MakeTurtlebotStation(
     scenario: Scenario, meshcat: Meshcat | None = None, *, hardware: bool = False, plant: Factory | None = None
 ) -> Diagram:
-    """The station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
+    """Make the station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
 
-    plant: makes for the scenario what moves instead of a DifferentialDrivePlant, a system with that one's ports;
-    without the inputs people and world it can do where the scenario has neither, without contacts, clearance and
-    contacts_received at all: nothing is told of them then.
+    plant: a factory of a System that replaces DifferentialDrivePlant and has its ports. The inputs people and world may
+    be missing if the scenario has neither; the outputs contacts, clearance and contacts_received may always be missing
+    and are then not reported.
 
-    A meshcat shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws
-    a mission.
+    meshcat: shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws a
+    mission.
 
     .. pydrake_system::
 
@@ -65,24 +65,24 @@ def MakeTurtlebotStation(
         - truth.world
 
     base.velocity_commanded: forward speed (m/s) and turn rate (rad/s); left unconnected, the base stands. base.enable:
-    0: the base stands; another number enables it, once: it may stop by itself until there is yet another number. Left
+    0: the base stands; any other number enables it once: after a fault it stays locked until the number changes. Left
     unconnected, a simulated base is enabled and a real one is not. base.enabled: 1 while the base may move, else 0.
     base.pose: PoseEstimate, by which the base keeps out of explorer.keep_out; left unconnected, it does not.
     base.odometry: Odometry, base.hazards: Hazards, tags.detections: TagDetections and scan.ranges: LaserScan, messages.
     truth.pose: x, y, theta of X_WB (m, rad), forward speed (m/s), turn rate (rad/s). truth.contacts:
     contacts so far with walls, and with people whom the robot moved towards; truth.contacts_received: those that people
     made, or walls while it was pushed. truth.clearance: least distance of the outline to any wall so far, m.
-    truth.people: a People message, where there are some. truth.world: a WorldNow message, where something changes.
-    truth.pushes: a Pushes message, what moves the base besides its wheels; of a plant that can be pushed. A real
-    robot's station has no truth, and its time must keep to real time: Simulator.set_target_realtime_rate(1.0).
+    truth.people: a People message, if the scenario has people. truth.world: a WorldNow message, if the world changes.
+    truth.pushes: a Pushes message, motions of the base not caused by its wheels; for plants that can be pushed. A real
+    robot's station has no truth and must run in real time: Simulator.set_target_realtime_rate(1.0).
 
-    scenario.station.eyes says what it sees with: ideal sensors, or a camera whose images are rendered.
+    scenario.station.eyes selects the simulated sensors: ideal ones, or a rendered camera.
 
     All noise of a simulated station comes from Drake's random sources: diagram.SetRandomContext(context,
-    RandomGenerator(seed)) makes a run reproducible; each seed gives another one.
+    RandomGenerator(seed)) makes a run reproducible.
 
-    A real robot's devices are closed by RobotDevices.close, or when the program ends. Raises DeviceError where the
-    robot cannot be used.
+    A real robot's devices are closed by RobotDevices.close, or when the program ends. Raises DeviceError if the robot
+    cannot be used.
     """
     if hardware:
         # Only a robot needs what these import.

@@ -3,18 +3,19 @@
     import tfg_drake
     house = tfg_drake.explore("house", seed=3, until=300.0)
 
-What is public, and stays as it is but for what CHANGELOG.md tells:
+The public API, whose changes CHANGELOG.md lists:
 
-- here: `explore` builds a mission and drives it, an `Exploration`; `load_run` reads what it left, `fork` goes on from
-  one of its stages, `map_graph` gives its map as GTSAM's factors and values, `merge` makes one map of two.
+- this module: `explore` builds and runs a mission and returns an `Exploration`; `load_run` reads the folder of a run,
+  `fork` continues a run from one of its stages, `map_graph` returns a map as GTSAM factors and values, `merge` merges
+  two maps.
 - in `tfg_drake.diagrams`: `scenario` (Scenario, LoadScenario, ApplySettings, ApplyWorldFile, MakeWorld), `station`
   (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `pose_estimator` (MakePoseEstimator), `mission_diagram`
   (ConnectStation), and the names, types and meanings of their ports.
-- in `tfg_drake.systems`: the systems and their ports; `ports` declares and reads ports of messages.
-- `tfg_drake.messages` and `tfg_drake.config`: what the ports carry, what a scenario says.
-- `tfg_drake.storage.run` and `tfg_drake.mapfile.saved_map`: what is read of a run and of a map.
+- in `tfg_drake.systems`: the systems and their ports; `ports` declares and reads message ports.
+- `tfg_drake.messages` and `tfg_drake.config`: the messages on the ports, the parameters of a scenario.
+- `tfg_drake.storage.run` and `tfg_drake.mapfile.saved_map`: the contents of a run and of a map.
 
-All else may change without a word. Of this package only `systems`, `diagrams` and part of `hardware` import Drake.
+Everything else may change without notice. Only `systems`, `diagrams` and part of `hardware` import Drake.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from tfg_drake.slam.gtsam_solver import map_graph
     from tfg_drake.storage.run import load_run
 else:
-    # Each is imported when it is asked for: without Drake the package is to be of use, too.
+    # Each is imported on first access, so that the package is usable without Drake.
     _WHERE = {
         "Exploration": "tfg_drake.diagrams.exploration",
         "explore": "tfg_drake.diagrams.exploration",

@@ -1,9 +1,9 @@
-"""Two maps of one place become one.
+"""Merges two maps of one building.
 
-B's graph becomes one keyframe of A's: the joint Gaussian of all its landmarks and its last pose, its own shared
-parameters integrated out. So nothing has to be believed of them: two robots have two calibrations, and a gyro another
-bias in every session. How the robot came from A's last pose to B's first is unknown, as of a kidnapped one. Tags of
-the same id are one landmark, and so are walls that agree; then all of it is solved anew.
+B's graph becomes one keyframe of A's: the joint Gaussian of all its landmarks and its last pose, with its shared
+parameters marginalised out, as two robots have two calibrations and a gyro has another bias in every session. The
+motion from A's last pose to B's first is unknown, as after a kidnapping. Tags of the same id become one landmark, and
+so do walls that agree; then the whole graph is solved again.
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ MOST_LANDMARKS = 1900
 
 
 def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
-    """One map from two of the same place, in A's frame M.
+    """Merge two maps of one building into one, in A's frame M.
 
-    They are put together by the tags of both or, where these do not tell how, by their walls. Where they disagree about
-    a tag A's place counts, and the tag is doubtful. The shared parameters are those of A's robot.
+    Common tags determine the transformation or, if they do not suffice, the walls. A tag on whose place the maps
+    disagree keeps its place in A and becomes doubtful. The shared parameters are those of A's robot.
 
     Args:
-        a, b: maps, or the files or the folders of the runs that they are in.
+        a, b: maps, map files or folders of runs.
 
     Raises:
-        MapFileError: a file is not a whole map.
-        BadInput: how they lie to each other is not known, B is too large, or both have a look in common; one line.
+        MapFileError: a file is not a complete map.
+        BadInput: the transformation is ambiguous or unknown, B is too large, or the maps share an observation or a
+            session; one line.
     """
     first, second = (one if isinstance(one, SavedMap) else load_map(Path(one)) for one in (a, b))
     if len(second.graph.ids) > MOST_LANDMARKS:
@@ -91,13 +92,13 @@ def merge(a: SavedMap | Path | str, b: SavedMap | Path | str) -> SavedMap:
 
 
 def _looks(saved: SavedMap) -> set[bytes]:
-    """Its keyframes' measurements, but for those of a way without landmarks: no two looks are the same to the bit."""
+    """The measurements of all keyframes with landmarks, as bytes; no two observations are equal to the bit."""
     return {one.y_AL.tobytes() + one.information.tobytes() for one in saved.graph.keyframes if len(one.ids)}
 
 
 def _with_names(saved: SavedMap, one: Keyframe, names: Names, estimate: MapEstimate, X_MB: FloatArray) -> TfgGraph:
-    """The TFG of a map with its walls by the names and anchors that they have in both. one: the map as a keyframe, its
-    walls by their names, which lies at X_MB (3,) of the estimate."""
+    """Return the TFG of a map with the ids and anchors that its walls have in the merged map. one: the map as a
+    keyframe with these ids, at the pose X_MB (3,) of the estimate."""
     surfaces = saved.tfg_graph.surfaces
     wall, is_on = rows_of(surfaces.ids[:, 0], names.provisional)
     ids, vertices = surfaces.ids.copy(), surfaces.vertices.copy()

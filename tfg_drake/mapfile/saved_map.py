@@ -1,7 +1,7 @@
 """A map on disk: one .npz of plain arrays, no pickle, with a schema number; docs/map_format.md describes it.
 
-What is kept are the keyframes of the graph, not the joint covariance of the landmarks, which grows with the square
-of their number and follows from them: `restored_estimate`.
+The file holds the keyframes of the graph. The joint covariance of the landmarks, which grows with the square of their
+number, is computed from them: `restored_estimate`.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ PLACES = ("segments", "frontiers", "star_vertices", "star_centers", "given_up")
 
 
 class MapFileError(FileError):
-    """The file is not a map, or not a whole one."""
+    """The file is not a map, or is incomplete."""
 
 
 @message
 class SavedMap:
-    """A map as it is kept on disk.
+    """A map as stored on disk.
 
-    X_WM: (3,) pose of the map frame in the world, m and rad. stage: views in it. stamp: time of the last, s. graph: the
-    estimator's keyframes and values. compared: how many sightings were compared with the scan. doubtful: (d,) ids,
-    ascending, of tags that were seen but are not known to be at any one place, landmarks or not. walls: how well
-    they agree. evidence: for where the map has its tags. tfg_graph: the
-    topological feature graph, anchored to landmarks and views, of the same stage or, where a run was cut short between
-    the two, of the one before. tfg: it resolved in M, of the same stage as tfg_graph.
+    X_WM: (3,) pose of the map frame in the world, m and rad. stage: number of views. stamp: time of the last view, s.
+    graph: the estimator's keyframes and values. compared: number of sightings whose range was compared with the scan's.
+    doubtful: (d,) ids, ascending, of doubtful tags, landmarks or not. walls: likelihood of their straightness.
+    evidence: support for the places of the tags. tfg_graph: the topological feature graph, anchored to landmarks and
+    views, of the same stage or, if the run was interrupted in between, of the previous one. tfg: the same graph
+    resolved in M.
     """
 
     X_WM: Annotated[FloatArray, 3]
@@ -77,32 +77,32 @@ class SavedMap:
 
     @property
     def is_tag(self) -> BoolArray:
-        """Which of the graph's landmarks are tags, not walls."""
+        """Mask of the graph's landmarks that are tags, not walls."""
         return is_tag(self.graph.ids)
 
     @property
     def ids(self) -> IntArray:
-        """(n,) ids of the landmarks, ascending."""
+        """(n,) ids of the tags, ascending."""
         return self.graph.ids[self.is_tag]
 
     @property
     def is_doubtful(self) -> BoolArray:
-        """Which landmarks (n,) are."""
+        """Mask (n,) of the tags that are doubtful."""
         return np.isin(self.ids, self.doubtful)
 
     @property
     def p_ML(self) -> FloatArray:
-        """(n, 2) positions of the landmarks in M, m."""
+        """(n, 2) positions of the tags in M, m."""
         return self.graph.p_ML[self.is_tag]
 
     @property
     def landmark_covariance(self) -> FloatArray:
-        """(n, 2, 2) marginal covariances of the landmarks in M, m^2."""
+        """(n, 2, 2) marginal covariances of the tags' positions in M, m^2."""
         return self.graph.landmark_covariance[self.is_tag]
 
     @property
     def entropy(self) -> float:
-        """The entropy of the landmarks, nats."""
+        """The entropy of all landmarks, nats."""
         return self.graph.entropy
 
     @property
@@ -112,7 +112,7 @@ class SavedMap:
 
     @property
     def facing(self) -> FloatArray:
-        """(n, 2) unit vectors in M: the side each landmark was seen from, zero where the TFG does not know it yet."""
+        """(n, 2) unit vectors in M: the side each tag was seen from, zero where the TFG does not know it yet."""
         facing = np.zeros_like(self.p_ML)
         if self.tfg.stage == self.stage:
             facing[:] = self.tfg.facing
@@ -120,12 +120,12 @@ class SavedMap:
 
 
 def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg: TfgMap) -> SavedMap:
-    """The map as it is saved.
+    """Return the map to save.
 
     Args:
         X_WM: (3,) pose of the map frame in the world, m and rad.
-        state: the estimator's, after its first view.
-        tfg_graph, tfg: the TFG builder's, of one stage, that of the estimator's map or the one before.
+        state: state of the estimator after its first view.
+        tfg_graph, tfg: outputs of the TFG builder at one stage, that of the estimator's map or the previous one.
 
     Raises:
         ValueError: no view is in the map yet.
@@ -149,8 +149,8 @@ def saved_map(X_WM: FloatArray, state: EstimatorState, tfg_graph: TfgGraph, tfg:
 
 @functools.lru_cache(maxsize=1)
 def state_of_map(estimate: MapEstimate) -> EstimatorState:
-    """The state of an estimator that tells no more than its map: that Gaussian as one keyframe, seen from the map's
-    origin. Landmarks that are not known jointly count as independent, what is known exactly has the deviation
+    """Return an estimator state made from a map estimate alone: its Gaussian as one keyframe seen from the map's
+    origin. Landmarks that are not jointly known count as independent; exactly known ones get the deviation
     LEAST_SIGMA."""
     prior = exactly_known()
     graph = replace(
@@ -164,7 +164,7 @@ def state_of_map(estimate: MapEstimate) -> EstimatorState:
 
 
 def as_one_keyframe(estimate: MapEstimate, prior: Shared) -> KeyframeGraph:
-    """A map as a graph of one keyframe, seen from its origin. Landmarks that are not known jointly count as
+    """Return a map as a graph of one keyframe, seen from its origin. Landmarks that are not jointly known count as
     independent."""
     n = len(estimate.ids)
     covariance = LEAST_SIGMA**2 * np.eye(2 * n + 3)
@@ -177,14 +177,14 @@ def as_one_keyframe(estimate: MapEstimate, prior: Shared) -> KeyframeGraph:
 
 
 def restored_estimate(saved: SavedMap) -> MapEstimate:
-    """The map estimate, its joint covariance computed anew from the keyframes: of all landmarks, of very many of those
-    round the last view. Its observation is empty: what the newest view saw is in the keyframes."""
+    """Return the estimate of the tags with their joint covariance, computed from the keyframes; of a very large map,
+    that of the landmarks around the last view. Its observation is empty: the newest view is in the keyframes."""
     estimate = solve(saved.graph, saved.stamp, no_observation(), joint=known_jointly(saved.graph))[1]
     return replace(estimate.of_tags, doubtful=saved.doubtful)
 
 
 def save_map(path: Path, saved: SavedMap, *, final: bool = True) -> None:
-    """Write a map, atomically; one that is not final in a quarter of the time, neither compressed nor durable.
+    """Write a map atomically. One that is not final is neither compressed nor synced, in a quarter of the time.
 
     Raises:
         OSError: the file cannot be written.
@@ -202,7 +202,7 @@ def load_map(path: Path) -> SavedMap:
         path: the file, or the run's folder with it.
 
     Raises:
-        MapFileError: no such file, not a map, cut short, of another schema, or at odds with itself; one line.
+        MapFileError: the file is missing, no map, truncated, of another schema or inconsistent; one line.
     """
     path = of_run(path, "map.npz")
     with reading(path, MapFileError):
@@ -237,8 +237,8 @@ def _of_before(arrays: dict[str, Array]) -> dict[str, Array]:
 
 
 def _with_one_table(arrays: dict[str, Array]) -> dict[str, Array]:
-    """Arrays of a schema before 16, which had a table for each kind of frontier points, with one for all. Points of
-    faces lay on these. Raises ArraysError."""
+    """Convert arrays of a schema before 16: one table per kind of frontier points becomes one for all, and points of
+    faces move from the faces to in front of them. Raises ArraysError."""
     arrays = {name: array for name, array in arrays.items() if not GONE.match(name)}
     for name in [name for name in arrays if name.endswith(".on_surface")]:
         arrays[name.replace("on_surface", "kind")] = UNSEEN * arrays.pop(name).astype(np.int64)
@@ -257,7 +257,7 @@ def _with_one_table(arrays: dict[str, Array]) -> dict[str, Array]:
 
 
 def whole_map(arrays: Mapping[str, Array], schema: int = SCHEMA) -> SavedMap:
-    """The map that arrays of a schema hold, all its indices within bounds. Raises ArraysError."""
+    """Return the map in arrays of a schema, with all indices checked. Raises ArraysError."""
     saved = schema_13.read_map(SavedMap, arrays) if schema == 13 else from_arrays(SavedMap, arrays)
     if contradiction := _contradiction(saved):
         raise ArraysError(contradiction)

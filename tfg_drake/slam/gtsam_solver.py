@@ -1,7 +1,7 @@
-"""The keyframe graph by GTSAM alone: it linearises, eliminates and marginalises.
+"""The GTSAM solver of the keyframe graph: GTSAM linearises, eliminates and marginalises.
 
-No stock factor holds a keyframe, so each is a `gtsam.CustomFactor`: its error is a square root of the keyframe's
-information times its residual. All unknowns are vectors, so that covariances are those of the messages.
+GTSAM has no factor for a keyframe, so each is a `gtsam.CustomFactor`, whose error is a square root of the keyframe's
+information times its residual. All unknowns are vectors, so covariances have the same coordinates as the messages.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ LEAST_DECREASE = 1e-10
 
 
 def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The map of an estimator, of which a saved map is one, as GTSAM has it: its factors, and its values.
+    """Return a keyframe graph as GTSAM factors and values.
 
-    graph: `exploration.look("estimator_state").graph` of a mission, `load_run(folder).map.graph` of a run that is kept.
+    graph: `exploration.look("estimator_state").graph` of a mission, `load_run(folder).map.graph` of a run.
 
-    The keys: L(row), (2,) landmark graph.ids[row], m, a wall as in `messages.MapEstimate`. X(j), (3,) the pose
-    graph.X_MN[j] in which keyframe j - 1 ends and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's
-    origin and no variable. S(0), (13,) the parameters that all keyframes share, in the order of
-    `tfg_drake.slam.shared`. All are vectors, in the map frame M.
-    Factor 0 is the prior of S(0), factor j + 1 keyframe j, and behind them are the pieces of surface that tie poses:
-    each a `CustomFactor`, which GTSAM cannot serialise. Constant errors of tags (graph.tag_error) are in none.
+    The keys: L(row), (2,) landmark graph.ids[row], m; walls as in `messages.MapEstimate`. X(j), (3,) the pose
+    graph.X_MN[j] where keyframe j - 1 ends and keyframe j begins, m and rad, for j from 1 on; X_MN[0] is the map's
+    origin and no variable. S(0), (13,) the shared parameters in the order of `tfg_drake.slam.shared`. All are vectors,
+    in the map frame M.
+    Factor 0 is the prior of S(0), factor j + 1 keyframe j; the pieces of surface that tie poses follow. All but the
+    prior are `CustomFactor`s, which GTSAM cannot serialise. They omit the constant errors of tags (graph.tag_error).
 
-    The values are those of the last solve, and of landmarks that were first seen since. They are the optimum where tags
-    have no constant errors; `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
+    The values are those of the last solve, with later landmarks at their first estimate. They are the optimum if tags
+    have no constant errors; otherwise `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
     """
     return named_graph(graph, [L(row) for row in range(len(graph.ids))])
 
 
 def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """As `map_graph`, with other keys (n,) for the landmarks."""
+    """As `map_graph`, with given keys (n,) for the landmarks."""
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.prior.covariance)
     factors.add(gtsam.PriorFactorVector(S(0), graph.prior.mean, prior))
@@ -66,8 +66,8 @@ def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.Nonlinear
 
 
 def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bool) -> gtsam.CustomFactor:
-    """W = R^T R with its empty directions left out, and R^T d = (0, v): half |R e + d|^2 is the cost but for a
-    constant. p_MC: (n, 2) the anchors of its landmarks."""
+    """A keyframe as a factor with error R e + d, where W = R^T R without its null space and R^T d = (0, v): half its
+    square is the cost up to a constant. p_MC: (n, 2) the anchors of its landmarks."""
     W = one.without_errors
     diagonal = np.sqrt(np.maximum(np.diag(W), np.finfo(float).tiny))
     value, direction = np.linalg.eigh(W / np.outer(diagonal, diagonal))
@@ -96,8 +96,8 @@ def _factor(one: Keyframe, p_MC: FloatArray, keys: list[int], *, from_origin: bo
 
 
 def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.CustomFactor:
-    """A piece of surface, see `surfaces.Pieces`: a square root of the Hessian H on the poses that it ties, its offset
-    and slope eliminated, and r with H^(1/2) r = g, the gradient; what the cost has beyond |r|^2 is one more error."""
+    """A piece of surface, see `surfaces.Pieces`, as a factor: a square root of the Hessian H of the poses that it ties,
+    its offset and slope eliminated, and r with H^(1/2) r = g, the gradient; the cost beyond |r|^2 is one more error."""
     free, m = keyframe > 0, len(keyframe)
     piece = Pieces(frame[None], np.array([0, m]), np.arange(m), moments)
     keys = [X(k) for k in keyframe[free].tolist()]
@@ -125,8 +125,8 @@ def _piece(frame: FloatArray, keyframe: IntArray, moments: FloatArray) -> gtsam.
 
 
 def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, FloatArray, float]:
-    """As `map_solver.solution`, by GTSAM alone, which is chosen by `explorer.solver` and takes six to seven times as
-    long. Raises ValueError where tags have constant errors, which are not in `map_graph`."""
+    """As `map_solver.solution`, by GTSAM (`explorer.solver=gtsam`), which takes six to seven times as long. Raises
+    ValueError if tags have constant errors, which `map_graph` omits."""
     if graph.tag_error.any():
         raise ValueError("GTSAM alone solves no graph whose tags have constant errors: take the default solver.")
     factors, start = map_graph(graph)

@@ -1,4 +1,4 @@
-"""A finished mission's folder as plain arrays, to compute with.
+"""The folder of a run as plain arrays.
 
 import tfg_drake
 run = tfg_drake.load_run("runs/...")
@@ -27,19 +27,19 @@ from tfg_drake.storage.checkpoint import read_told
 from tfg_drake.storage.port_recording import PortRecording, read_recording
 from tfg_drake.storage.trajectory import read_tum
 
-# The row of a port's arrays that says which message an entry of a list is from.
+# Name of the array with the message index of each entry.
 MESSAGE = "message"
 
 
 class RunError(FileError):
-    """A folder that is no run's; the message is one line."""
+    """The folder is not that of a run; the message is one line."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """Results of a run. summary: summary.json; stages: stages.jsonl, a row a stage. stamps: (n,) s and X_WB: (n, 3)
-    the estimated poses as they were at the time, m and rad; true_stamps (m,) and X_WB_true (m, 3): empty where they are
-    not known. map: None of a method that keeps none."""
+    """Results of a run. summary: summary.json; stages: stages.jsonl, one row per stage. stamps: (n,) s and X_WB: (n, 3)
+    the poses estimated online, m and rad; true_stamps (m,) and X_WB_true (m, 3): the true poses, empty if unknown. map:
+    None for methods without a landmark map."""
 
     folder: Path
     summary: Mapping[str, Any]
@@ -56,15 +56,15 @@ class Run:
 
     @functools.cached_property
     def recording(self) -> PortRecording:
-        """Recording of the station's ports. Raises RecordingError if there is none."""
+        """The recording of the station's ports. Raises RecordingError if there is none."""
         return read_recording(self.folder)
 
     def port(self, name: str) -> dict[str, NDArray[Any]]:
-        """The messages of a station's port as arrays by their fields' names, a row a message, and `time`: (n,) s, when
-        the port carried each.
+        """Return the messages of a station's port as arrays by field name, one row per message, and `time`: (n,) s,
+        when the port carried each.
 
-        Of the tags of frames, now many and now few, all entries stand one behind the other, and `message` says which
-        message each is from; where a scan has no rays yet, its row is nan. Raises KeyError with the ports' names.
+        Frames of tags differ in length: their entries are concatenated, and `message` holds the index of the message of
+        each entry. The row of a scan without rays is nan. Raises KeyError, which lists the ports, for other names.
         """
         recording = self.recording
         if name not in recording.messages:
@@ -82,8 +82,8 @@ class Run:
         return columns
 
     def frame(self, name: str) -> Any:
-        """The same as a DataFrame of pandas or else of polars: a row a message or, of lists, an
-        entry of one. Raises ImportError without either."""
+        """Return `port` as a pandas (or polars) DataFrame, one row per message or, for frames of tags, per entry.
+        Raises ImportError if neither is installed."""
         found = next(filter(importlib.util.find_spec, ("pandas", "polars")), None)
         if found is None:
             raise ImportError(f"neither pandas nor polars is installed; get pandas with {pip_install('frames')}")
@@ -97,8 +97,8 @@ class Run:
 
 
 def load_run(folder: str | Path) -> Run:
-    """Read a run's folder; of a mission that was cut short its checkpoint tells what summary and trajectory would, its
-    outcome is cut_short. Raises RunError where it holds neither, FileError where a file in it is damaged."""
+    """Read a run's folder. For an interrupted mission summary and trajectory come from its checkpoint, with outcome
+    cut_short. Raises RunError if the folder holds neither, FileError if a file is damaged."""
     folder = Path(folder)
     if not (folder / "summary.json").is_file():
         if not (folder / CHECKPOINT).is_file():
