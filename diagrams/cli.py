@@ -1,4 +1,4 @@
-"""The commands of `tfg-drake`. Everything heavy is imported when it is needed."""
+"""The command line `tfg-drake`. Heavy modules are imported only when a command needs them."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.commands.view import export, view
 from tfg_drake.mission.interruption import NAMES
 
-# Commands that a signal ends with all that they have written; others it ends at once.
+# Commands that write all their files when a signal interrupts them; a signal ends the others at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")
-# Address space that a command needs at least, bytes: its libraries take two thirds of it.
+# Least address space for a command, bytes: its libraries take two thirds of it.
 LEAST_MEMORY = 2**30
 
-# What the parser raises for a command line it cannot read; typer has no name of its own for it.
+# The parser's exception for an invalid command line; typer does not export it.
 _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
@@ -61,7 +61,7 @@ def _commands(
     context: typer.Context,
     _version: Annotated[bool, flag("--version", "Print the version.", callback=_print_version, is_eager=True)] = False,
 ) -> None:
-    """Active SLAM on topological feature graphs: a robot explores and maps an unknown building on its own."""
+    """Active SLAM on topological feature graphs: a robot explores and maps an unknown building by itself."""
     if context.invoked_subcommand is None:
         print(context.get_help(), file=sys.stderr)
         raise typer.Exit(2)
@@ -70,9 +70,9 @@ def _commands(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command. Bad input is one line on standard error and exit code 2; there is never a traceback for it."""
-    # So many objects come before somebody looks for garbage among them: importing libraries makes none, and to look
-    # as often as usual takes a quarter of a second.
+    """Run a command. Bad input gives one line on standard error and exit code 2, never a traceback."""
+    # Collect garbage less often: importing libraries creates none, and the default threshold costs a quarter of a
+    # second.
     gc.set_threshold(50_000)
     command.interruption.clear()
     command.interruption.first = command.interruption.again = signal.default_int_handler
@@ -92,15 +92,15 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = command.EXIT_CODES["interrupted"]
     except BrokenPipeError:
-        code = 141  # Whoever read our output has gone; nothing is left to say.
+        code = 141  # The reader of our output has gone.
     except OSError as error:
-        # What the machine refuses: a folder that is gone, one process or file too many.
+        # Refused by the operating system: a deleted folder, too many processes or open files.
         where = "" if error.filename is None else f"{error.filename}: "
         code = _complain(f"{where}{(error.strerror or str(error)).lower()}")
     except Exception as error:
         if isinstance(error, MemoryError) or "start new thread" in str(error):
             sys.exit(_complain("no memory or thread is left; end other programs, or raise the limits (ulimit -v, -u)"))
-        # A mistake of ours outside the simulation, whose own end with outcome "fault".
+        # A bug outside the simulation; one inside it ends the mission with outcome "fault".
         last = traceback.extract_tb(error.__traceback__)[-1]
         place = f"{Path(last.filename).name}, line {last.lineno}"
         _complain(f"internal error: {type(error).__name__}: {error} ({place})")
@@ -110,22 +110,22 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         sys.stdout.flush()
     except OSError:
-        # What is left to say has nowhere to go, at exit either, which would have a code of its own.
+        # The remaining output cannot be written; discard it, or Python's own flush at exit changes the exit code.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _check_environment() -> None:
-    """Makes up for what the program was started without, if it can; else raises BadInput."""
+    """Supply missing standard streams and a UTF-8 locale. Raises BadInput for what cannot be supplied."""
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        pass  # A file that is opened must not be taken for a standard stream.
+        pass  # A file opened later must not get the descriptor of a standard stream.
     os.close(descriptor)
     sys.stdin = sys.stdin or os.fdopen(0, encoding="utf-8")
     sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8")
     sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
-    # Drake reads its own files as the locale says, and they are UTF-8; other processes are told by PYTHONUTF8.
+    # Drake reads its UTF-8 files in the locale's encoding; child processes take theirs from PYTHONUTF8.
     if "utf" not in locale.getencoding().lower():
         os.environ["PYTHONUTF8"] = "1"
         with contextlib.suppress(locale.Error):
@@ -140,19 +140,19 @@ def _check_environment() -> None:
 
 
 def _complain(line: str) -> int:
-    """Says what is wrong; the exit code of bad input."""
+    """Print a complaint; returns the exit code of bad input."""
     print(f"tfg-drake: {command.one_line(line)}", file=sys.stderr)
     return 2
 
 
 def _tell_interruption(number: int, _frame: Any) -> None:
-    """A signal is only noted, so that it may come at any time, during imports too; the mission ends when it sees
-    that."""
+    """Announce the stop. The signal is only noted, so it may arrive at any time, even during imports; the mission ends
+    when it checks."""
     _tell_at_once(f"stopping; {NAMES[signal.Signals(number)]} again leaves at once")
 
 
 def _leave(number: int, _frame: Any) -> None:
-    """The second one leaves at once: an exception might be lost in a callback or end in a traceback."""
+    """Exit at once on the second signal: an exception might be lost in a callback or print a traceback."""
     if keyboard := sys.modules.get("tfg_drake.hardware.keyboard"):
         keyboard.restore_terminals()
     _tell_at_once("interrupted; nothing more is written")

@@ -1,4 +1,4 @@
-"""`tfg-drake camera`: what a camera sees of tags, and its calibration. Needs no Drake."""
+"""`tfg-drake camera`: checks a camera's tag detection, and calibrates it. Needs no Drake."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
-# Of a live source: views of the board that are enough, and how often one is looked for, or a picture is written, s.
+# For a live source: sufficient views of the board, and the interval between searches, or pictures, s.
 LIVE_VIEWS, LIVE_EVERY = 25, 0.5
 
 Source = Annotated[
-    str, argument("SOURCE", "A folder of images, an image, a video, a stream's address or a camera (0).")
+    str, argument("SOURCE", "A folder of images, an image, a video, a stream's address or a camera's device or number.")
 ]
 
-camera_app = command.group("camera", "A camera's tags, and its calibration.")
+camera_app = command.group("camera", "Check a camera's tag detection, or calibrate it.")
 
 
 @camera_app.command()
@@ -38,20 +38,22 @@ def check(
     source: Source,
     calibration: Annotated[Path, option("FILE", "The camera's calibration, OpenCV's YAML or ROS's camera_info.")],
     tag_size: Annotated[float, positive("M", "Side of the tags' black square.", "m")],
-    family: Annotated[list[str] | None, option("NAME", "Repeatable [default: tag36h11].")] = None,
+    family: Annotated[list[str] | None, option("NAME", "Tag family; repeatable [default: tag36h11].")] = None,
     mount: Annotated[
-        str, option("X,Y,YAW,PITCH", "The camera on the robot, m and rad; pitch is downward.")
+        str, option("X,Y,YAW,PITCH", "Pose of the camera on the robot, m and rad; pitch is downward.")
     ] = "0,0,0,0",
-    margin: Annotated[float, option("G", "Decision margin below which no tag is believed.")] = 30.0,
-    decimation: Annotated[float, option("N", "1 sees smaller tags, in four times the time.")] = 2.0,
-    threads: Annotated[int, option("N", "Of the detector.")] = 1,
-    frames: Annotated[int | None, option("N", "Stop after so many.", min=1)] = None,
+    margin: Annotated[float, option("G", "Reject tags with a smaller decision margin.")] = 30.0,
+    decimation: Annotated[float, option("N", "Image decimation; 1 detects smaller tags in four times the time.")] = 2.0,
+    threads: Annotated[int, option("N", "Threads of the detector.")] = 1,
+    frames: Annotated[int | None, option("N", "Stop after N frames.", min=1)] = None,
     out: Annotated[
-        Path | None, option("FILE", "Draw the newest frame there; in a folder: a picture of each frame.")
+        Path | None, option("FILE", "Draw the newest frame in this file; into a folder, draw every frame.")
     ] = None,
-    as_json: Annotated[bool, flag("--json", "One line of JSON a frame on standard output, nothing else.")] = False,
+    as_json: Annotated[
+        bool, flag("--json", "Print one line of JSON per frame on standard output, nothing else.")
+    ] = False,
 ) -> None:
-    """Say which tags a camera sees, where and how exactly, and what is wrong."""
+    """Print the tags that a camera sees, with ranges, bearings and their deviations, and what is wrong."""
     _need_packages()
     from tfg_drake.vision.annotated import annotated
     from tfg_drake.vision.frames import frames as all_frames
@@ -78,7 +80,7 @@ def check(
             else:
                 print(f"{frame.name}: {_row(sighting.detections)}", flush=True)
             for remark in sighting.remarks:
-                # Once only from a live camera, which would say it with every frame.
+                # Print it once for a live camera, which repeats it in every frame.
                 if not (live and remark in told):
                     print(f"{frame.name}: {remark}", file=sys.stderr, flush=True)
                 told.add(remark)
@@ -100,7 +102,7 @@ def calibrate(
     square: Annotated[float, positive("M", "Side of a square.", "m")],
     out: Annotated[Path, option("FILE", "The calibration, as ROS's camera_info YAML.")],
 ) -> None:
-    """Calibrate a camera by views of a chessboard; show it tilted, near and at the edges."""
+    """Calibrate a camera from views of a chessboard; show it tilted, near, and at the edges of the image."""
     _need_packages()
     from tfg_drake.vision.calibration import save_calibration
     from tfg_drake.vision.chessboard import calibrated
@@ -122,7 +124,7 @@ def calibrate(
 
 
 def json_line(detections: TagDetections) -> str:
-    """One frame on a line: stamp, s; ids; range and its deviation, m; bearing and its deviation, rad."""
+    """Return one frame as a line: stamp, s; ids; range and its deviation, m; bearing and its deviation, rad."""
     names = ("ids", "range", "bearing", "sigma_range", "sigma_bearing")
     return json.dumps({"stamp": detections.stamp, **{name: getattr(detections, name).tolist() for name in names}})
 
@@ -130,7 +132,7 @@ def json_line(detections: TagDetections) -> str:
 def video_loader(
     calibration: Path, tag_size: float, mount: str, odometry: Path | None, show: Callable[[str], object]
 ) -> Callable[[Path], Recording]:
-    """Returns a loader of a video or a folder of images, for `tfg-drake slam`; the options are as given there."""
+    """Return a loader of a video or a folder of images for `tfg-drake slam`, with the options given there."""
     _need_packages()
     from tfg_drake.datasets.video import load_video
 
@@ -150,8 +152,8 @@ def _row(detections: TagDetections) -> str:
 
 
 def _need_packages() -> None:
-    """Ends the command where they are not there."""
-    # OpenCV would tell in many lines what is told in one.
+    """End the command if the extra `camera` is not installed."""
+    # Otherwise OpenCV prints many lines for one complaint.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     with command.installed("camera"):
         import robotpy_apriltag  # noqa: F401
@@ -162,7 +164,7 @@ def _tell(line: str) -> None:
 
 
 def _views(source: str, columns: int, rows: int) -> tuple[list[FloatArray], tuple[int, int]]:
-    """The corners of the board in each view that shows it anew, and the size of the images, pixels."""
+    """Return the corners of the board in each view that differs from the others, and the image size, pixels."""
     from tfg_drake.vision.chessboard import MOST_VIEWS, board_corners, is_new_view
     from tfg_drake.vision.frames import frames, is_live
 
@@ -214,7 +216,7 @@ def _mount(text: str) -> CameraMount:
 
 
 def _write(picture: Image, path: Path) -> None:
-    """Whole or not at all: somebody may be looking at the file before."""
+    """Write a picture atomically, as another program may be showing the file."""
     import PIL.Image
 
     from tfg_drake.io.files import write_atomic

@@ -1,4 +1,5 @@
-"""Shared by the commands: their options, how bad input ends one, its folder and exit code, and waiting for the user."""
+"""Code shared by the commands: options, complaints about bad input, output folders, exit codes, waiting for the
+user."""
 
 from __future__ import annotations
 
@@ -40,14 +41,13 @@ interruption = Interruption()
 
 
 def bad_input(message: str) -> NoReturn:
-    """Ends a command: the message goes to standard error, the exit code is 2."""
+    """End a command: the message goes to standard error, the exit code is 2."""
     raise BadInput(message)
 
 
 @contextlib.contextmanager
 def naming(what: str, kind: type[Exception]) -> Iterator[None]:
-    """Names what the user gave, such as an option, in the complaint about it. Raises BadInput in place of errors of a
-    kind."""
+    """Turn errors of one kind into a BadInput whose message begins with the user's input, such as an option."""
     try:
         yield
     except kind as error:
@@ -56,7 +56,7 @@ def naming(what: str, kind: type[Exception]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def installed(extra: str) -> Iterator[None]:
-    """While packages of an extra are imported. Raises BadInput where one is missing."""
+    """Turn an ImportError into a BadInput that says how to install the extra."""
     try:
         yield
     except ImportError as error:
@@ -64,37 +64,38 @@ def installed(extra: str) -> Iterator[None]:
 
 
 def one_line(message: str) -> str:
-    """A message that may quote a file: no terminal takes what is in it for an order."""
+    """Return a message on one line, with escaped control characters: it may quote a file."""
     words = " ".join(message.split())
     return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
 
 
-# Arguments and options, as the help tells them, with what is wrong with their values.
+# Arguments and options with their help texts and checks.
 
 
 def option(metavar: str, told: str, *names: str, **given: Any) -> Any:
-    """An option with a value, as its help tells it; names: where they are not its parameter's. given: see typer."""
+    """Declare an option with a value and its help text; names: if they differ from the parameter's. given: see
+    typer."""
     return typer.Option(*names, metavar=metavar, help=told, **given)
 
 
 def flag(name: str, told: str, **given: Any) -> Any:
-    """An option that is given or not, likewise."""
+    """Declare an option without a value, with its help text."""
     return typer.Option(name, help=told, **given)
 
 
 def argument(metavar: str | None, told: str, **given: Any) -> Any:
-    """An argument, likewise; metavar: None for its parameter's name."""
+    """Declare an argument with its help text; metavar: None for its parameter's name."""
     return typer.Argument(metavar=metavar, help=told, **given)
 
 
 def check_positive(option: str, value: float, unit: str) -> None:
-    """Raises BadInput unless the value of an option is greater than 0."""
+    """Raise BadInput unless the value of an option is greater than 0."""
     if not (math.isfinite(value) and value > 0.0):
         bad_input(f"{option} {value:g}: must be greater than 0 {unit}")
 
 
 def positive(metavar: str, told: str, unit: str = "") -> Any:
-    """An option whose value, of a unit, must be greater than 0."""
+    """Declare an option whose value, in a unit, must be greater than 0."""
 
     def checked(parameter: typer.CallbackParam, value: float | None) -> float | None:
         if value is not None:
@@ -105,21 +106,21 @@ def positive(metavar: str, told: str, unit: str = "") -> Any:
 
 
 def checked_rate(rate: float) -> float:
-    """The number of --realtime-rate. Raises BadInput."""
+    """Return the value of --realtime-rate. Raises BadInput if it is negative or not finite."""
     if not (math.isfinite(rate) and rate >= 0.0):
         bad_input(f"--realtime-rate {rate:g}: must be 0 (no limit) or more")
     return rate
 
 
 def checked_seed(seed: int | None) -> int | None:
-    """The number of --seed. Raises BadInput."""
+    """Return the value of --seed. Raises BadInput if it is out of range."""
     if seed is not None and not 0 <= seed < 2**31:
         bad_input(f"--seed {seed}: must be between 0 and 2147483647")
     return seed
 
 
 def _spacing(text: str) -> float:
-    """Metres between tags, inf for none."""
+    """Return the distance between tags, m; inf for no tags."""
     if text == "none":
         return math.inf
     try:
@@ -133,7 +134,7 @@ def _spacing(text: str) -> float:
 
 
 def parse_place(option: str, text: str, form: str = "X,Y,YAW") -> list[float]:
-    """The numbers of an option, m and rad. Raises BadInput."""
+    """Return the numbers of an option, m and rad. Raises BadInput if they do not have the form."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -149,31 +150,32 @@ def parse_place(option: str, text: str, form: str = "X,Y,YAW") -> list[float]:
 
 
 def parse_start(text: str | None) -> list[float] | None:
-    """The place that --start says, x, y (m) and yaw (rad)."""
+    """Return x, y (m) and yaw (rad) of --start."""
     return None if text is None else parse_place("--start", text)
 
 
 World = Annotated[Path | None, option("FILE", "Other walls: a scenario, a map_server .yaml or a *.vectormap.txt.")]
 TagSpacing = Annotated[
     float | None,
-    option("M|none", "Place tags along every reachable surface, this far apart, or none at all.", parser=_spacing),
+    option("M|none", "Place a tag every M metres along each reachable surface; none removes all.", parser=_spacing),
 ]
-Start = Annotated[str | None, option("X,Y,YAW", "Where to start in W, m and rad.")]
-MaxTime = Annotated[float, positive("S", "Give up after S simulated seconds.", "s")]
+Start = Annotated[str | None, option("X,Y,YAW", "Start pose in the world frame, m and rad.")]
+MaxTime = Annotated[float, positive("S", "End a mission after S seconds.", "s")]
 Settings = Annotated[list[str] | None, option("KEY=VALUE", "Change a key of the scenario; repeatable.", "--set")]
 AsJson = Annotated[bool, flag("--json", "Print the summary as the last line, on one line.")]
 RunArgument = Annotated[Path, argument("RUN", "The folder of a run.")]
-Host = Annotated[str, option("ADDRESS", "Where the page is served; 0.0.0.0 for other computers, too.")]
-PagePort = Annotated[int | None, option("N", "The page's port [default: 7000 or the next that is free].")]
+Host = Annotated[str, option("ADDRESS", "Address on which to serve the page; 0.0.0.0 lets other computers see it.")]
+PagePort = Annotated[int | None, option("N", "Port of the page [default: 7000 or the next free one].")]
 
 
 def group(name: str, told: str) -> typer.Typer:
-    """Commands under a name; told: what their help says of them."""
+    """Create a group of commands; told: its help text."""
     return typer.Typer(name=name, help=told, add_completion=False, rich_markup_mode=None)
 
 
 def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCommand]:
-    """A command whose help tells its options in groups, by their names; a group of none has those of no other."""
+    """Return a command class whose help lists parameters in groups, by name; an empty group lists all remaining
+    ones."""
 
     class Grouped(typer.core.TyperCommand):
         def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -186,19 +188,19 @@ def grouped_help(groups: dict[str, tuple[str, ...]]) -> type[typer.core.TyperCom
     return Grouped
 
 
-# The folder of a command, and its end.
+# The output folder of a command, and its end.
 
 
 def make_ready(out: Path | None, replayed: Path | None = None, read: Sequence[Path] = ()) -> None:
-    """Makes the folder of a run, if one is named; what is read may lie in it. Raises BadInput as `check_kept` does, and
-    where it cannot be written."""
+    """Create the folder of a run, if --out names one. replayed, read: input that may lie in it. Raises BadInput as
+    `check_kept` does, or if the folder cannot be written."""
     if out is not None:
         run_folder.check_kept(out, replayed, [file for file in read if file.is_file()])
         make_writable(out)
 
 
 def make_writable(folder: Path) -> None:
-    """Makes the folder that --out names. Raises BadInput where it cannot be written, or somebody writes in it."""
+    """Create the folder that --out names. Raises BadInput if it cannot be written or another process writes in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -209,14 +211,14 @@ def make_writable(folder: Path) -> None:
         bad_input(f"--out {folder}: permission denied; name a folder that can be written")
     try:
         with run_folder.claimed(folder):
-            pass  # Better now than when the robot is connected.
+            pass  # Complain now, before the robot is connected.
     except BlockingIOError as error:
         bad_input(f"--out {folder}: {error.strerror}")
 
 
 @contextlib.contextmanager
 def writing(named: object) -> Iterator[None]:
-    """While a file is written, which the command line names like this. Raises BadInput where it cannot be."""
+    """Turn an OSError while writing into a BadInput; named: the file or option as given on the command line."""
     try:
         yield
     except OSError as error:
@@ -224,25 +226,25 @@ def writing(named: object) -> Iterator[None]:
 
 
 def print_rows(rows: Sequence[tuple[str, str]], width: int = 12) -> None:
-    """A table of names and values."""
+    """Print a table of names and values."""
     for name, value in rows:
         print(f"{name:<{width}}{value}", flush=True)
 
 
 def end(summary: dict[str, Any], code: int, as_json: bool) -> NoReturn:
-    """Ends a command whose run has a summary."""
+    """End a command whose run has a summary, which is printed if as_json."""
     if as_json:
         print(json.dumps(summary), flush=True)
     raise typer.Exit(code)
 
 
 def end_unless_interrupted(code: int = 0) -> NoReturn:
-    """Ends a command that keeps what it has when it is interrupted."""
+    """End a command that keeps its partial results when interrupted."""
     raise typer.Exit(EXIT_CODES["interrupted"] if interruption.is_set() else code)
 
 
 def wait_for_enter() -> None:
-    """Until the user presses Enter or Ctrl-C; without a keyboard, until Ctrl-C. Not where a signal has told to end."""
+    """Wait for Enter or Ctrl-C; without a keyboard, for Ctrl-C. Return at once after SIGTERM or SIGHUP."""
     if interruption.is_set() and interruption.number != signal.SIGINT:
         return
     interruption.first = interruption.again = signal.default_int_handler

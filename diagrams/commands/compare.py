@@ -1,4 +1,4 @@
-"""`tfg-drake compare`: methods on the same seeds, and the report of them."""
+"""`tfg-drake compare`: runs methods on the same seeds and reports on them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def compare(
     tag_spacing: command.TagSpacing = None,
     start: command.Start = None,
     methods: Annotated[
-        str, option("NAME,...", "What to compare; the others are compared with the first.")
+        str, option("NAME,...", "The methods; the first is the reference for the others.")
     ] = "tfg,tfg-nearest,grid-nearest",
-    seeds: Annotated[int, option("N", "Every method runs on the seeds 0 to N - 1.")] = 10,
+    seeds: Annotated[int, option("N", "Run every method on the seeds 0 to N - 1.")] = 10,
     max_time: command.MaxTime = 3600.0,
     settings: command.Settings = None,
-    jobs: Annotated[int | None, option("N", "Missions at a time [default: 1].")] = None,
-    ray: Annotated[str | None, option("ADDRESS", "Run on a Ray cluster; local starts one here.")] = None,
-    out: Annotated[Path | None, option("DIR", "The folder [default: runs/<time>-compare-<scenario>].")] = None,
+    jobs: Annotated[int | None, option("N", "Run N missions at a time [default: 1].")] = None,
+    ray: Annotated[str | None, option("ADDRESS", "Run on a Ray cluster; local starts one on this machine.")] = None,
+    out: Annotated[Path | None, option("DIR", "Output folder [default: runs/<time>-compare-<scenario>].")] = None,
 ) -> None:
-    """Compare methods on the same seeds, and report; in the same DIR it goes on where it ended."""
+    """Compare methods on the same seeds and write a report. With the same DIR, continue an interrupted comparison."""
     if seeds < 1:
         bad_input(f"--seeds {seeds}: must be 1 or more")
     for setting in settings or []:
@@ -51,7 +51,7 @@ def compare(
         of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
         compared = parse_methods(methods, of_seed[0])
         given: dict[str, Any] = {"name": name, "world_name": str(world or scenario), "max_time": max_time}
-        # All methods of a seed before the next seed, so that a partial report compares like with like.
+        # All methods of a seed run before the next seed, so that a partial report compares equal seeds.
         tasks = [MissionRequest(one, method, **given) for one in of_seed for method in compared]
         if out is not None:
             command.make_writable(out)

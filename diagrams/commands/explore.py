@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # The map or the summary could not be written.
 NOT_WRITTEN = 4
-# How its options are told; (): those that are in no other group.
+# Groups of options in the help; (): all remaining ones.
 GROUPS: dict[str, tuple[str, ...]] = {
     "Arguments": ("scenario",),
     "The mission": (),
@@ -37,7 +37,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "A real robot, or a run": ("robot", "port", "preset", "bridge", "tags", "scan", "skip_checks"),
     "To look at it": ("headless", "host", "page_port", "meshcat"),
 }
-# Below them.
+# The help's last paragraph.
 ENDS = (
     "Example: tfg-drake explore house --seed 3 --realtime-rate 8. Exit codes: 0 ended as it should; 1 stuck or apart; "
     "2 bad input; 3 something failed; 4 nothing could be written; 130, 143, 129 interrupted."
@@ -52,11 +52,11 @@ def explore(
     tag_spacing: command.TagSpacing = None,
     start: command.Start = None,
     method: Annotated[
-        str, option("NAME", "What explores: tfg, grid-nearest, ... or a Python file that makes one.")
+        str, option("NAME", "Exploration method: tfg, grid-nearest, ... or a Python file with MakeExplorer.")
     ] = "tfg",
     robot: Annotated[
         str,
-        option("NAME", "What to drive: sim, a real robot (kobuki, ros2, rosbridge) or a run: replay:RUN_DIR."),
+        option("NAME", "The robot: sim, a real one (kobuki, ros2, rosbridge), or a recorded run, replay:RUN_DIR."),
     ] = "sim",
     port: Annotated[str | None, option("DEVICE", "The Kobuki's serial port.")] = None,
     preset: Annotated[str | None, option("NAME", "The robot on ROS: turtlebot2, 3, 4 or a YAML file.")] = None,
@@ -65,39 +65,38 @@ def explore(
         str | None,
         option(
             "SOURCE",
-            "A real robot's tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
+            "Source of tags: none, ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:DEVICE.",
         ),
     ] = None,
-    scan: Annotated[str | None, option("SOURCE", "Its scans, likewise, or rplidar:DEVICE or realsense:.")] = None,
-    skip_checks: Annotated[
-        bool, flag("--skip-checks", "Do not check battery, sensors and clocks before it may be enabled.")
-    ] = False,
-    seed: Annotated[
-        int | None, option("N", "Every random number comes from it.", callback=command.checked_seed)
+    scan: Annotated[
+        str | None,
+        option("SOURCE", "Source of scans: ros2:, rosbridge: or socket: as for tags, rplidar:DEVICE, realsense:."),
     ] = None,
+    skip_checks: Annotated[
+        bool, flag("--skip-checks", "Do not check battery, sensors and clocks before the wheels may be enabled.")
+    ] = False,
+    seed: Annotated[int | None, option("N", "Seed of all random numbers.", callback=command.checked_seed)] = None,
     known_map: Annotated[
-        Path | None, option("MAP", "Begin with a map of the building, a file or the folder of a run.", "--map")
+        Path | None, option("MAP", "Begin with a map of the building: a file or the folder of a run.", "--map")
     ] = None,
     at: Annotated[
         str | None,
-        option(
-            "X,Y,YAW", "Where in that map the robot is, m and rad, and how sure that is, if not to 0.5 m and 0.3 rad."
-        ),
+        option("X,Y,YAW", "The robot's pose in that map, m and rad; append its deviations if not 0.5 m and 0.3 rad."),
     ] = None,
-    headless: Annotated[bool, flag("--headless", "No page that shows it.")] = False,
-    meshcat: Annotated[bool, flag("--meshcat", "Draw it in Drake's Meshcat, too.")] = False,
+    headless: Annotated[bool, flag("--headless", "Serve no page.")] = False,
+    meshcat: Annotated[bool, flag("--meshcat", "Also draw the mission in Drake's Meshcat.")] = False,
     host: command.Host = "localhost",
     page_port: command.PagePort = None,
     realtime_rate: Annotated[
-        float, option("R", "At most R simulated seconds a second; 0 for no limit.", callback=command.checked_rate)
+        float, option("R", "At most R simulated seconds per second; 0: no limit.", callback=command.checked_rate)
     ] = 0.0,
     max_time: command.MaxTime = 3600.0,
     settings: command.Settings = None,
-    resume: Annotated[Path | None, option("RUN", "Go on with a mission that was cut short, from its folder.")] = None,
+    resume: Annotated[Path | None, option("RUN", "Continue an interrupted mission from its folder.")] = None,
     out: Annotated[Path | None, option("DIR", "The run's folder [default: runs/<time>-<scenario>-<seed>].")] = None,
     as_json: command.AsJson = False,
 ) -> None:
-    """Explore a building and map it, until nothing is left to gain."""
+    """Explore a building and map it."""
     replayed = replayed_run(robot)
     links = {"port": port, "preset": preset, "bridge": bridge, "tags": tags, "scan": scan}
     place = {"--world": world, "--tag-spacing": tag_spacing, "--start": start}
@@ -105,10 +104,10 @@ def explore(
         given = {"scenario": scenario, **place, "--seed": seed, "--set": settings, "--robot": replayed}
         method = method_resumed(resume, method, robot, given | {"--map": known_map, "--at": at})
     check_robot(robot, links, place, realtime_rate, checked=not skip_checks)
-    if method == "manual":  # Nobody drives faster.
+    if method == "manual":  # A person drives in real time.
         realtime_rate = realtime_rate or 1.0
     with contextlib.ExitStack() as page_stack, contextlib.ExitStack() as stack:
-        # Without a terminal nothing is said before all that was given is known to do.
+        # Without a terminal nothing is printed before all input is checked.
         show: Callable[[str], None] = stack.enter_context(Screen("loading" if sys.stdout.isatty() else ""))
 
         from tfg_drake.diagrams.methods import NamedMethod
@@ -143,7 +142,7 @@ def explore(
             cockpit = page_stack.enter_context(open_page(title, host, page_port, rate=of_clock, preview=not real))
             show = also_on_page(show, cockpit)
         show("loading")
-        # Before this process imports the rest: it shares the machine's time and memory with those who compile.
+        # Before the heavy imports: the compiling processes share the machine's time and memory.
         wait_for_kernels(show, command.interruption)
         if explorer.needs_keys:
             explorer = stack.enter_context(keys_of_driver(explorer, cockpit))
@@ -182,7 +181,7 @@ def explore(
 
 
 def _tell(result: RunResult) -> None:
-    """The closing table of a mission."""
+    """Print the closing table of a mission."""
     from tfg_drake.cockpit.page import FILE_NAME
     from tfg_drake.diagrams.missions.summary_words import table_rows
 
@@ -196,7 +195,7 @@ def _tell(result: RunResult) -> None:
 
 
 def parse_at(text: str | None) -> list[float] | None:
-    """The place that --at says, x, y (m) and yaw (rad), with its deviations, m and rad."""
+    """Return x, y (m) and yaw (rad) of --at, with the deviations of position (m) and yaw (rad)."""
     if text is None:
         return None
     form = "X,Y,YAW,SIGMA_M,SIGMA_RAD" if text.count(",") > 2 else "X,Y,YAW"
@@ -207,7 +206,7 @@ def parse_at(text: str | None) -> list[float] | None:
 
 
 def replayed_run(robot: str) -> Path | None:
-    """The folder of the run that is driven once more; None where it is none. Raises BadInput where it holds none."""
+    """Return the folder of the run to replay, None for other robots. Raises BadInput if it holds no run."""
     if not robot.startswith("replay:"):
         return None
     folder = Path(robot.removeprefix("replay:"))
@@ -217,8 +216,8 @@ def replayed_run(robot: str) -> Path | None:
 
 
 def method_resumed(run: Path, method: str, robot: str, given: dict[str, Any]) -> str:
-    """The method of a mission that is gone on with. Raises BadInput where there is none, where something is given that
-    it has already, or something is not that the run must not say by itself: a real robot, a file that is run."""
+    """Return the method of a resumed mission. Raises BadInput if there is none, if an option is given that the run
+    determines, or if one is missing that a checkpoint must not supply: a real robot, or a file of code."""
     from tfg_drake.storage.checkpoint import read_told
 
     told = read_told(run)
@@ -237,10 +236,8 @@ def method_resumed(run: Path, method: str, robot: str, given: dict[str, Any]) ->
 
 
 def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
-    """Sets which real robot is driven, those of its links that were given, and that its world is not the scenario's.
-
-    Raises DeviceError where one of them cannot be.
-    """
+    """Set a scenario's real robot and the given links, and clear its simulated world. Raises DeviceError if a link is
+    invalid."""
     from tfg_drake.diagrams.scenario import WorldConfig
     from tfg_drake.hardware.robot_devices import check_devices
 
@@ -254,7 +251,7 @@ def link(scenario: Scenario, robot: str, links: dict[str, str | None]) -> None:
 def check_robot(
     robot: str, links: dict[str, str | None], place: dict[str, Any], realtime_rate: float, *, checked: bool = True
 ) -> None:
-    """Raises BadInput: what fits a simulated robot only is refused for a real one, and the other way round."""
+    """Raise BadInput if options for simulated robots are given for a real one, or vice versa."""
     if robot not in ROBOTS:
         if not checked:
             bad_input(f"--skip-checks: is for a real robot; give --robot {', '.join(ROBOTS)} too")
@@ -273,8 +270,7 @@ def check_robot(
 
 
 def unreal_robot(name: str, replayed: Path | None, scenario: Scenario) -> Robot:
-    """The simulated robot, or that of the run that is driven once more; raises BadInput where that is in another
-    world."""
+    """Return the simulated robot, or the one that replays a run. Raises BadInput if that run has another world."""
     from tfg_drake.diagrams.robots import SIMULATED
 
     if replayed is None:
@@ -292,7 +288,7 @@ def unreal_robot(name: str, replayed: Path | None, scenario: Scenario) -> Robot:
 
 @contextlib.contextmanager
 def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
-    """The method manual with the keys of standard input and, if there is one, of the page."""
+    """Return the method manual, driven by the keys of standard input and of the page, if there is one."""
     from tfg_drake.diagrams.driven_explorers import MakeManualExplorer
     from tfg_drake.hardware.keyboard import Keyboard
     from tfg_drake.mission.manual_drive import HELP, KEYS
@@ -307,14 +303,14 @@ def keys_of_driver(method: Method, cockpit: Cockpit | None) -> Iterator[Method]:
 
 
 def open_meshcat() -> Meshcat:
-    """A Meshcat for this machine only, its address printed."""
+    """Start a Meshcat that serves this machine only, and print its address."""
     from pydrake.common import use_native_cpp_logging
     from pydrake.geometry import Meshcat, MeshcatParams
 
-    # Its server logs when it ends. By way of Python it would wait for Python's lock, which its destructor holds while
-    # it waits for the server. And what it says of its address is said here.
+    # The server logs when it ends. Through Python's logging it would wait for the GIL, which the destructor holds while
+    # it waits for the server. The address that it logs is printed here.
     logging.getLogger("drake").setLevel(logging.ERROR)
-    with contextlib.suppress(RuntimeError):  # Somebody has set up Drake's log already.
+    with contextlib.suppress(RuntimeError):  # Drake's log is set up already.
         use_native_cpp_logging()
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     say(f"Meshcat: {meshcat.web_url()}")
@@ -322,7 +318,7 @@ def open_meshcat() -> Meshcat:
 
 
 def also_on_page(show: Callable[[str], object], cockpit: Cockpit) -> Callable[[str], None]:
-    """Wraps show: its lines go to the page, too, until the mission begins."""
+    """Wrap show so that its lines also go to the page until the mission begins."""
 
     def both(word: str) -> None:
         show(word)

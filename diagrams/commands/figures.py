@@ -1,4 +1,4 @@
-"""`tfg-drake figures`: the paper's figures and tables from missions of our own."""
+"""`tfg-drake figures`: reproduces the paper's figures and tables."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tfg_drake.diagrams.screen import Screen
 
 
 def figures(
-    out: Annotated[Path, option("DIR", "Where to write them.")] = Path("figures"),
+    out: Annotated[Path, option("DIR", "Output folder.")] = Path("figures"),
 ) -> None:
-    """The paper's figures and tables from missions of our own: gains, priors, the TFG, its growth, maps, coverage,
-    errors, a disturbance, Tables I and II, and paper.md, which sets each beside what the paper says."""
+    """Reproduce the paper's figures and tables with our own missions: gains, priors, the TFG, its growth, maps,
+    coverage, errors, a disturbance, Tables I and II, and paper.md, which compares each with the paper."""
     command.make_writable(out)
     with Screen("loading") as show:
         wait_for_kernels(show, command.interruption)

@@ -1,4 +1,4 @@
-"""`tfg-drake fork`: a run's other future, and how it differs from the one that was."""
+"""`tfg-drake fork`: repeats a run to a stage, continues with another goal, and compares both."""
 
 from __future__ import annotations
 
@@ -16,21 +16,25 @@ from tfg_drake.diagrams.screen import Screen
 if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.fork import Candidate
 
-# So many candidates of the stage are shown.
+# Number of the stage's candidates to print.
 SHOWN = 5
 
 
 def fork(
     run: Annotated[Path, argument("RUN", "The folder of a simulated run.")],
-    stage: Annotated[int, option("N", "The stage whose goal is another.")],
-    goal: Annotated[str | None, option("X,Y", "Drive there instead, in W, m, to the place next to it.")] = None,
-    candidate: Annotated[int | None, option("K", "Or to this of the stage's candidates, 1 for the most gain.")] = None,
+    stage: Annotated[int, option("N", "The stage whose goal is changed.")],
+    goal: Annotated[
+        str | None, option("X,Y", "Drive to the reachable place nearest to this one in the world frame, m.")
+    ] = None,
+    candidate: Annotated[
+        int | None, option("K", "Or drive to the stage's K-th candidate; 1 has the most gain.")
+    ] = None,
     out: Annotated[
         Path | None, option("DIR", "The fork's folder [default: runs/<time>-<scenario>-fork-<seed>].")
     ] = None,
     as_json: command.AsJson = False,
 ) -> None:
-    """Say what a run would have done: drive it anew to a stage, on to another goal, and compare the two."""
+    """Repeat a simulated run to a stage, continue with another goal, and compare both."""
     if goal is not None and candidate is not None:
         bad_input("--goal and --candidate exclude each other; name one of them")
     place = None if goal is None else parse_place("--goal", goal, "X,Y")
@@ -55,7 +59,7 @@ def fork(
         )
         if change.failure is not None:
             if out is None:
-                shutil.rmtree(result.folder)  # Nothing of it is of use.
+                shutil.rmtree(result.folder)  # Its files are useless.
             raise change.failure
         forks.check_same(before, result.stages, stage)
     for line in aligned(candidate_rows(change.candidates)):
@@ -68,8 +72,8 @@ def fork(
 
 
 def candidate_rows(candidates: Sequence[Candidate]) -> list[tuple[str, ...]]:
-    """The stage's best candidates and the one that was chosen: number, place, gain and what it is made of (of known
-    landmarks, of new ones, the price of the pose), nats, time to get there."""
+    """Return rows of the stage's best candidates and of the chosen one: number, place, gain and its parts (known
+    landmarks, new landmarks, pose price), nats, travel time, s."""
     rows: list[tuple[str, ...]] = [("candidate", "x m", "y m", "gain", "known", "new", "price", "time s", "")]
     for number, one in enumerate(candidates, start=1):
         if number > SHOWN and not one.chosen:
@@ -82,6 +86,6 @@ def candidate_rows(candidates: Sequence[Candidate]) -> list[tuple[str, ...]]:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: the first column to the left, numbers to the right."""
+    """Format the lines of a table: the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]

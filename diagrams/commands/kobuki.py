@@ -1,4 +1,4 @@
-"""`tfg-drake kobuki`: a look at the base on its serial port, or an emulated one. Needs no Drake without a scenario."""
+"""`tfg-drake kobuki`: checks a Kobuki base, or emulates one. Needs no Drake without a scenario."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
 # Standard deviation of a range of the emulated scanner, m.
 LIDAR_NOISE = 0.01
-# How far `check --drive` goes, m, how fast, m/s, how it slows down, m/s^2, and how long that may take, s.
+# Distance of `check --drive`, m, its speed, m/s, its deceleration, m/s^2, and its time limit, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
-kobuki_app = command.group("kobuki", "The Kobuki base on its serial port, or an emulated one.")
+kobuki_app = command.group("kobuki", "Check a Kobuki base, or emulate one.")
 
 
 @kobuki_app.command()
 def check(
     port: Annotated[str, option("DEV", "The base's serial port.")] = "/dev/kobuki",
-    drive: Annotated[bool, flag("--drive", "Drive 20 cm ahead; make room for it.")] = False,
+    drive: Annotated[bool, flag("--drive", "Drive 20 cm ahead; make room for that.")] = False,
 ) -> None:
-    """Say how a base is: its versions, battery and sensors."""
+    """Print a base's firmware, battery, charger, bumper and cliff sensors."""
     from tfg_drake.hardware.kobuki.driver import connect
 
     with connect(port) as device:
@@ -45,7 +45,7 @@ def check(
 
 
 def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
-    """The base's newest messages; raises DeviceError where one does not come."""
+    """Return the base's newest messages. Raises DeviceError if one is missing."""
     from tfg_drake.hardware.device import BaseState, DeviceError
     from tfg_drake.messages import Hazards, Odometry
 
@@ -56,7 +56,7 @@ def _newest(device: Device) -> tuple[Odometry, Hazards, BaseState]:
 
 
 def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
-    """State of a connected base: names and values."""
+    """Return the state of a connected base as names and values."""
     from tfg_drake.hardware.remarks import where
 
     low = "; charge it" if state.battery_level != "good" else ""
@@ -75,7 +75,7 @@ def report_rows(state: BaseState, hazards: Hazards) -> list[tuple[str, str]]:
 
 
 def _drive_ahead(device: Device) -> str:
-    """Drives DISTANCE ahead and says how that went; raises DeviceError where something is in the way."""
+    """Drive DISTANCE ahead and return a line with the motion. Raises DeviceError if something is in the way."""
     from tfg_drake.geometry.se2 import between
     from tfg_drake.hardware.device import DeviceError
 
@@ -99,23 +99,23 @@ def _drive_ahead(device: Device) -> str:
 
 @kobuki_app.command()
 def emulate(
-    world: Annotated[str, option("none|SCENARIO", "Where it stands: on an empty plane, or in a scenario.")] = "none",
+    world: Annotated[str, option("none|SCENARIO", "The world: an empty plane, or that of a scenario.")] = "none",
     sensors: Annotated[
-        bool, flag("--sensors", "With an RPLidar on a device of its own, and a camera in the network.")
+        bool, flag("--sensors", "Also emulate an RPLidar on its own device, and a network camera.")
     ] = False,
 ) -> None:
-    """Emulate a Kobuki until Ctrl-C; prints its device, then the address that serves its tags and scans.
+    """Emulate a Kobuki until Ctrl-C. Prints its device, then the address that serves its tags and scans.
 
-    With --sensors it prints three lines more: the scanner and the camera, as explore is told them, and where the camera
-    is shown a chessboard.
+    With --sensors it prints three more lines: the scanner and the camera as the options --scan and --tags of explore,
+    and the URL of the camera in front of a chessboard.
 
-    Lines on standard input make things happen to it, see docs/kobuki_emulator.md. At the end it prints its true pose.
+    Lines on standard input cause faults and events, see docs/kobuki_emulator.md. At the end it prints its true pose.
     """
     from tfg_drake.hardware.emulation.emulator import Emulator, order
 
     of, walls = _place(world)
     emulated = Emulator(walls, of.robot, of.tags, of.scan, of.seed)
-    # In the background of a terminal its input ends, or the whole program would be stopped.
+    # Ignored, so that in the background of a terminal the input ends instead of stopping the whole program.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     with contextlib.suppress(KeyboardInterrupt), emulated as emulator, contextlib.ExitStack() as stack:
         try:
@@ -131,7 +131,7 @@ def emulate(
                             print(answer, flush=True)
                     except ValueError as error:
                         print(f"tfg-drake: {error}", file=sys.stderr, flush=True)
-            # Not an event's wait: interrupted just as it begins, that leaves its lock and says so (RuntimeError).
+            # Not Event.wait: interrupted as it begins, it releases a lock twice (RuntimeError).
             while True:
                 time.sleep(0.1)
         finally:
@@ -140,7 +140,7 @@ def emulate(
 
 @contextlib.contextmanager
 def _own_sensors(emulator: Emulator, name: str, world: World) -> Iterator[dict[str, Callable[[], None]]]:
-    """An RPLidar and a camera on the base, told; what may be ordered of them, by the order's words."""
+    """Emulate an RPLidar and a camera on the base and print their addresses; yields their commands by name."""
     from tfg_drake.hardware.emulation.rplidar_emulator import RplidarEmulator
     from tfg_drake.world.world import WorldError
 
@@ -161,7 +161,7 @@ def _own_sensors(emulator: Emulator, name: str, world: World) -> Iterator[dict[s
 
 
 def _place(name: str) -> tuple[Scenario, World]:
-    """The scenario of that name and its world; an empty plane for none."""
+    """Return the scenario of a name and its world; an empty plane for `none`."""
     from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
     from tfg_drake.hardware.emulation.emulator import empty_plane
 
