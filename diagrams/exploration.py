@@ -294,8 +294,7 @@ class Exploration:
         return self._mission.true_poses() or (np.zeros(0), np.zeros((0, 3)))
 
     def advance(self, seconds: float = math.inf) -> Exploration:
-        """Simulate for `seconds` more, at most to the mission's end or until the simulator's monitor stops; returns
-        self.
+        """Simulate for `seconds` more, to the mission's end, or until the simulator's monitor stops. Returns self.
 
         Raises:
             ValueError: seconds is negative.

@@ -1,4 +1,4 @@
-"""`tfg-drake map`: what is in a saved map, a look at it, other formats, two as one, another frame. Needs no Drake."""
+"""`tfg-drake map`: describes, shows, exports, locates, merges and aligns saved maps. Needs no Drake."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class Format(NamedTuple):
-    """The suffix of a format, and what makes its contents of a saved map: a module in tfg_drake, and its function."""
+    """Suffix of a format, and the module in tfg_drake and its function that make the contents of a saved map."""
 
     suffix: str
     module: str = ""
     function: str = ""
 
 
-# By their names; of those with one suffix the first is its own.
+# Formats by name; the first one with a suffix is that suffix's default.
 FORMATS = {
     "csv": Format(".csv", "mapfile.landmark_table", "landmark_csv"),
     "dxf": Format(".dxf", "mapfile.dxf", "dxf_text"),
@@ -46,9 +46,9 @@ FORMATS = {
     "wpilib": Format(".json", "mapfile.tag_layout", "wpilib_json"),
 }
 SUFFIXES = tuple(dict.fromkeys(one.suffix for one in FORMATS.values()))
-# Of the formats of two files, the suffix of the second.
+# Suffix of the second file of formats with two files.
 BESIDE = {"gtsam": ".values", "map_server": ".pgm"}
-# What says nothing of walls, and what has the poses besides.
+# Formats without walls, and formats with poses.
 OF_TAGS, OF_GRAPH = ("csv", "tagslam", "apriltag_ros", "wpilib"), ("g2o", "gtsam")
 _NAMED = ", ".join(name if f".{name}" == one.suffix else f"{name} ({one.suffix})" for name, one in FORMATS.items())
 
@@ -69,13 +69,13 @@ NewMap = Annotated[Path, argument("OUT", "The map to write, a .npz file.", callb
 
 map_app = command.group(
     "map",
-    "Look at a saved map, write it in another format, find one in another, merge two, or move one to another frame.",
+    "Describe, show, export, locate, merge or align saved maps.",
 )
 
 
 @map_app.command()
 def info(map_file: MapArgument) -> None:
-    """Say what is in a map."""
+    """Print the contents of a map."""
     from rich.console import Console
     from rich.table import Table
 
@@ -103,9 +103,9 @@ def view(map_file: MapArgument) -> None:
 @map_app.command()
 def export(
     map_file: MapArgument,
-    out: Annotated[Path, argument("OUT", "The file to write; its suffix says the format.")],
+    out: Annotated[Path, argument("OUT", "The file to write; its suffix determines the format.")],
     name: Annotated[
-        str | None, option("NAME", f"The format; by default the first with OUT's suffix: {_NAMED}.", "--format")
+        str | None, option("NAME", f"The format; by default the first one with OUT's suffix: {_NAMED}.", "--format")
     ] = None,
     tag_height: Annotated[
         float, positive("M", "Height of the tags' centres (tagslam, apriltag_ros, wpilib).", "m")
@@ -117,7 +117,7 @@ def export(
 ) -> None:
     """Write a map in another format.
 
-    A grid (map_server) has its image beside OUT, and a mask of the run's keep-out areas; a graph (gtsam) its .values.
+    map_server also writes an image, and a mask of the run's keep-out areas, beside OUT; gtsam also writes .values.
     """
     from tfg_drake.mapfile.summary import landmark_counts
 
@@ -151,7 +151,7 @@ def export(
 
 
 def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
-    """Raises BadInput where a format has nothing to say of the map."""
+    """Raise BadInput if the export would be empty."""
     if name in OF_TAGS:
         from tfg_drake.mapfile.tag_layout import left_out
 
@@ -164,7 +164,7 @@ def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
 
 
 def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> None:
-    """Write the file, or both, of a format that is made of the map and of arguments."""
+    """Write one or two files of a format from the map and further arguments."""
     _, module, function = FORMATS[name]
     with command.installed("export"):
         made = importlib.import_module(f"tfg_drake.{module}")
@@ -178,7 +178,7 @@ def _write(saved: SavedMap, out: Path, name: str, arguments: list[object]) -> No
 
 
 def _beside(map_file: Path) -> Any:
-    """The scenario of a run, beside its map, as it was parsed; an empty one where there is none."""
+    """Return the parsed scenario file beside a run's map, {} if there is none."""
     from tfg_drake.io.yaml_text import parse_yaml
 
     with contextlib.suppress(OSError, ValueError):
@@ -187,8 +187,7 @@ def _beside(map_file: Path) -> Any:
 
 
 def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
-    """Writes Nav2's keep-out mask beside a grid, where the scenario beside a run's map has areas to keep out of, and
-    returns its files."""
+    """Write Nav2's keep-out mask beside a grid if the scenario of the run has keep-out areas; returns the files."""
     import numpy as np
 
     from tfg_drake.mapfile.occupancy_grid import keep_out_files
@@ -197,7 +196,7 @@ def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
     with contextlib.suppress(ValueError, LookupError, TypeError):
         rings = _beside(map_file)["explorer"]["keep_out"]
         areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in rings]
-    if not areas or map_file.name != "map.npz":  # One of another name may have been moved to another frame.
+    if not areas or map_file.name != "map.npz":  # A map of another name may lie in another frame.
         return []
     files = [out.with_name(f"{out.stem}_keepout{suffix}") for suffix in (".pgm", ".yaml")]
     text, image = keep_out_files(saved, areas, files[0].name)
@@ -207,12 +206,12 @@ def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
 
 
 def _tag_size(map_file: Path) -> float:
-    """Size of the tags of a run, m, by its scenario beside the map. Raises BadInput."""
+    """Return the size of a run's tags, m, from the scenario beside its map. Raises BadInput if it is not stated."""
     with contextlib.suppress(ValueError, LookupError, TypeError, AttributeError):
         scenario = _beside(map_file)
         if scenario["hardware"]["tags"].startswith("camera:"):
             return float(scenario["hardware"]["camera"]["tag_size"])
-        if map_file.with_name("truth.tum").exists():  # It was simulated.
+        if map_file.with_name("truth.tum").exists():  # A simulated run.
             return float(scenario["camera"]["tag_size"])
     bad_input(
         f"{map_file}: nothing beside it says how large the tags are; give the side of their black squares, --tag-size M"
@@ -237,7 +236,7 @@ def _write_page(saved: SavedMap, map_file: Path, out: Path) -> None:
 
 @map_app.command()
 def merge(first: MapArgument, second: OtherMap, out: NewMap) -> None:
-    """Make one map of MAP and OTHER, which are of the same place, in the frame of MAP."""
+    """Merge MAP and OTHER, two maps of one building, into OUT, in the frame of MAP."""
     from tfg_drake.mapfile.merge import merge as merged
     from tfg_drake.mapfile.summary import landmark_counts
 
@@ -254,7 +253,7 @@ def merge(first: MapArgument, second: OtherMap, out: NewMap) -> None:
 
 @map_app.command()
 def locate(map_file: MapArgument, other: OtherMap) -> None:
-    """Say where OTHER lies in MAP, in its world frame, and how sure that is; exit code 1 where it is not known."""
+    """Print where OTHER begins in the world frame of MAP, with probabilities; exit code 1 if the place is not found."""
     from tfg_drake.bad_input import BadInput
     from tfg_drake.geometry.se2 import compose
     from tfg_drake.mapfile.placement import places_of
@@ -285,10 +284,10 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
 def align(
     map_file: MapArgument,
     out: NewMap,
-    tags: Annotated[Path | None, option("FILE", "Surveyed tags, a .csv: id,x_m,y_m.")] = None,
-    plan: Annotated[Path | None, option("FILE", "A plan of the walls, a map_server .yaml.")] = None,
+    tags: Annotated[Path | None, option("FILE", "Surveyed tags, a .csv with id,x_m,y_m.")] = None,
+    plan: Annotated[Path | None, option("FILE", "A floor plan, a map_server .yaml.")] = None,
 ) -> None:
-    """Put a map in the frame of surveyed tags or of a plan."""
+    """Move a map into the frame of surveyed tags or of a floor plan."""
     from tfg_drake.mapfile.survey import in_plan, in_survey, read_survey
     from tfg_drake.world.map_server import load_map_server
 
@@ -322,7 +321,7 @@ def _load(path: Path) -> SavedMap:
 
 @contextlib.contextmanager
 def _timeline(saved: SavedMap, path: Path) -> Iterator[Path]:
-    """A file, deleted afterwards, with the timeline that the page shows of a map."""
+    """Write the timeline with which the page shows a map into a temporary file."""
     from tfg_drake.storage.timeline import FILE_NAME, write_map_timeline
 
     with tempfile.TemporaryDirectory() as folder:

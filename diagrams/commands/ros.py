@@ -1,4 +1,4 @@
-"""`tfg-drake ros2`: a TurtleBot on the ROS 2 graph that is not there."""
+"""`tfg-drake ros2`: emulates a TurtleBot on the ROS 2 graph."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from tfg_drake.diagrams.commands.command import argument, bad_input, flag, optio
 if TYPE_CHECKING:
     from tfg_drake.hardware.emulation.emulated_turtlebot import EmulatedTurtlebot
 
-ros2_app = command.group("ros2", "A robot on a ROS 2 graph.")
+ros2_app = command.group("ros2", "Emulate a robot on a ROS 2 graph.")
 
 
 @ros2_app.command()
 def emulate(
-    scenario: Annotated[str, argument(None, "Where it stands: a shipped scenario or a YAML file.")] = "house",
+    scenario: Annotated[str, argument(None, "The world: a shipped scenario or a YAML file.")] = "house",
     seed: Annotated[int | None, option("N", "Seed of the emulated noise [default: the scenario's].")] = None,
-    network: Annotated[bool, flag("--network", "Join the whole network, not this machine only.")] = False,
+    network: Annotated[bool, flag("--network", "Use the whole network, not only this machine.")] = False,
 ) -> None:
-    """Emulate a TurtleBot 4 until Ctrl-C; prints its topics, and at its end the truth as one line of JSON, as it does
-    for a line `report` on its standard input.
+    """Emulate a TurtleBot 4 until Ctrl-C. Prints its topics and, at the end or for a line `report` on standard input,
+    the truth as one line of JSON.
 
-    Its preset is `emulated`: tags come as plain detections, because apriltag_msgs is not in every ROS. It keeps to this
-    machine, because a real robot in the network would obey what is meant for it.
+    Its preset is `emulated`: tags come as PointCloud2, as not every ROS has apriltag_msgs. By default it stays on this
+    machine, as a real robot in the network would obey the same commands.
     """
     if seed is not None and seed < 0:
         bad_input(f"--seed {seed}: must be 0 or more")

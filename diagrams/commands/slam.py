@@ -1,4 +1,4 @@
-"""`tfg-drake slam`: a recording mapped."""
+"""`tfg-drake slam`: maps a recording."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ def slam(
             "folder, a .g2o file or, with --calibration, a video or folder of images.",
         ),
     ],
-    robot: Annotated[int | None, option("N", "The robot to map with, if there are several.")] = None,
+    robot: Annotated[int | None, option("N", "Number of the robot, if the recording has several.")] = None,
     calibration: Annotated[
-        Path | None, option("FILE", "A video's camera calibration: OpenCV's YAML or ROS's camera_info.")
+        Path | None, option("FILE", "Camera calibration of a video: OpenCV's YAML or ROS's camera_info.")
     ] = None,
     tag_size: Annotated[float | None, positive("M", "Side of the tags' black square.", "m")] = None,
     mount: Annotated[
-        str, option("X,Y,YAW,PITCH", "The camera on what moves, m and rad; pitch is downward.")
+        str, option("X,Y,YAW,PITCH", "Pose of the camera on the moving body, m and rad; pitch is downward.")
     ] = "0,0,0,0",
     odometry: Annotated[
-        Path | None, option("FILE", "A video's odometry: a TUM trajectory, or a CSV of time, x, y, heading.")
+        Path | None, option("FILE", "Odometry of a video: a TUM trajectory, or a CSV of time, x, y, heading.")
     ] = None,
     method: Annotated[
         str | None,
         option("walls|grid", "How to map a laser recording: walls as landmarks, or GMapping. [walls]"),
     ] = None,
     relations: Annotated[
-        Path | None, option("FILE", "Relations of poses to compare a laser recording's map with.")
+        Path | None, option("FILE", "Reference relations between poses, for the errors of a laser recording.")
     ] = None,
     odometry_noise: Annotated[
-        float | None, positive("K", "Odometry errors drawn for a corrected CARMEN log, times the usual. [1]")
+        float | None, positive("K", "Factor on the odometry errors drawn for a corrected CARMEN log. [1]")
     ] = None,
     seed: Annotated[
         int | None,
@@ -52,15 +52,15 @@ def slam(
         ),
     ] = None,
     settings: command.Settings = None,
-    page: Annotated[bool, flag("--page", "A page that shows how a laser recording is mapped.")] = False,
-    meshcat: Annotated[bool, flag("--meshcat", "Draw that in Drake's Meshcat, too.")] = False,
+    page: Annotated[bool, flag("--page", "Show the mapping of a laser recording on a page.")] = False,
+    meshcat: Annotated[bool, flag("--meshcat", "Show it in Drake's Meshcat.")] = False,
     realtime_rate: Annotated[
-        float, option("R", "At most R recorded seconds a second; 0 for no limit.", callback=command.checked_rate)
+        float, option("R", "At most R recorded seconds per second; 0: no limit.", callback=command.checked_rate)
     ] = 0.0,
     out: Annotated[Path | None, option("DIR", "The run's folder [default: runs/<time>-<data set>].")] = None,
     as_json: command.AsJson = False,
 ) -> None:
-    """Map what was recorded: a mission without wheels, of a laser recording, or the estimator alone on other data."""
+    """Map a recording: a laser recording as a mission that plays it, other data by the estimator alone."""
     is_video = calibration is not None or tag_size is not None
     if is_video and (calibration is None or tag_size is None):
         bad_input("slam: a video needs both --calibration FILE and --tag-size M")

@@ -1,4 +1,4 @@
-"""`tfg-drake tags`: tags to print, and where to hang them."""
+"""`tfg-drake tags`: prints tags, and advises where to hang them."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from tfg_drake.messages import BoolArray, FloatArray
     from tfg_drake.world.tag_advice import Advice
 
-tags_app = command.group("tags", "Tags to hang up.")
+tags_app = command.group("tags", "Print tags, or find the best places for them.")
 
 
 @tags_app.command("print")
 def print_tags(
-    ids: Annotated[str, option("LIST", "Of the family tag36h11, such as 0-99 or 3,5,10-12.")],
+    ids: Annotated[str, option("LIST", "Ids of the family tag36h11, such as 0-99 or 3,5,10-12.")],
     out: Annotated[Path, option("FILE", "The PDF to write.")],
-    size: Annotated[float, option("M", "Side of the black square.")] = 0.16,
+    size: Annotated[float, option("M", "Side of the black square, m.")] = 0.16,
 ) -> None:
-    """Write tags to a PDF of A4 pages, with cut marks. Print it at 100 %, and check the size with a rule."""
+    """Write tags to a PDF of A4 pages, with cut marks. Print it at 100 %, and check the size with a ruler."""
     with command.installed("camera"):
         from tfg_drake.vision import tag_sheets
     with command.naming("--ids ", tag_sheets.SheetError):
@@ -42,17 +42,17 @@ def print_tags(
 @tags_app.command()
 def advise(
     run: Annotated[
-        Path | None, argument("RUN", "The folder of a mission: tags to add to those that it mapped.")
+        Path | None, argument("RUN", "The folder of a mission, to whose mapped tags others are added.")
     ] = None,
     world: Annotated[
         Path | None, option("FILE", "The walls: a scenario, a map_server .yaml or a *.vectormap.txt.")
     ] = None,
-    start: Annotated[str | None, option("X,Y,YAW", "Where the robot will start, m and rad.")] = None,
-    count: Annotated[int, option("N", "How many tags to hang.")] = 40,
-    fresh: Annotated[bool, flag("--fresh", "As if none of FILE's tags hung.")] = False,
+    start: Annotated[str | None, option("X,Y,YAW", "Start pose of the robot, m and rad.")] = None,
+    count: Annotated[int, option("N", "Number of tags to place.")] = 40,
+    fresh: Annotated[bool, flag("--fresh", "Ignore the tags of the world file.")] = False,
     out: Annotated[Path, option("FILE", "The world with the tags, for explore --world.")] = Path("advised.yaml"),
 ) -> None:
-    """Say where to hang tags so that the robot knows best where it is, the most useful first."""
+    """Find places for tags that make the robot's position most certain, the most useful first."""
     from tfg_drake.io.files import write_atomic
 
     if (run is None) == (world is None):
@@ -78,7 +78,7 @@ def advise(
         if world is not None and out.exists() and world.exists() and out.samefile(world):
             bad_input(f"--out {out}: is the world that is read; name another file")
         mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
-        # Small dense operations are many times slower when BLAS spreads them over a busy machine's cores.
+        # Small dense operations are many times slower when BLAS spreads them over the cores of a busy machine.
         with command.naming(f"{run or world}: ", WorldError), threadpool_limits(limits=1):
             on_tag = lambda n: show(f"{n} of {count} tags")  # noqa: E731
             advice = advise_tags(MakeWorld(scenario.world), count, mapper, floor=floor, on_tag=on_tag)
@@ -98,7 +98,7 @@ def advise(
 
 
 def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
-    """The scenario of a mission with the world as the robot mapped it, and what of it is floor."""
+    """Return the scenario of a mission with the mapped world, and a function that tells which points are free space."""
     import numpy as np
 
     from tfg_drake.diagrams.scenario import LoadScenario, MakeWorldConfig
@@ -115,7 +115,7 @@ def _of_run(folder: Path) -> tuple[Scenario, Callable[[FloatArray], BoolArray]]:
 
 
 def _world_yaml(scenario: Scenario, ids: list[int], advice: Advice) -> str:
-    """The world with the advised tags, as a scenario file."""
+    """Return a scenario file of the world with the advised tags."""
     from tfg_drake.io.yaml_text import dump_yaml
 
     world = dataclasses.asdict(scenario.world)

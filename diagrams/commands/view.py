@@ -1,4 +1,4 @@
-"""`tfg-drake view` and `tfg-drake export`: a run's folder as a page or a film."""
+"""`tfg-drake view` and `tfg-drake export`: show a run on a page, or write it as a page or a video."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tfg_drake.io.files import of_run, read_bytes, reading
 
 
 def view(run: command.RunArgument, host: command.Host = "localhost", port: command.PagePort = None) -> None:
-    """Show a mission that has ended, or is under way, with a slider for the time."""
+    """Show a finished or running mission on a page, with a slider for the time."""
     from tfg_drake.cockpit.page_forks import PageForks
     from tfg_drake.diagrams.missions.page import open_page
 
@@ -33,7 +33,7 @@ def view(run: command.RunArgument, host: command.Host = "localhost", port: comma
 def export(
     run: command.RunArgument, out: Annotated[Path, argument("OUT", "The file to write: .html, .gif, .mp4.")]
 ) -> None:
-    """Write a mission as one page that needs nothing else, with a slider for the time, or as a film."""
+    """Write a mission as a self-contained page with a slider for the time, or as a video."""
     from tfg_drake.cockpit.browser import write_gif, write_mp4
     from tfg_drake.cockpit.page import export_page, viewer_script
 
@@ -63,7 +63,7 @@ def _timeline(run: Path) -> Path:
 
 
 def is_under_way(run: Path) -> bool:
-    """True while a mission writes the run."""
+    """Return True while a mission writes the run."""
     try:
         with claimed(run if run.is_dir() else run.parent):
             return False
@@ -72,7 +72,7 @@ def is_under_way(run: Path) -> bool:
 
 
 def can_fork(run: Path) -> bool:
-    """True if a folder holds a run that can be forked at its first stage; see `forkable`."""
+    """Return True if the folder holds a run that can be forked at its first stage; see `forkable`."""
     from tfg_drake.diagrams.missions.fork import forkable
 
     try:
