@@ -1,4 +1,4 @@
-"""The whole of a mission in one diagram: station, explorer, and who looks on."""
+"""The diagram of a mission: station, explorer, recorders and operator."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
-    """Connects what a station senses to the explorer's inputs of the same names, and the explorer's command, and the
-    pose that it goes by, to the station."""
+    """Connect the station's outputs to the explorer's inputs of the same names, and the explorer's command and pose to
+    the station."""
     for name in (explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())):
         if of_station(name):
             builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
@@ -49,12 +49,12 @@ def MakeMissionDiagram(
     timeline: TimelineWriter | None = None,
     operated: Sequence[Callable[[], Sequence[Request]]] = (),
 ) -> tuple[Diagram, VectorLogSink | None, VectorLogSink, VectorLogSink]:
-    """Station and explorer, drawn in a Meshcat if there is one, recorded if there are writers, and under an operator if
-    the robot is real or there is what it is operated by, besides what the robot has itself; see Operator. A recorded
-    robot goes to the places that it was sent to then, and is told of the places where it was said to be.
+    """Make the diagram of station and explorer, drawn in Meshcat if one is given, recorded if writers are given, and
+    with an Operator if the robot is real or there are sources of requests. A recorded robot repeats the recorded
+    requests for goals and the recorded poses that it was told.
 
-    Returns the diagram and its logs of the true pose (x, y, theta, v, w in W), None where the station does not know
-    it, of the estimated one (PoseVector), and once a second of that with its covariance.
+    Returns the diagram and its logs: true pose (x, y, theta, v, w in W), None if the station does not know it;
+    estimated pose (PoseVector); once a second, the estimated pose with its covariance.
     """
     builder = DiagramBuilder()
     station = builder.AddNamedSystem("station", robot.MakeStation(scenario))
@@ -106,7 +106,7 @@ def _AddOperator(
     robot: Robot,
     operated: Sequence[Callable[[], Sequence[Request]]],
 ) -> Operator:
-    """Base and mission under an operator, as far as they have ports for that, but for requested_goal."""
+    """Add an Operator and connect it to base and mission as far as they have its ports, except requested_goal."""
     recalls, sources = explorer.HasInputPort("recall"), [*robot.operated, *operated]
     enabled = robot.enabled or not robot.real
     operator = builder.AddNamedSystem("operator", Operator(sources, recalls=recalls, enabled=enabled))

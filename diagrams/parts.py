@@ -1,4 +1,4 @@
-"""Parts of a diagram that a user may put in place of the usual ones: each comes from a factory, of one kind."""
+"""Replaceable parts of a diagram, each made by a factory."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ OUTPUTS: dict[str, dict[str, type | int]] = {
 
 
 def CheckFactory(role: str, factory: Factory | None) -> None:
-    """Raises TypeError where what is given for a part, called `role` in messages, is no function that makes one."""
+    """Raise TypeError if the value given for a part, called `role` in messages, is not a factory."""
     if factory is not None and (isinstance(factory, System) or not callable(factory)):
         kind = type(factory).__name__
         raise TypeError(f"{role}: must be a function that makes one, not a {kind}: write lambda scenario: ...")
 
 
 def PartsOf(scenario: Scenario) -> dict[str, Factory]:
-    """The factories that explorer.parts names, by their roles; a module may lie in the working folder.
+    """Return the factories that explorer.parts names, by role; a module may lie in the working folder.
 
-    Raises ScenarioError where there is nothing of that name.
+    Raises ScenarioError if a name does not exist.
     """
     names = dataclasses.asdict(scenario.explorer.parts)
     return {role: _FindFactory(f"explorer.parts.{role}", name) for role, name in names.items() if name}
 
 
 def _FindFactory(key: str, name: str) -> Factory:
-    """The function or class of a dotted name. Raises ScenarioError where there is none."""
+    """Return the function or class of a dotted name. Raises ScenarioError if there is none."""
     module, _, factory = name.rpartition(".")
     here = str(FilePath.cwd())
     if here not in sys.path:
@@ -58,10 +58,10 @@ def _FindFactory(key: str, name: str) -> Factory:
 
 
 def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scenario) -> System:
-    """The System that a factory makes for the scenario, or the usual one where there is none.
+    """Return the System that a factory makes for the scenario; without a factory, the default one.
 
-    Raises TypeError as CheckFactory does, and where the factory makes no system, or one that lacks an output which
-    others listen to.
+    Raises TypeError as CheckFactory does, and if the factory returns no System or one that lacks an output that other
+    systems read.
     """
     CheckFactory(role, factory)
     try:
@@ -77,7 +77,7 @@ def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scena
 
 
 def _CheckOutput(role: str, part: System, name: str, kind: type | int) -> None:
-    """Raises TypeError where a part has no such output, or a vector in place of a message, or the reverse."""
+    """Raise TypeError if a part lacks the output, or has a vector instead of a message there, or vice versa."""
     what = f"a vector of size {kind}" if isinstance(kind, int) else f"a message {kind.__name__}"
     called = f"{role} {type(part).__name__ if type(part) is not Diagram else part.get_name()}"
     if not part.HasOutputPort(name):

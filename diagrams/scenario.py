@@ -1,7 +1,7 @@
 """The scenario: everything that defines a run, as one tree of dataclasses read from YAML.
 
-A file is merged into the tree, and checked by the annotations of its fields on the way. This module has no `from
-__future__ import annotations`: the loader reads the types.
+A file is merged into the tree and checked by the annotations of the fields. This module has no `from __future__ import
+annotations`, as the loader reads the types.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ from tfg_drake.world.world import LONGEST, World, WorldError, check_world, wall_
 
 
 class ScenarioError(BadInput, ValueError):
-    """A scenario that cannot be used; the message is one line: file, place, what is wrong, how to mend it."""
+    """A scenario cannot be used; the message is one line: file, place, what is wrong, how to fix it."""
 
 
 @dataclasses.dataclass
@@ -73,17 +73,17 @@ class Scenario:
 
     @property
     def field_of_view(self) -> float:
-        """Field of view that tag sensor and scanner share, rad."""
+        """The field of view that tag sensor and scanner share, rad."""
         return min(self.tags.field_of_view, self.scan.field_of_view)
 
     @property
     def view(self) -> config.TagSensorConfig:
-        """The tag sensor no farther than the scanner sees: what exploring counts on, as frontiers end free space."""
+        """The tag sensor with its range limited to the scanner's, for exploration: frontiers bound free space."""
         return dataclasses.replace(self.tags, range=min(self.tags.range, self.scan.range))
 
 
 def FindScenario(name_or_path: str) -> Path:
-    """The file of a shipped scenario ("paper") or the path itself; raises ScenarioError if there is neither."""
+    """Return the file of a shipped scenario ("paper"), or the path itself. Raises ScenarioError if neither exists."""
     shipped = Path(str(importlib.resources.files("tfg_drake.diagrams"))) / "scenarios"
     path = shipped / f"{name_or_path}.yaml"
     if path.is_file():
@@ -101,13 +101,13 @@ def LoadScenario(
     scenario_name: str | None = None,
     defaults: Scenario | None = None,
 ) -> Scenario:
-    """The scenario in a YAML file or string, merged into `defaults` (Drake's convention for stations).
+    """Load a scenario from a YAML file or string, merged into `defaults` (Drake's convention for stations).
 
-    filename is a path or a shipped name; data, where both are given, is merged into what the file says. scenario_name
-    chooses a child of the document, of both documents. A document may name another
-    scenario as its `base:` (a shipped name, or a path relative to the document): it is loaded first and this one is
-    merged into it, lists replaced, sections key by key. Of a list of bases each is merged into the ones before it; only
-    the first may have a base of its own. Raises ScenarioError.
+    filename is a path or the name of a shipped scenario; data is merged into the file's contents if both are given.
+    scenario_name selects a child of each document. A document may name another scenario as its `base:` (a shipped name,
+    or a path relative to the document), which is loaded first; the document is merged into it, sections key by key,
+    while lists are replaced. In a list of bases each is merged into the ones before it; only the first may have a base
+    of its own. Raises ScenarioError.
     """
     if filename is None and data is None:
         raise ScenarioError("LoadScenario: give filename or data, or both")
@@ -161,13 +161,13 @@ def _LoadBase(
 
 
 def CheckScenario(scenario: Scenario, source: str = "scenario") -> None:
-    """Raises ScenarioError where a scenario has a value that a file could not give it; source: what it is called."""
+    """Raise ScenarioError if a scenario has a value that a file could not give it; source: its name in the message."""
     _Read(_Tree(scenario, source), source)
     _CheckWorld(scenario, source)
 
 
 def DumpScenario(scenario: Scenario) -> str:
-    """The scenario with all its values, as a file that LoadScenario reads."""
+    """Return a scenario with all values as YAML text for LoadScenario."""
     return dump_yaml(_Tree(scenario, "scenario"), sort_keys=False, default_flow_style=None)
 
 
@@ -183,8 +183,8 @@ def _Tree(value: typing.Any, source: str) -> typing.Any:
 
 
 def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenario:
-    """A copy of the scenario with settings such as "explorer.stop_gain=5" applied in order; raises ScenarioError, also
-    where the scenario has a value that no file could give it."""
+    """Return a copy of the scenario with settings such as "explorer.stop_gain=5" applied in order. Raises
+    ScenarioError, also if the scenario already has an invalid value."""
     CheckScenario(scenario)
     result = copy.deepcopy(scenario)
     for setting in settings:
@@ -217,8 +217,8 @@ def PrepareScenario(
     known_map: str | Path | None = None,
     known_at: typing.Sequence[float] | None = None,
 ) -> Scenario:
-    """A copy of a scenario, which is loaded if it is named, with settings, a map to begin with, a seed and a world of
-    its own; None: as it is. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
+    """Return a copy of a scenario, loaded if given by name, with settings, a known map, a seed and a world applied;
+    None leaves them unchanged. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
     own = [] if known_map is None else [f"explorer.known_map={Path(known_map).resolve()}"]
     own += [] if known_at is None else [f"explorer.known_at={list(known_at)}"]
     own += [] if seed is None else [f"seed={seed}"]
@@ -231,8 +231,8 @@ def PrepareScenario(
 
 
 def _Merge(tree: dict[str, typing.Any], defaults: Scenario, source: str) -> Scenario:
-    """A copy of a scenario with the values of a parsed file. Where that sees with a camera, tags and scan are what the
-    camera's data sheets say, before what the file says of them. Raises ScenarioError."""
+    """Return a copy of a scenario with the values of a parsed file. With `station.eyes: camera` the camera's data sheet
+    sets tags and scan first, and the file's values override it. Raises ScenarioError."""
     scenario = _Read(tree, source, copy.deepcopy(defaults))
     if tree.get("station", {}).get("eyes") == "camera":
         scenario.tags, scenario.scan = camera_sheets(scenario.camera, defaults.tags, defaults.scan)
@@ -247,7 +247,7 @@ def _Read(tree: typing.Any, source: str, defaults: Scenario | None = None) -> Sc
 
 @contextlib.contextmanager
 def _complaining(source: str) -> typing.Iterator[None]:
-    """Raises ScenarioError, with where a value comes from, in place of Misfit."""
+    """Turn Misfit into a ScenarioError that names the source of the value."""
     try:
         yield
     except Misfit as error:
@@ -255,7 +255,7 @@ def _complaining(source: str) -> typing.Iterator[None]:
 
 
 def MakeWorld(section: WorldConfig) -> World:
-    """The world of a scenario as arrays."""
+    """Make the World of a scenario's section."""
     return World(
         walls=np.array(section.walls, dtype=float).reshape(-1, 4),
         tag_ids=np.array([tag.id for tag in section.tags], dtype=np.int64),
@@ -266,20 +266,19 @@ def MakeWorld(section: WorldConfig) -> World:
 
 
 def HatchedKeepOut(scenario: Scenario) -> FloatArray:
-    """Outlines of the keep-out areas and hatching so dense that the robot fits nowhere in them: segments (k, 4), m in
-    W."""
+    """Return outlines of the keep-out areas with a hatching so dense that the robot fits nowhere inside: segments
+    (k, 4), m in W."""
     return hatched(_Areas(scenario), scenario.robot.radius)
 
 
 def _Areas(scenario: Scenario) -> list[FloatArray]:
-    """Corners (n, 2) of each keep-out area, m in W, without a last one that is the first again, as rings of GeoJSON
-    have it."""
+    """Return the corners (n, 2) of each keep-out area, m in W, without a repeated first corner at the end."""
     areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in scenario.explorer.keep_out]
     return [p[:-1] if len(p) > 1 and (p[0] == p[-1]).all() else p for p in areas]
 
 
 def AreasOutside(scenario: Scenario) -> list[str]:
-    """A line for each keep-out area that lies outside the building, as far as its walls reach."""
+    """Return a line for each keep-out area that lies outside the bounding box of the walls."""
     corners = np.array(scenario.world.walls, dtype=float).reshape(-1, 2)
     return [
         f"explorer.keep_out[{i}]: lies outside the building, so it bars nothing; is this meant?"
@@ -289,7 +288,7 @@ def AreasOutside(scenario: Scenario) -> list[str]:
 
 
 def MakeKeepOut(scenario: Scenario) -> FloatArray:
-    """HatchedKeepOut (k, 4), m in M. Raises ScenarioError where the robot starts in such an area, or where one reaches
+    """Return HatchedKeepOut (k, 4), m in M. Raises ScenarioError if the robot starts in such an area, or if one reaches
     farther from the map's origin than any building."""
     start = np.array(scenario.world.start, dtype=float)
     X_WM = MapFrame(scenario, start)
@@ -310,8 +309,8 @@ def MakeKeepOut(scenario: Scenario) -> FloatArray:
 
 
 def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
-    """(3,) pose X_WM of the map frame in the world: that of the map that the mission begins with, else where the robot
-    starts, X_WS (3,). Raises MapFileError."""
+    """Return X_WM (3,), the pose of the map frame in the world: that of the known map, otherwise the start X_WS (3,).
+    Raises MapFileError."""
     if not scenario.explorer.known_map:
         return X_WS
     # Few missions need what this imports.
@@ -321,7 +320,7 @@ def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
 
 
 def MakeWorldConfig(world: World) -> WorldConfig:
-    """The world as a scenario's section: the inverse of MakeWorld."""
+    """Make a scenario's section of a World, the inverse of MakeWorld."""
     rows = zip(world.tag_ids.tolist(), world.p_WT.tolist(), world.tag_facing.tolist(), strict=True)
     tags = [config.TagConfig(id=i, position=position, facing=facing) for i, position, facing in rows]
     return WorldConfig(walls=world.walls.tolist(), tags=tags, start=world.start.tolist())
@@ -333,11 +332,11 @@ def ApplyWorldFile(
     tag_spacing: float | None = None,
     start: typing.Sequence[float] | None = None,
 ) -> Scenario:
-    """A copy of the scenario with walls, tags and start replaced.
+    """Return a copy of the scenario with walls, tags and start replaced.
 
-    path: a scenario file, a map_server .yaml or a *.vectormap.txt; None keeps the walls. tag_spacing: m, replaces
-    the tags by tags along every reachable surface. start: (x, y, yaw) in m and rad; without it a scenario's own start
-    is kept and a map's is drawn from the seed. Raises ScenarioError.
+    path: a scenario file, a map_server .yaml or a *.vectormap.txt; None keeps the walls. tag_spacing: m, replaces the
+    tags by tags along every reachable surface. start: (x, y, yaw), m and rad; without it the start of a scenario is
+    kept, and that in a map is drawn from the seed. Raises ScenarioError.
     """
     # What few missions need, and what takes a while to be imported.
     from tfg_drake.world.load import furnish, load_map
@@ -361,7 +360,7 @@ _MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
 
 
 def _IsScenario(path: Path) -> bool:
-    """True if a world file is a scenario (or a shipped scenario's name), not a map to import."""
+    """Return True if a world file is a scenario (or the name of a shipped one), not a map to import."""
     if not path.is_file():
         return path.suffix in ("", ".yaml", ".yml")
     if path.suffix not in (".yaml", ".yml"):
@@ -392,7 +391,7 @@ _WIDEST = math.radians(150.0)
 
 
 def _CheckEyes(scenario: Scenario, source: str) -> None:
-    """Refuses what a camera's station does not simulate: it would be left out without a word."""
+    """Raise ScenarioError for settings that a rendered camera does not simulate and would silently ignore."""
     if scenario.station.eyes != "camera":
         return
     reality, usual = scenario.reality, config.RealityConfig()
