@@ -25,7 +25,7 @@ from tfg_drake.table import empty, take
 
 # Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
 WITNESSES = 2
-# Tags of a keyframe up to which others are fused with it.
+# Landmarks of a keyframe up to which others are fused with it.
 FULL = 25
 # Keyframes are fused only where they know the pose between them better than this, m: fusing linearises them about it.
 # Where both have scan points these lie to each other as it says from then on: by half of it all that one sees of a
