@@ -1,4 +1,4 @@
-"""How many threads the systems' dense linear algebra takes."""
+"""Limits the number of BLAS threads in the process."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from threadpoolctl import threadpool_limits
 
 
 def keep_to_one_thread() -> None:
-    """From now on BLAS keeps to one thread in this process; whoever wants another number sets it afterwards, with
-    `threadpoolctl.threadpool_limits`.
+    """Limit BLAS to one thread in this process; `threadpoolctl.threadpool_limits` can change that afterwards.
 
-    Small dense operations are many times slower when they are spread over the cores, and sums over several threads
-    differ in their last bits.
+    Small dense operations are many times slower when spread over the cores, and sums over several threads differ in
+    their last bits.
     """
     threadpool_limits(limits=1)

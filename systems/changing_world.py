@@ -1,4 +1,4 @@
-"""The simulated world, where something changes in it."""
+"""The changing simulated world."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tfg_drake.world.world import World
 
 
 class ChangingWorld(LeafSystem):
-    """Makes one change after the other, each when it is due, see tfg_drake.world.changing.
+    """Applies changes to the world in their order, each at its time, see tfg_drake.world.changing.
 
     .. pydrake_system::
 
@@ -28,7 +28,7 @@ class ChangingWorld(LeafSystem):
     """
 
     def __init__(self, world: World, changes: Sequence[ChangeConfig], robot_radius: float):
-        """changes: in their order. robot_radius: m. Raises WorldError where a change cannot be made."""
+        """changes: in their order. robot_radius: m. Raises WorldError if a change is impossible."""
         super().__init__()
         self._changes, self._worlds, self._robot_radius = tuple(changes), successive(world, changes), robot_radius
         self._pose = self.DeclareVectorInputPort("pose", 5)

@@ -1,10 +1,10 @@
-"""CPU time of a run: an account of what the components of a diagram spend.
+"""Measures the CPU time of the components of a diagram.
 
     @metered("estimator")
     def _Update(self, context, state): ...
 
-A method is charged where its system has a meter (`CpuMeter.attach`), once a call: what finds nothing due costs less
-than to read the clock, and is left out by whoever decorates.
+Each call of a decorated method is charged if its system has a meter (`CpuMeter.attach`). Do not decorate methods that
+mostly find nothing to do: reading the clock costs more than such a call.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ T = TypeVar("T")
 
 
 class CpuMeter:
-    """CPU seconds of this thread, by what they were spent on.
+    """CPU seconds of this thread by name.
 
-    A call inside another is charged to the inner name only, so that the accounts add up: Drake evaluates an output
-    port when somebody asks for it, often in the middle of another component's event.
+    A call inside another is charged to the inner name only, so that the times add up: Drake evaluates an output port on
+    demand, often in the middle of another component's event.
     """
 
     def __init__(self) -> None:
@@ -32,13 +32,13 @@ class CpuMeter:
         self._inner = 0.0
 
     def attach(self, system: System) -> None:
-        """Charges the metered methods of a system, or of all systems in a diagram, from now on."""
+        """Charge the metered methods of a system, or of all systems in a diagram, from now on."""
         for part in system.GetSystems() if isinstance(system, Diagram) else ():
             self.attach(part)
         system.cpu_meter = self
 
     def call(self, name: str, function: Callable[..., Any], *args: Any) -> Any:
-        """function(*args), charged to a name."""
+        """Return function(*args) and charge its time to a name."""
         outside, self._inner = self._inner, 0.0
         begin = time.thread_time()
         try:
@@ -50,14 +50,14 @@ class CpuMeter:
 
 
 def measured(system: System, name: str, function: Callable[..., T], *args: Any) -> T:
-    """Call a function and return its result, its CPU time charged to a name where the system has a meter."""
+    """Call a function, return its result, and charge its CPU time to a name if the system has a meter."""
     meter = getattr(system, "cpu_meter", None)
     result: T = function(*args) if meter is None else meter.call(name, function, *args)
     return result
 
 
 def metered(name: str) -> Callable[[F], F]:
-    """Decorates a system's method: its calls are charged to a name where the system has a meter."""
+    """Decorate a system's method so that its calls are charged to a name if the system has a meter."""
 
     def decorate(function: F) -> F:
         @functools.wraps(function)

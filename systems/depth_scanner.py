@@ -1,4 +1,4 @@
-"""The depth scanner: a depth camera's images to the laser scanner's message."""
+"""The depth scanner: converts a depth camera's images to LaserScan messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SEEDS, _OTHER = 2**32, 1
 
 
 class DepthScanner(LeafSystem):
-    """Ranges to what stands within a band of heights, see tfg_drake.vision.depth_scan.
+    """Measures ranges to obstacles within a band of heights, see tfg_drake.vision.depth_scan.
 
     .. pydrake_system::
 
@@ -33,9 +33,9 @@ class DepthScanner(LeafSystem):
         output_ports:
         - ranges
 
-    image: an ImageDepth32F, m, as the port depth_image_32f of Drake's RgbdSensor has it. noise: a uniform number, fresh
-    every frame; without it the image is taken as it is, with it the configuration's noise is added. ranges: a LaserScan
-    message as seen from the body's origin, stamped with the time of its image; stamped -inf and empty before the first.
+    image: an ImageDepth32F, m, as the port depth_image_32f of Drake's RgbdSensor. noise: a uniform number, drawn anew
+    for every frame; if connected, the configuration's noise is added to the image. ranges: a LaserScan message as seen
+    from the body's origin, stamped with the time of its image; stamped -inf and empty before the first image.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class DepthScanner(LeafSystem):
         config: DepthScanConfig | None = None,
         rate: float = 8.0,
     ):
-        """rate: scans a second, Hz."""
+        """rate: of scans, Hz."""
         super().__init__()
         self._config = config or DepthScanConfig()
         self._rays = depth_rays(calibration, mount, self._config)

@@ -18,7 +18,8 @@ from tfg_drake.world.world import World
 
 
 class DifferentialDrivePlant(LeafSystem):
-    """Follows a velocity within the robot's limits; walls stop it, see tfg_drake.simulation.differential_drive.
+    """Follows a velocity command within the robot's limits until it hits a wall, see
+    tfg_drake.simulation.differential_drive.
 
     .. pydrake_system::
 
@@ -35,17 +36,16 @@ class DifferentialDrivePlant(LeafSystem):
         - clearance
         - contacts_received
 
-    velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, left unconnected where
-    there are none. world: a WorldNow message, left unconnected where nothing changes. pushes: a Pushes message, left
-    unconnected where nobody pushes. pose: x, y, theta of X_WB (m,
-    rad), then speed and turn rate, at any time, also between two steps. hazards: a Hazards message. contacts: how often
-    the base began to touch a wall, or somebody whom it moved towards. clearance: the least distance of its outline to
-    any wall so far, m. contacts_received: how often somebody else began to touch it, or it a wall while it was pushed
-    or slipped.
+    velocity_commanded: forward speed (m/s) and turn rate (rad/s). people: a People message, unconnected without people.
+    world: a WorldNow message, unconnected if the world is constant. pushes: a Pushes message, unconnected without
+    pushes. pose: x, y, theta of X_WB (m, rad), speed (m/s) and turn rate (rad/s), continuous in time, also between
+    steps. hazards: a Hazards message. contacts: number of contacts with walls, and with people whom the base moved
+    towards. clearance: least distance of the outline to any wall so far, m. contacts_received: number of contacts that
+    people caused, and with walls during a push or slip.
     """
 
     def __init__(self, world: World, robot: RobotConfig, disturbances: Sequence[DisturbanceConfig] = ()):
-        """disturbances: what moves the base besides its wheels."""
+        """disturbances: motions of the base that its wheels do not cause."""
         super().__init__()
         self._robot, self._disturbances = robot, tuple(disturbances)
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)

@@ -1,4 +1,4 @@
-"""The exposure: what a camera's frame is like where what is rendered is perfect."""
+"""The exposure: adds the imperfections of a real camera to rendered images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _SEEDS = 2**32
 
 
 class Exposure(LeafSystem):
-    """Makes grey of hues, blurs, darkens, puts noise on it, see tfg_drake.vision.hue and tfg_drake.vision.exposure.
+    """Converts hue-coded images to grey, blurs and darkens them and adds noise, see tfg_drake.vision.hue and
+    tfg_drake.vision.exposure.
 
     .. pydrake_system::
 
@@ -29,12 +30,12 @@ class Exposure(LeafSystem):
         output_ports:
         - image
 
-    image: an ImageRgba8U; the output's is grey. pose: x, y, theta, v, w of the plant: an image moves sideways as the
-    robot turns. noise: a uniform number, fresh every frame.
+    image: an ImageRgba8U; the output image is grey. pose: x, y, theta, v, w of the plant, whose turn rate blurs the
+    image sideways. noise: a uniform number, drawn anew for every frame.
     """
 
     def __init__(self, width: int, height: int, focal_length: float, reality: CameraRealityConfig):
-        """width, height: of the image, focal_length: pixels."""
+        """width, height: size of the image, focal_length; all in pixels."""
         super().__init__()
         self._reality, self._blur = reality, focal_length * reality.exposure_time
         self._image = self.DeclareAbstractInputPort("image", AbstractValue.Make(ImageRgba8U()))

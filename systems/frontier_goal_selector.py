@@ -1,4 +1,4 @@
-"""The goal selector of a grid: once a stage, the frontier to look at next."""
+"""The goal selector of grid methods: chooses the next frontier once a stage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _SelectorState:
 
 
 class FrontierGoalSelector(LeafSystem):
-    """Chooses when the mission asks for it, and says on the way when the goal has become pointless.
+    """Chooses a goal when the mission asks for one, and reports on the way if the goal has become obsolete.
 
     .. pydrake_system::
 
@@ -64,7 +64,7 @@ class FrontierGoalSelector(LeafSystem):
 
     @metered("goal_selector")
     def _Pointless(self, context: Context, now: _SelectorState, mission: MissionStatus, grid: GridMap) -> bool:
-        """True if the goal is pointless: no path leads there, or a newer map has no frontier there any more."""
+        """Return True if the goal is obsolete: no path leads there, or a newer map has no frontier there."""
         if mission.phase == "plan":
             path, status = self._inputs.each(context, "path", "path_status")
             return status.unreachable and path.stage == mission.stage

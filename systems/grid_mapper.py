@@ -1,4 +1,4 @@
-"""GMapping as a Drake system: a shell round tfg_drake/grid/gmapping.py."""
+"""GMapping as a Drake system, see tfg_drake/grid/gmapping.py."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tfg_drake.systems.ports import MessageInputs, MessageState
 
 @message
 class _MapperState:
-    """The particle filter, and the map of its best particle when a scan or a view was last put in."""
+    """The particle filter, and its best particle's map at the last update with a scan or view."""
 
     filter: gmapping.GmappingState
     grid: GridMap
@@ -36,12 +36,12 @@ class GridMapper(LeafSystem):
         - filter
 
     odometry: Odometry, scan: LaserScan, mission: MissionStatus. pose: PoseEstimate at the newest odometry. grid:
-    GridMap, whose stage becomes the mission's stage plus one in phase "map", with the newest scan in it.
-    filter: GmappingState, all it knows.
+    GridMap, which in phase "map" includes the newest scan and gets the mission's stage plus one. filter: GmappingState,
+    its whole state.
     """
 
     def __init__(self, config: GridConfig, odometry: OdometryConfig, seed: int) -> None:
-        """odometry: what the filter believes of it; seed: of the particles."""
+        """odometry: the filter's odometry model; seed: of the particles."""
         super().__init__()
         keep_to_one_thread()
         self._inputs = MessageInputs(self, "odometry", "scan", "mission")

@@ -1,4 +1,4 @@
-"""The planner on a grid: the cheapest path to the goal chosen, and a watch on that path."""
+"""The planner of grid methods: plans the cheapest path to the chosen goal and monitors it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ class _PlannerState:
 
 
 class GridPlanner(LeafSystem):
-    """Plans with `tfg_drake.grid.path` when the mission asks for it, and watches the path while it is followed.
+    """Plans with `tfg_drake.grid.path` when the mission asks for it, and monitors the path while it is followed.
 
-    The goal lies at the edge of what is known: often there is a wall. Then another goal costs less than a look round.
+    The goal lies at the edge of the known area, often at a wall. Then choosing another goal costs less than looking
+    around.
 
     .. pydrake_system::
 
@@ -51,7 +52,7 @@ class GridPlanner(LeafSystem):
     """
 
     def __init__(self, robot: RobotConfig, keep_out: FloatArray | None = None):
-        """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
+        """keep_out: (k, 4) segments that fill the keep-out areas, m in M; None for none."""
         super().__init__()
         self._robot, self._keep_out = robot, np.zeros((0, 4)) if keep_out is None else keep_out
         self._inputs = MessageInputs(self, "grid", "pose", "goal", "scan", "mission")

@@ -1,4 +1,4 @@
-"""The goal selector: once a stage, the roadmap node to drive to next."""
+"""The goal selector: chooses the next roadmap node once a stage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tfg_drake.systems.ports import MessageInputs, MessageState, number
 
 @message
 class _SelectorState:
-    """The choice at the newest stage, where somebody has sent the robot, and what the goals have promised."""
+    """The choice at the newest stage, the requested place, and the promises of the goals."""
 
     goal: GoalChoice
     sent: Sent = Sent()
@@ -49,19 +49,18 @@ class InfoGainGoalSelector(LeafSystem):
         - goal
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, local_roadmap: Roadmap, mission: MissionStatus, goal: GoalChoice,
-    all in M. local_roadmap: as much of roadmap as planning works on. landmarks: MapEstimate of tags and walls,
-    optional; without it, and with the approximations to the exact gain, tags alone count. hypotheses: Hypotheses,
-    optional, in which places of a known map the robot may be, see `tfg_drake.planning.which_place`.
+    all in M. local_roadmap: the part of roadmap that planning uses. landmarks: MapEstimate of tags and walls, optional;
+    without it, and with the approximations to the exact gain, only tags count. hypotheses: Hypotheses, optional, the
+    places of a known map where the robot may be, see `tfg_drake.planning.which_place`.
 
-    On a large map the goal is looked for near the newest view first, see `tfg_drake.planning.goal_choice.choose_near`.
-    recall: (1,), 0 where it is unconnected: above 0.5 the robot was called back, and no goal is worth going to any
-    more.
-    requested_goal: a RequestedGoal message, optional: where somebody has sent the robot, see
+    On a large map goals near the newest view are considered first, see `tfg_drake.planning.goal_choice.choose_near`.
+    recall: (1,), 0 if unconnected: above 0.5 the robot is called back, and no goal is worth a visit.
+    requested_goal: a RequestedGoal message, optional: the place that the operator has sent the robot to, see
     tfg_drake.planning.requested_goal.
     """
 
     def __init__(self, parameters: GoalParameters, frontiers: Callable[[Situation], Situation] | None = None) -> None:
-        """frontiers: puts others into a situation than the TFG has."""
+        """frontiers: replaces the frontiers of a situation, such as by the paper's."""
         super().__init__()
         keep_to_one_thread()
         self._parameters = parameters
@@ -73,8 +72,8 @@ class InfoGainGoalSelector(LeafSystem):
         self._state.declare_outputs(self, "goal")
 
     def Choose(self, context: Context, goal: GoalChoice) -> None:
-        """Makes this the newest choice in the system's context, as if the rule had come to it: its stage is that of the
-        one that it replaces, its node one of the roadmap that can be reached."""
+        """Replace the newest choice in the system's context, as if the rule had chosen it. It must have the same stage
+        and a reachable node of the roadmap."""
         context.SetAbstractState(int(self._state.index), replace(self._state(context), goal=goal, promise=Promise()))
 
     def _Update(self, context: Context, now: _SelectorState) -> _SelectorState:
@@ -113,7 +112,7 @@ class InfoGainGoalSelector(LeafSystem):
         return choose(now, previous, recalled=recalled, kept=promise.kept)
 
     def _Send(self, context: Context, now: _SelectorState, mission: MissionStatus) -> _SelectorState:
-        """The state with another goal, where somebody has sent the robot there."""
+        """Return the state with the requested goal, if there is a new request."""
         requested = self._inputs.optional(context, "requested_goal") or RequestedGoal()
         if now.sent.node < 0 and requested.count == now.sent.count:
             return now

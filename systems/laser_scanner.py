@@ -17,7 +17,7 @@ from tfg_drake.world.world import World
 
 
 class LaserScanner(LeafSystem):
-    """Ranges to the walls ahead, see tfg_drake.simulation.laser_scanner.
+    """Measures ranges to walls and people, see tfg_drake.simulation.laser_scanner.
 
     .. pydrake_system::
 
@@ -31,14 +31,14 @@ class LaserScanner(LeafSystem):
         output_ports:
         - ranges
 
-    pose: x, y, theta, v, w of the plant. noise: one standard normal number a ray, fresh every scan; ray_faults: one
-    uniform number a ray, likewise, left unconnected where in reality no ray fails. people: a People message, left
-    unconnected where there are none. world: a WorldNow message, left unconnected where nothing changes. ranges: a
-    LaserScan message; stamped -inf and empty before the first scan.
+    pose: x, y, theta, v, w of the plant. noise: one standard normal number per ray, drawn anew for every scan;
+    ray_faults: one uniform number per ray, likewise, unconnected if no ray fails in reality. people: a People message,
+    unconnected without people. world: a WorldNow message, unconnected if the world is constant. ranges: a LaserScan
+    message; stamped -inf and empty before the first scan.
     """
 
     def __init__(self, world: World, config: ScanConfig, reality: ScanRealityConfig | None = None):
-        """config: the data sheet. reality: what the scanner does otherwise."""
+        """config: the data sheet. reality: deviations of the real scanner from it."""
         super().__init__()
         reality = reality or ScanRealityConfig()
         self._stated, self._reality = config, reality

@@ -1,4 +1,4 @@
-"""The manual driver: somebody at the keys drives, and the mission goes on around that."""
+"""The manual driver: a person drives by keys while the mission maps."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ LEFT = 10.0
 
 @message
 class _Driving:
-    """goal and path as the mission is told. velocity: (v, w) of the keys, m/s and rad/s. looks: the driver wants to
-    look round here; ends: to end then. pressed: all keys so far. requested: the place that the driver has sent the
-    robot to last, heard: how many such places came by the port; sent: where it is on its way to. planned: the id of the
-    planner's path that it is on, or was last."""
+    """goal and path as output to the mission. velocity: (v, w) of the keys, m/s and rad/s. looks: the driver wants to
+    look around here; ends: to end after that. pressed: all keys so far. requested: the last place that the driver has
+    sent the robot to, heard: number of such places from the port; sent: the place that it is driving to. planned: id of
+    the planner's current or last path."""
 
     goal: GoalChoice
     path: Path
@@ -41,7 +41,7 @@ class _Driving:
 
 
 class ManualDriver(LeafSystem):
-    """Commands the base as the keys say, but while the mission looks round: then the follower turns it.
+    """Commands the base by the keys; while the mission looks around, the follower turns it.
 
     .. pydrake_system::
 
@@ -72,17 +72,17 @@ class ManualDriver(LeafSystem):
     rad/s. pressed: a tuple of Pressed, all keys so far.
 
     following_commanded, following_status: the follower's velocity_commanded and follower_status. While the robot moves
-    the mission glances ahead as it does on any way. The key "look" ends the way, so that the robot turns round; so does
-    "end", and the mission ends after that. requested_goal: a RequestedGoal message, optional: the robot drives there by
-    itself until a key is pressed, on the planner's path (planned_path, planned_status) to planned_goal, which is goal
-    then, and none otherwise.
+    the mission glances ahead as on any way. The key "look" ends the way, so that the robot turns around; so does "end",
+    after which the mission ends. requested_goal: a RequestedGoal message, optional: the robot drives there by itself
+    until a key is pressed, on the planner's path (planned_path, planned_status) to planned_goal, which then equals goal
+    and otherwise is empty.
     """
 
     def __init__(
         self, robot: RobotConfig, keys: Callable[[], Sequence[str]], drive: Sequence[Pressed] = (), glances: bool = True
     ):
-        """keys: returns those pressed since it was last called, of `manual_drive.KEYS`; drive: pressed at their
-        times; glances: the mission glances ahead, and so comes to a choice without a look round."""
+        """keys: returns the keys of `manual_drive.KEYS` pressed since its last call; drive: keys pressed at given
+        times; glances: the mission glances ahead and so reaches a choice without looking around."""
         super().__init__()
         self._robot, self._keys, self._drive, self._glances = robot, keys, tuple(drive), glances
         self._inputs = MessageInputs(
@@ -145,7 +145,7 @@ class ManualDriver(LeafSystem):
         return now
 
     def _Press(self, now: _Driving, context: Context) -> _Driving:
-        """After the keys that are due; a place that the robot is sent to is one, too."""
+        """Return the state after the due keys; a requested place counts as a key."""
         time, keys = context.get_time(), list(self._keys())
         requested = self._inputs.optional(context, "requested_goal") or RequestedGoal()
         if requested.count > now.heard:

@@ -12,13 +12,13 @@ from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message
 
 @message
 class _Queue:
-    """Messages, each with the time, s, at which it is due; the first is the one that is shown."""
+    """Messages, each with the time, s, at which it is due; the first is the current output."""
 
     messages: tuple[tuple[float, Any], ...]
 
 
 class MessageDelay(LeafSystem):
-    """Shows each message so much later, in their order.
+    """Outputs each message after a delay, in order.
 
     .. pydrake_system::
 
@@ -29,7 +29,7 @@ class MessageDelay(LeafSystem):
         - (name)
 
     (name)_at_once and (name): any message.
-    The message that is there at first is shown at once.
+    The initial message is output without delay.
     """
 
     def __init__(self, name: str, delay: float):

@@ -1,4 +1,4 @@
-"""The mission sequencer: observe, map, choose, plan, follow, until there is a reason to end."""
+"""The mission sequencer: repeats observe, map, choose, plan, follow until the mission ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAPS = ("map", "tfg")
 
 
 class MissionSequencer(LeafSystem):
-    """Runs `tfg_drake.mission.sequence.step` and ends the simulation with the mission.
+    """Runs `tfg_drake.mission.sequence.step`, and ends the simulation when the mission is over.
 
     .. pydrake_system::
 
@@ -37,13 +37,12 @@ class MissionSequencer(LeafSystem):
     goal: GoalChoice, path: Path, path_status: PathStatus, follower_status: FollowerStatus, hazards: Hazards, map:
     MapEstimate, tfg: TfgMap. mission: MissionStatus.
 
-    Whatever maps, by default map and tfg, says with its message's stage that the newest view is in it. pause, enable
-    and stop: (1,), true above 0.5; unconnected they read 0, 1 and 0.
+    The stage of each map message, by default map and tfg, tells when the newest view is in it. pause, enable and stop:
+    (1,), true above 0.5; unconnected they read 0, 1 and 0.
     """
 
     def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Sequence[str] = MAPS):
-        """glance_period: s, as explorer.glance_period. maps: the inputs that are maps, whose messages have a
-        stage."""
+        """glance_period: s, as explorer.glance_period. maps: the inputs with maps, whose messages have a stage."""
         super().__init__()
         self._max_speed, self._glance_period = robot.max_speed, glance_period
         self._maps = tuple(maps)

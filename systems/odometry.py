@@ -30,8 +30,8 @@ class Odometry(LeafSystem):
         output_ports:
         - odometry
 
-    pose: x, y, theta, v, w of the plant. noise: 2 standard normal numbers, fresh every PERIOD. run_errors: 3 standard
-    normal numbers, the same all along. pushes: a Pushes message, left unconnected where nobody pushes. odometry: an
+    pose: x, y, theta, v, w of the plant. noise: 2 standard normal numbers, drawn anew every PERIOD. run_errors: 3
+    standard normal numbers, constant during a run. pushes: a Pushes message, unconnected without pushes. odometry: an
     Odometry message; X_OB is 0 at the start X_WS (3,).
     """
 
@@ -42,8 +42,8 @@ class Odometry(LeafSystem):
         disturbances: Sequence[DisturbanceConfig] = (),
         reality: OdometryRealityConfig | None = None,
     ):
-        """config: the data sheet. disturbances: what moves the base besides its wheels, which do not notice. reality:
-        what wheels and gyro do otherwise."""
+        """config: the data sheet. disturbances: motions of the base that its wheels do not measure. reality: deviations
+        of wheels and gyro from the data sheet."""
         super().__init__()
         reality = reality or OdometryRealityConfig()
         self._config, self._disturbances = as_it_is(config, reality), tuple(disturbances)

@@ -1,4 +1,4 @@
-"""The operator, by keyboard, the page's buttons or buttons of the robot, as a system."""
+"""The operator's requests by keyboard, page or buttons of the robot, as a system."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _log = logging.getLogger("tfg_drake.operator")
 
 @message
 class _Asked:
-    """Requests of the operator so far. begun: the sources have been asked once."""
+    """The operator's requests so far. begun: the sources have been polled once."""
 
     operation: Operation
     goal: RequestedGoal = RequestedGoal()
@@ -28,7 +28,7 @@ class _Asked:
 
 
 class Operator(LeafSystem):
-    """Turns an operator's requests into what base and mission are told, see tfg_drake.mission.operation.
+    """Converts an operator's requests to inputs of base and mission, see tfg_drake.mission.operation.
 
     .. pydrake_system::
 
@@ -42,20 +42,20 @@ class Operator(LeafSystem):
         - pushes
         - said_pose
 
-    The first four are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that is
-    another one each time it is enabled. pause, stop, recall: for the mission, 1 or 0. requested_goal: where the robot
-    is sent, a RequestedGoal message. pushes: what moves a simulated robot besides its wheels, a Pushes message.
-    said_pose: where the robot is said to be, a SaidPose message.
+    The first four are vectors of size 1. enable: for the base; 0 while it must stand, otherwise a number that changes
+    each time the base is enabled. pause, stop, recall: for the mission, 1 or 0. requested_goal: the place to drive to,
+    a RequestedGoal message. pushes: motions of a simulated robot that its wheels do not cause, a Pushes message.
+    said_pose: the robot's pose as stated by the operator, a SaidPose message.
 
-    The requests come from outside the context: a run in which there were any repeats only with the same ones, as a
-    replay has the places to which the robot was sent, and where it was said to be.
+    The requests come from outside the Context, so a run with requests repeats only with the same requests; a replay
+    repeats requested goals and stated poses.
     """
 
     def __init__(
         self, sources: Sequence[Callable[[], Sequence[Request]]], *, recalls: bool = True, enabled: bool = False
     ) -> None:
-        """sources: each returns the requests since it was last called. recalls: the mission knows what a recall is;
-        where it does not a recall ends it. enabled: the base may move from the beginning, as a simulated one may."""
+        """sources: each returns the requests since its last call. recalls: the mission supports recalls; otherwise a
+        recall ends it. enabled: the base may move from the beginning, like a simulated one."""
         super().__init__()
         self._sources, self._recalls, self._enabled = tuple(sources), recalls, enabled
         beginning = requested(Operation(), "enable") if enabled else Operation()

@@ -1,4 +1,4 @@
-"""The people who walk about in the simulated building."""
+"""Simulated people who walk in the building."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tfg_drake.world.world import World
 
 
 class PeopleWalking(LeafSystem):
-    """People among the walls, and the robot among them, see tfg_drake.simulation.people.
+    """Moves people between walls and robot, see tfg_drake.simulation.people.
 
     .. pydrake_system::
 
@@ -28,12 +28,12 @@ class PeopleWalking(LeafSystem):
         output_ports:
         - people
 
-    pose: x, y, theta, v, w of the plant. numbers: NUMBERS uniform numbers a person, fresh every PERIOD. world: a
-    WorldNow message, left unconnected where nothing changes. people: a People message, nobody before the first step.
+    pose: x, y, theta, v, w of the plant. numbers: NUMBERS uniform numbers per person, drawn anew every PERIOD. world: a
+    WorldNow message, unconnected if the world is constant. people: a People message, empty before the first step.
     """
 
     def __init__(self, world: World, robot_radius: float, count: int):
-        """robot_radius: m. count: of people. Raises WorldError where there is no room for any."""
+        """robot_radius: m. count: of people. Raises WorldError if there is no room for anyone."""
         super().__init__()
         self._ground, self._robot_radius, self._count = ground(world, robot_radius), robot_radius, count
         self._ChangedGround = functools.lru_cache(maxsize=1)(lambda changed: ground(changed, robot_radius))

@@ -1,4 +1,4 @@
-"""The sequencer of a recorded drive: nobody chooses where to go, and the way is mapped piece by piece."""
+"""The sequencer of a recorded drive: there are no goals, and the way is mapped piece by piece."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ ENDED = "all of the recording is mapped"
 
 @message
 class _PieceState:
-    """status: the mission's. p_OB: (2,) m, where the odometry was last, nan before the first; length: m of way, scans:
-    looks since the piece began, scan_stamp: s, of the newest."""
+    """status: the mission's. p_OB: (2,) m, the last odometry position, nan before the first; length: m of way, scans:
+    number of scans since the piece began, scan_stamp: s, of the newest scan."""
 
     status: MissionStatus
     p_OB: FloatArray
@@ -33,7 +33,7 @@ class _PieceState:
 
 
 class PieceSequencer(LeafSystem):
-    """Says when a piece of a recorded way is to be mapped, and ends the simulation with the recording.
+    """Starts the mapping of each piece of a recorded way, and ends the simulation with the recording.
 
     .. pydrake_system::
 
@@ -49,14 +49,13 @@ class PieceSequencer(LeafSystem):
         - mission
         - velocity_commanded
 
-    odometry: Odometry, scan: LaserScan, map: MapEstimate, tfg: TfgMap. mission: MissionStatus, in phase "glance" as
-    long as a piece goes on, "map" while it is mapped. velocity_commanded: (2,), zero. pause, stop: (1,), true above
-    0.5; stop ends it, pause is not minded: what was recorded has been driven.
+    odometry: Odometry, scan: LaserScan, map: MapEstimate, tfg: TfgMap. mission: MissionStatus, in phase "glance" during
+    a piece, "map" while it is mapped. velocity_commanded: (2,), zero. pause, stop: (1,), true above 0.5; stop ends the
+    mission, pause is ignored, as the recorded drive is over.
     """
 
     def __init__(self, end_time: float, maps: Sequence[str] = MAPS) -> None:
-        """end_time: s, when the recording ends. maps: as of MissionSequencer, none where
-        what maps needs no pieces."""
+        """end_time: s, when the recording ends. maps: as for MissionSequencer, empty if the mapper needs no pieces."""
         super().__init__()
         self._end_time, self._maps = end_time, tuple(maps)
         self._inputs = MessageInputs(self, "odometry", "scan", *maps)

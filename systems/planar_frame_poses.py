@@ -18,7 +18,7 @@ _AWAY = RigidTransform([0.0, 0.0, -100.0])
 
 
 class PlanarFramePoses(LeafSystem):
-    """The poses of frames that move about on the floor.
+    """Outputs the poses of frames that move on the floor.
 
     .. pydrake_system::
 
@@ -29,7 +29,7 @@ class PlanarFramePoses(LeafSystem):
         output_ports:
         - geometry_pose
 
-    pose: x, y, theta, v, w of the plant. people: a People message, left unconnected where there are none.
+    pose: x, y, theta, v, w of the plant. people: a People message, unconnected without people.
     geometry_pose: a FramePoseVector of robot and people.
     """
 

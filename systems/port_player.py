@@ -14,7 +14,7 @@ from tfg_drake.systems.ports import MessageInputs, declare_message_output
 
 
 class PortPlayer(LeafSystem):
-    """Says at every time what the recorded station's ports carried then.
+    """Outputs at every time what the recorded station's ports carried then.
 
     .. pydrake_system::
 
@@ -37,13 +37,12 @@ class PortPlayer(LeafSystem):
     LaserScan, base.enabled: (1,), 1 while the base might move. operator.goal: RequestedGoal, in M.
     operator.pose: SaidPose.
 
-    It is the station of a mission that is driven once more: at any time its outputs are those of the recorded station;
-    what was late then is as late again. The inputs change nothing: what the robot did it has done. It has no state, the
-    time says all.
+    It is the station of a replayed mission: at any time its outputs are those of the recorded station, with the same
+    delays. The inputs have no effect. It has no state; its outputs depend on time only.
     """
 
     def __init__(self, recording: PortRecording, source: Any = None) -> None:
-        """source: what the recording was made from, kept for whoever asks."""
+        """source: the origin of the recording, stored for other code."""
         super().__init__()
         self.recording, self.source = recording, source
         self.DeclareVectorInputPort(storage.COMMAND, 2)

@@ -17,7 +17,7 @@ SHOWN = ("pose", "path", "map", "tfg", "landmarks")
 
 
 class PortRecorder(LeafSystem):
-    """Writes what the station's ports carry to a file, see tfg_drake.storage.port_recording.
+    """Writes the values of the station's ports to a file, see tfg_drake.storage.port_recording.
 
     .. pydrake_system::
 
@@ -42,14 +42,14 @@ class PortRecorder(LeafSystem):
     move. pose: PoseEstimate, path: Path, map: MapEstimate, tfg: TfgMap, landmarks: MapEstimate of tags and
     walls, in M.
 
-    operator.goal: RequestedGoal, where the robot is sent, operator.pose: SaidPose, where it is said to be, if somebody
-    may do so. The last five are the explorer's, as far as it has them: they are recorded to be shown, not to be played.
-    It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file. What it
-    records at an instant is what updates at that instant see, since both come before the instant's changes.
+    operator.goal: RequestedGoal, the requested place, operator.pose: SaidPose, the stated pose, if there is an operator
+    for them. The last five are the explorer's, if it has them; they are recorded for display, not for replay.
+    The recorder changes nothing in the Context; the file is a side effect, so each simulation needs its own file. At
+    each instant it records the values that updates at that instant see, since both precede the instant's changes.
     """
 
     def __init__(self, writer: PortWriter) -> None:
-        """writer: where to; whoever opened it closes it."""
+        """writer: the file's writer, closed by its owner."""
         super().__init__()
         self._writer = writer
         requests = {port: storage.PORTS[port] for port in storage.REQUESTS.values()}
@@ -61,8 +61,8 @@ class PortRecorder(LeafSystem):
     def Connect(
         self, builder: DiagramBuilder, station: System, explorer: System, requested: Mapping[str, OutputPort]
     ) -> None:
-        """Connects it to what a station and an explorer say to each other. requested: what says the operator's
-        requests, by their ports here."""
+        """Connect it to the ports between a station and an explorer. requested: outputs with the operator's requests,
+        by the names of the inputs here."""
         for name, output in requested.items():
             builder.Connect(output, self.GetInputPort(name))
         # Of a recorded station that nobody listens to there is no request.

@@ -1,6 +1,6 @@
-"""Typed access to abstract ports and state that hold messages (tfg_drake/messages.py).
+"""Typed access to abstract ports and state with messages (tfg_drake/messages.py).
 
-Drake's abstract values check no Python type; these few functions do.
+Drake's abstract values do not check Python types; these functions do.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ T = TypeVar("T")
 def declare_message_output(
     system: LeafSystem, name: str, calc: Callable[[Context], object], prerequisites_of_calc: set[Any]
 ) -> OutputPort:
-    """Declares an output port whose message is calc(context), which depends on the prerequisites (tickets) only."""
+    """Declare an output port whose message is calc(context), which depends on the prerequisites (tickets) only."""
 
     def calc_value(context: Context, output: AbstractValue) -> None:
         output.set_value(calc(context))
@@ -68,10 +68,10 @@ def declare_message_output(
 
 
 class MessageInputs:
-    """Input ports for messages, by name; called with a context and one of the names it is the message there."""
+    """Input ports for messages, by name; calling it with a context and a name returns the message there."""
 
     def __init__(self, system: LeafSystem, *names: str, **kinds: type) -> None:
-        """Declares them. names: of KINDS. kinds: what others hold, by the port's name. Raises ValueError."""
+        """Declare the ports. names: of KINDS. kinds: message types of other ports, by port name. Raises ValueError."""
         if unknown := [name for name in names if name not in KINDS]:
             raise ValueError(f"no message is known as {unknown[0]}; name its kind, or one of {', '.join(KINDS)}")
         self._kinds = {name: KINDS[name] for name in names} | kinds
@@ -79,7 +79,7 @@ class MessageInputs:
         self.ports = {name: system.DeclareAbstractInputPort(name, anything) for name in self._kinds}
 
     def __call__(self, context: Context, name: str) -> Any:
-        """The message. Raises TypeError where the port is not connected or holds one of another kind."""
+        """Return the message. Raises TypeError if the port is not connected or holds another type."""
         port, kind = self.ports[name], self._kinds[name]
         try:
             value = port.Eval(context)
@@ -92,16 +92,16 @@ class MessageInputs:
         return value
 
     def optional(self, context: Context, name: str) -> Any:
-        """The same, None where the port is not connected."""
+        """Return the message, None if the port is not connected."""
         return self(context, name) if self.ports[name].HasValue(context) else None
 
     def each(self, context: Context, *names: str) -> list[Any]:
-        """The messages at some of the ports, at all of them by default."""
+        """Return the messages at some of the ports, by default at all."""
         return [self(context, name) for name in names or self.ports]
 
 
 class MessageState(Generic[T]):
-    """An abstract state variable that holds messages of one kind; called with a context it is the message there."""
+    """An abstract state variable with messages of one type; calling it with a context returns the message."""
 
     def __init__(
         self,
@@ -110,8 +110,8 @@ class MessageState(Generic[T]):
         update: Callable[[Context, T], T] | None = None,
         period: float = PERIOD,
     ) -> None:
-        """Declares it. initial: the message at first, of the kind of all others. update: makes the next message of the
-        one before every `period`, s."""
+        """Declare the variable. initial: the first message, which determines the type. update: computes the next
+        message from the previous one every `period`, s."""
         self._kind = type(initial)
         self.index = system.DeclareAbstractState(AbstractValue.Make(initial))
         self._number = int(self.index)
@@ -121,7 +121,7 @@ class MessageState(Generic[T]):
             system.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, event)
 
     def __call__(self, context: Context | State) -> T:
-        """The message. Raises TypeError where the variable holds anything else."""
+        """Return the message. Raises TypeError if the variable holds another type."""
         value = context.get_abstract_state(self._number).get_value()
         if not isinstance(value, self._kind):
             found = type(value).__name__
@@ -129,8 +129,8 @@ class MessageState(Generic[T]):
         return value
 
     def set(self, state: State, value: T) -> EventStatus:
-        """Puts a message there. Returns the status of an event that does nothing else: if it was there, that it did
-        nothing."""
+        """Set the message. Returns the status of an event that only does this: DidNothing if the message is
+        unchanged."""
         variable = state.get_mutable_abstract_state(self._number)
         if variable.get_value() is value:
             return EventStatus.DidNothing()
@@ -138,15 +138,14 @@ class MessageState(Generic[T]):
         return EventStatus.Succeeded()
 
     def declare_outputs(self, system: LeafSystem, *names: str, **parts: Callable[[T], object]) -> None:
-        """Declares output ports of the same system: for the parts of the message that have these names, and for what is
-        made of it alone, by the port's name."""
+        """Declare output ports of the system: for fields of the message with these names, and for functions of the
+        message, by port name."""
         named: dict[str, Callable[[T], object]] = {name: operator.attrgetter(name) for name in names}
         for name, part in (named | parts).items():
             declare_message_output(system, name, functools.partial(self._part, part), self.tickets)
 
     def declare_numbers(self, system: LeafSystem, **parts: Callable[[T], float]) -> None:
-        """Declares output ports of the same system: vectors of size 1, of what is made of the message alone, by the
-        port's name."""
+        """Declare output ports of the system: vectors of size 1 computed by functions of the message, by port name."""
         for name, part in parts.items():
             calc = lambda context, output, part=part: output.SetAtIndex(0, float(part(self(context))))  # noqa: E731
             system.DeclareVectorOutputPort(name, 1, calc, self.tickets)
@@ -156,13 +155,13 @@ class MessageState(Generic[T]):
 
 
 def number(port: InputPort, context: Context, default: float) -> float:
-    """The first entry of a vector that comes in, the default if the port is not connected."""
+    """Return the first entry of an input vector, the default if the port is not connected."""
     return float(port.Eval(context)[0]) if port.HasValue(context) else default
 
 
 def connect_by_name(builder: DiagramBuilder, listener: System, *speakers: System, **heard_as: str) -> None:
-    """Connects the inputs of a system that nothing feeds to the outputs of others of the same name, as far as there
-    are. heard_as: the names of such outputs, by inputs that are called otherwise."""
+    """Connect the unconnected inputs of a system to outputs of other systems with the same names, as far as they exist.
+    heard_as: output names for inputs with other names."""
     for port in (listener.get_input_port(i) for i in range(listener.num_input_ports())):
         name = heard_as.get(port.get_name(), port.get_name())
         speaker = next((one for one in speakers if one.HasOutputPort(name)), None)

@@ -1,4 +1,4 @@
-"""Makes an estimator of a pose that somebody else estimates: the map is what is seen from there."""
+"""Makes an estimator from a given pose: maps what the sensors see from there."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, declare
 
 @message
 class _Seen:
-    """The map; the poses X_MB (t, 4: stamp, x, y, theta) of the running observation; of each tag seen, by ids (n,)
-    ascending, information (n,), 1/m^2, and that times its place in M (n, 2), m; stamp of the newest detections, s."""
+    """The map; the poses X_MB (t, 4: stamp, x, y, theta) of the current observation; for each tag seen, by ids (n,)
+    ascending, its information (n,), 1/m^2, and information times position in M (n, 2), m; stamp of the newest
+    detections, s."""
 
     estimate: MapEstimate
     way: FloatArray
@@ -37,7 +38,7 @@ class _Seen:
 
 
 class PoseMapper(LeafSystem):
-    """Maps tags by a pose that is given, each where it is seen on average, and states the pose's deviations.
+    """Maps tags by a given pose, each at its weighted mean position, and states the pose's deviations.
 
     .. pydrake_system::
 
@@ -51,13 +52,13 @@ class PoseMapper(LeafSystem):
         - pose
         - map
 
-    X_MB: a vector of size 3, x and y in m, theta in rad, in the map frame M, which is where the robot began. odometry:
+    X_MB: a vector of size 3, x and y in m, theta in rad, in the map frame M, the robot's start pose. odometry:
     Odometry, for its speeds. detections: TagDetections. mission: MissionStatus. pose: PoseEstimate. map: MapEstimate
-    after the newest view; a view is what the phases "observe" and "glance" see, and is in the map in phase "map".
+    after the newest view; a view collects the phases "observe" and "glance", and joins the map in phase "map".
     """
 
     def __init__(self, sigma: Sequence[float] = (0.05, 0.05, 0.02)) -> None:
-        """sigma: standard deviations of X_MB that are stated, m, m, rad."""
+        """sigma: standard deviations of X_MB to state, m, m, rad."""
         super().__init__()
         self.set_name("pose_mapper")
         self._covariance = np.diag(np.square(np.asarray(sigma, dtype=float)))
@@ -94,7 +95,7 @@ class PoseMapper(LeafSystem):
 
 
 def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, covariance: FloatArray) -> _Seen:
-    """Each tag that one frame shows counted once more, seen from X_MB (3,)."""
+    """Return the state with the tags of one frame added, seen from X_MB (3,)."""
     r, angle = detections.range, X_MB[2] + detections.bearing
     p_ML = X_MB[:2] + r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     variance = detections.sigma_range**2 + (r * detections.sigma_bearing) ** 2 + r**2 * covariance[2, 2]
@@ -106,7 +107,7 @@ def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, c
 
 
 def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimate:
-    """The map with the running observation as one view more."""
+    """Return the map with the current observation as a new view."""
     n, X_MA, no_wall = len(seen.ids), seen.way[0, 1:], np.zeros((len(seen.ids), 2))
     # The pose's error is in all places alike.
     each = 1.0 / seen.information[:, None, None] * np.eye(2) + covariance[:2, :2]

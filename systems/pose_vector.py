@@ -9,8 +9,8 @@ from tfg_drake.systems.ports import MessageInputs
 
 
 class PoseVector(LeafSystem):
-    """The estimate's stamp (s) and X_MB (x, y in m, theta in rad) as a vector of 4; with_covariance: the same and the
-    covariance of X_MB, row by row, as one of 13.
+    """Converts a pose estimate to a vector of 4: stamp (s) and X_MB (x, y in m, theta in rad); with_covariance: 13
+    numbers, the same followed by the covariance of X_MB, row by row.
 
     .. pydrake_system::
 

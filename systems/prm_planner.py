@@ -1,4 +1,4 @@
-"""The PRM planner: the roadmap of each stage, the path to the goal chosen, and a watch on that path."""
+"""The PRM planner: extends the roadmap at each stage, plans the path to the chosen goal, and monitors it."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class PrmPlanner(LeafSystem):
     map: MapEstimate, tfg: TfgMap, pose: PoseEstimate, goal: GoalChoice, mission: MissionStatus, roadmap: Roadmap,
     local_roadmap: Roadmap, path: Path, path_status: PathStatus, all in M. scan: LaserScan.
 
-    local_roadmap is as much of roadmap as planning needs at a stage, with the same ids: on a large map the nodes near
-    the newest view, see `tfg_drake.planning.local`. Then the whole is made for whoever looks at it.
-    With its parameters, the seed of its samples among them, and the inputs the roadmap is determined.
+    local_roadmap is the part of roadmap that planning needs at a stage, with the same ids: on a large map the nodes
+    near the newest view, see `tfg_drake.planning.local`. Then roadmap is computed only for display.
+    Parameters, including the seed of the samples, and inputs determine the roadmap.
     """
 
     def __init__(self, parameters: RoadmapParameters) -> None:

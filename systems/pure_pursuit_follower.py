@@ -30,11 +30,10 @@ SHORT_PATIENCE, AT_GOAL = 0.5, 0.2
 
 
 class PurePursuitFollower(LeafSystem):
-    """Follows the path while the mission says that the robot drives, turns in place in its phase "observe", and stands
-    still otherwise.
+    """Follows the path in the mission's driving phases, turns in place in phase "observe", and stands still otherwise.
 
-    At a goal it turns as far as it takes to look in the directions that the goal names, where the mission starts it
-    looks and turns as long as the explorer's configuration says, anywhere else it turns all round.
+    At a goal it turns until it has seen the directions that the goal names; at the start it stands and turns as long as
+    the explorer's configuration says; anywhere else it turns all around.
 
     .. pydrake_system::
 
@@ -53,7 +52,7 @@ class PurePursuitFollower(LeafSystem):
     """
 
     def __init__(self, robot: RobotConfig, explorer: ExplorerConfig, field_of_view: float | None):
-        """field_of_view: rad, in which all sensors see that look round; None to turn all round at every goal."""
+        """field_of_view: rad, common to all sensors; None to turn all around at every goal."""
         super().__init__()
         self._field_of_view = field_of_view
         self._robot, self._explorer = robot, explorer
@@ -96,7 +95,7 @@ class PurePursuitFollower(LeafSystem):
         discrete.set_value(self._command, [speed, turn_rate])
 
     def _Turn(self, x: list[float], mission: MissionStatus, goal: GoalChoice, pose: PoseEstimate) -> float:
-        """The turn rate, rad/s."""
+        """Return the turn rate, rad/s."""
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
@@ -121,7 +120,7 @@ class PurePursuitFollower(LeafSystem):
         return turn_rate
 
     def _Follow(self, x: list[float], path: Path, X_MB: FloatArray, speed: float) -> tuple[float, float]:
-        """Forward speed, m/s, and turn rate, rad/s, of a robot at X_MB (3,) that has a speed (m/s)."""
+        """Return forward speed, m/s, and turn rate, rad/s, for a robot at X_MB (3,) with a speed (m/s)."""
         if x[PATH] != path.id:
             x[TURNING], x[PATH], x[PROGRESS], x[FINISHED] = 0.0, path.id, 0.0, 0.0
         if x[FINISHED]:

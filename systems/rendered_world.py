@@ -1,4 +1,4 @@
-"""A world as pixels: its scene in a SceneGraph, rendered by VTK without a display."""
+"""Renders a world: its scene in a SceneGraph, rendered by VTK without a display."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ _PIXEL_CENTRE = 0.5
 
 
 def AddScene(scene: SceneGraph, world: World, config: SceneConfig) -> SourceId:
-    """Puts a world into a SceneGraph, with a renderer of its own; returns the source that holds it.
+    """Add a world with its own renderer to a SceneGraph; returns its source.
 
-    Raises WorldError where it cannot be drawn.
+    Raises WorldError if the world cannot be drawn.
     """
     drawn = make_scene(world, config)
     look = RenderEngineVtkParams(default_clear_color=_Hue(_SKY), lights=[_Lamp(a) for a in _LAMP_HEADINGS])
@@ -74,7 +74,7 @@ def AddScene(scene: SceneGraph, world: World, config: SceneConfig) -> SourceId:
 
 
 def AddPeople(scene: SceneGraph, source: SourceId, count: int) -> list[FrameId]:
-    """Frames of so many people, each a cylinder that stands on the floor."""
+    """Add `count` people, each a cylinder standing on the floor; returns their frames."""
     frames = []
     for k in range(count):
         frame = scene.RegisterFrame(source, GeometryFrame(f"person{k}"))
@@ -88,7 +88,7 @@ def AddPeople(scene: SceneGraph, source: SourceId, count: int) -> list[FrameId]:
 
 
 def _Hue(grey: float) -> NDArray[np.float64]:
-    """(3,) shares of red, green, blue."""
+    """Return the shares of red, green, blue (3,)."""
     return hue_of(np.array(grey)) / 255.0
 
 
@@ -100,40 +100,40 @@ def _Lamp(heading: float) -> LightParameter:
 
 
 def MakeCameraInfo(width: int, height: int, field_of_view: float) -> CameraInfo:
-    """Intrinsics of a camera without distortion whose image shows that horizontal field of view, rad."""
+    """Return the intrinsics of a camera without distortion with a horizontal field of view, rad."""
     return CameraInfo(width, height, 2.0 * math.atan(math.tan(0.5 * field_of_view) * height / width))
 
 
 def calibration_of(info: CameraInfo) -> CameraCalibration:
-    """The calibration of the images that Drake renders with these intrinsics."""
+    """Return the calibration of images that Drake renders with these intrinsics."""
     matrix = np.array(info.intrinsic_matrix(), dtype=float)
     matrix[:2, 2] -= _PIXEL_CENTRE
     return CameraCalibration(info.width(), info.height(), matrix, "plumb_bob", np.zeros(0))
 
 
 def MakeCameras(info: CameraInfo, least_depth: float, most_depth: float) -> tuple[ColorRenderCamera, DepthRenderCamera]:
-    """Colour and depth of a camera; nearer than least_depth (m) depth is 0, beyond most_depth (m) inf."""
+    """Return a colour and a depth camera; depth is 0 below least_depth (m), inf beyond most_depth (m)."""
     drawn = ClippingRange(_NEAREST, max(_FARTHEST, most_depth))
     core = RenderCameraCore(_RENDERER, info, drawn, RigidTransform())
     return ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(max(least_depth, _NEAREST), most_depth))
 
 
 def MountPose(mount: CameraMount) -> RigidTransform:
-    """X_BC of a camera, z forward, in the body's frame, z up."""
+    """Return X_BC of a camera (z forward) in the body's frame (z up)."""
     return RigidTransform(RotationMatrix(mount.R_BC), mount.p_BC)
 
 
 def PlanarPose(X_WB: NDArray[Any]) -> RigidTransform:
-    """X_WB in space of a pose (3,) on the floor, of whatever follows it in the array."""
+    """Return X_WB in 3D of a planar pose, the first 3 entries of an array."""
     x, y, theta = np.asarray(X_WB[:3], dtype=float)
     return RigidTransform(RotationMatrix.MakeZRotation(theta), [x, y, 0.0])
 
 
 class WorldView:
-    """Pictures of a world, one by one, for what is no diagram: a stream, a figure, a test."""
+    """Renders single images of a world outside of a diagram, for a stream, a figure or a test."""
 
     def __init__(self, world: World, mount: CameraMount, info: CameraInfo):
-        """mount: of the camera on the body. Raises WorldError."""
+        """mount: of the camera on the body. Raises WorldError if the world cannot be drawn."""
         self._scene = SceneGraph()
         AddScene(self._scene, world, SceneConfig())
         self._context = self._scene.CreateDefaultContext()
@@ -142,14 +142,14 @@ class WorldView:
         self.calibration: CameraCalibration = calibration_of(info)
 
     def image(self, X_WB: NDArray[np.float64]) -> Image:
-        """(h, w) in grey, of what the camera sees from a body at the pose X_WB (3,)."""
+        """Return the grey image (h, w) of the camera on a body at the pose X_WB (3,)."""
         image = self._Query().RenderColorImage(
             self._colour, self._scene.world_frame_id(), PlanarPose(X_WB) @ self._X_BC
         )
         return photographed(image.data)
 
     def depth(self, X_WB: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(h, w) m along the optical axis, 0 too near, inf too far."""
+        """Return the depth image (h, w), m along the optical axis, 0 if too near, inf if too far."""
         X_WC = PlanarPose(X_WB) @ self._X_BC
         image = self._Query().RenderDepthImage(self._depth, self._scene.world_frame_id(), X_WC)
         return np.array(image.data[..., 0])

@@ -41,7 +41,7 @@ _log = logging.getLogger("tfg_drake.hardware")
 
 
 class SafetyFilter(LeafSystem):
-    """Lets through what is safe, see tfg_drake.safety. An unconnected command is zero.
+    """Limits the velocity command to a safe one, see tfg_drake.safety. An unconnected command is zero.
 
     .. pydrake_system::
 
@@ -59,9 +59,9 @@ class SafetyFilter(LeafSystem):
         - scan_believed
 
     velocity_commanded, velocity: forward speed (m/s) and turn rate (rad/s). hazards, scan, odometry: messages. enable,
-    enabled: vectors of size 1; the base stands while it is 0, unconnected it is 1. pose: PoseEstimate; by it the base
-    keeps out of areas as if walls stood round them, unconnected it does not. scan_believed: the newest scan that is
-    believed: a scanner that says nothing new is as good as silent.
+    enabled: vectors of size 1; the base stands while enable is 0; unconnected it is 1. pose: PoseEstimate, by which the
+    base keeps out of keep-out areas as if walls surrounded them; unconnected it does not. scan_believed: the newest
+    accepted scan; a scanner that repeats its scan counts as silent.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class SafetyFilter(LeafSystem):
         *,
         locks: bool = True,
     ):
-        """keep_out: (k, 4) what fills the areas not to be entered, m in M; None for none. locks: after a cliff or a
-        wheel drop an `enable` that is connected must be another number for the base to move, as a robot's own watchdog
-        has it."""
+        """keep_out: (k, 4) segments that fill the keep-out areas, m in M; None for none. locks: after a cliff or a
+        wheel drop a connected `enable` must change its number before the base moves, as with a real robot's
+        watchdog."""
         super().__init__()
         self._locks, self._keep_out = locks, keep_out
         self._robot, self._safety, self._scanner = robot, safety, scan
@@ -106,7 +106,8 @@ class SafetyFilter(LeafSystem):
             update.set_value(group, value)
 
     def _Spent(self, context: Context, wanted: float) -> float:
-        """The newest `enable` that a hazard has used up; wanted: the one now, 0: none, inf: it is unconnected."""
+        """Return the newest `enable` that a hazard has invalidated; wanted: the current one, 0: none, inf:
+        unconnected."""
         before = float(context.get_discrete_state(self._spent).value()[0])
         if not self._locks or wanted in (0.0, math.inf):
             return before
@@ -127,7 +128,7 @@ class SafetyFilter(LeafSystem):
         )
 
     def _Barred(self, context: Context) -> LaserScan:
-        """The newest scan, as if walls stood round the areas that the base must not enter."""
+        """Return the newest scan as if walls surrounded the keep-out areas."""
         scan: LaserScan = self._inputs(context, "scan")
         if self._keep_out is None or not len(self._keep_out) or not len(scan.ranges):
             return scan
@@ -164,14 +165,14 @@ class SafetyFilter(LeafSystem):
         return after
 
     def _Meets(self, scan: LaserScan, speed: float) -> bool:
-        """True if the scan shows an obstacle that keeps a standing base from driving on."""
+        """Return True if the scan shows an obstacle that keeps a standing base from starting."""
         ahead = scan.angles if speed > 0.0 else scan.angles - math.pi
         x, y = scan.ranges * np.cos(ahead), scan.ranges * np.sin(ahead)
         reach = self._robot.radius + self._safety.stop_distance + _NEAR
         return bool(np.any((x > 0.0) & (x < reach) & (np.abs(y) < self._robot.radius + self._safety.side_margin)))
 
     def _Wanted(self, context: Context) -> float:
-        """The speed, m/s, at which the base is told to drive while it stands and no hazard keeps it, else 0."""
+        """Return the commanded speed, m/s, while the base stands without a hazard, otherwise 0."""
         hazards, enabled = self._inputs(context, "hazards"), context.get_discrete_state(self._enabled)
         kept = hazards.bumper or stopped_by(hazards) is not None or enabled.value()[0] == 0.0
         stands = self._State(context)[SPEED] == 0.0 and not kept

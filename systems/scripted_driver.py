@@ -1,4 +1,4 @@
-"""The scripted driver: goals and paths of a drive that was thought out beforehand."""
+"""The scripted driver: goals and paths of a predefined drive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tfg_drake.systems.ports import MessageInputs, MessageState
 
 @message
 class _Scripted:
-    """The newest goal and path, and the mission's count of replans when that was made."""
+    """The newest goal and path, and the mission's count of replans when the path was made."""
 
     goal: GoalChoice
     path: Path
@@ -20,7 +20,7 @@ class _Scripted:
 
 
 class ScriptedDriver(LeafSystem):
-    """Names one place of its drive after the other as the goal, and the straight way there as the path.
+    """Outputs the places of its drive as goals, one after the other, with straight paths.
 
     .. pydrake_system::
 
@@ -39,7 +39,7 @@ class ScriptedDriver(LeafSystem):
     """
 
     def __init__(self, p_MG: FloatArray):
-        """p_MG: (n, 2) places to look round at, m."""
+        """p_MG: (n, 2) places where the robot looks around, m."""
         super().__init__()
         self._drive = p_MG
         self._inputs = MessageInputs(self, "tfg", "pose", "mission")

@@ -1,4 +1,4 @@
-"""The SLAM estimator as a Drake system: a shell round tfg_drake/slam/estimator.py."""
+"""The SLAM estimator as a Drake system, see tfg_drake/slam/estimator.py."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SILENCE = 1.0
 
 
 class SlamEstimator(LeafSystem):
-    """Estimates the robot's pose all the time and the map at every view.
+    """Estimates the robot's pose at 16 Hz and the map at every view.
 
     .. pydrake_system::
 
@@ -53,15 +53,15 @@ class SlamEstimator(LeafSystem):
         - hypotheses
         - estimator_state
 
-    odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, may be
-    unconnected: once it says that all is explored, more of a large map is known jointly. said_pose: SaidPose, likewise:
-    where in a map that it began with, and maps apart from, somebody says that the robot is. pose: PoseEstimate at the
-    newest odometry, with in how many places of a known map the robot may be. map: MapEstimate of the tags after the
-    newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags and walls then. hypotheses:
-    Hypotheses, where in a known map the robot may be as long as it is more than one place. estimator_state:
-    EstimatorState, all it knows, for whoever keeps the map. A turn is open while the mission is in phase "observe" or
-    "glance"; in phase "map" it is solved and the map's stage becomes the mission's stage plus one. Messages are taken
-    once each, by their stamps.
+    odometry: Odometry, detections: TagDetections, scan: LaserScan, mission: MissionStatus. goal: GoalChoice, optional:
+    once it reports that all is explored, landmarks all over a large map become jointly known. said_pose: SaidPose,
+    optional: the robot's pose in its known map as stated by a person, used while the session maps apart. pose:
+    PoseEstimate at the newest odometry, with the number of places of a known map where the robot may be. map:
+    MapEstimate of the tags after the newest view, of stage 0 and empty before the first. landmarks: MapEstimate of tags
+    and walls, likewise. hypotheses: Hypotheses, the places of a known map where the robot may be, while there are
+    several. estimator_state: EstimatorState, the whole state, for saving the map. A turn is open while the mission is
+    in phase "observe" or "glance"; in phase "map" it is solved and the map's stage becomes the mission's stage plus
+    one. Each message is processed once, by its stamp.
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class SlamEstimator(LeafSystem):
         *,
         recorded: bool = False,
     ) -> None:
-        """odometry_config, sensor, scanner: what the estimator believes of odometry, camera and scanner. explorer: its
+        """odometry_config, sensor, scanner: data sheets of odometry, camera and scanner. explorer: its
         path_keyframe_period, solver and landmarks, see `tfg_drake.slam.estimator_state.initial_state`, and known_map.
-        recorded: the drive is a recorded one, that makes no turns to be mapped: in phase "map" the piece of the way
-        since the last view is. Raises MapFileError where that is no map."""
+        recorded: the drive is recorded and has no turns: phase "map" maps the piece of the way since the last view.
+        Raises MapFileError if known_map is not a map."""
         super().__init__()
         keep_to_one_thread()
         self.set_name("slam_estimator")

@@ -1,4 +1,4 @@
-"""The world and the people round a simulated robot, as its systems see them."""
+"""The world and the people around a simulated robot, as inputs of its systems."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ PERIOD = 1.0 / 8.0
 
 
 class Surroundings:
-    """Inputs "people" and "world" of a simulated system, People and WorldNow; either may be unconnected."""
+    """The inputs "people" and "world" of a simulated system, People and WorldNow; either may be unconnected."""
 
     def __init__(self, system: LeafSystem, world: World) -> None:
-        """Declares them. world: as it is at the beginning."""
+        """Declare the inputs. world: the initial world."""
         self._world = world
         self._inputs = MessageInputs(system, people=People, world=WorldNow)
 
     def world(self, context: Context) -> World:
-        """The world now."""
+        """Return the current world."""
         changed = self._inputs.optional(context, "world")
         return self._world if changed is None else changed.world
 
     def people(self, context: Context, time: float | None = None) -> FloatArray | None:
-        """The people as discs (n, 3), m in W, at a time, s, by default the context's; None where there are none."""
+        """Return the people as discs (n, 3), m in W, at a time, s, by default the context's; None without people."""
         walking = self._inputs.optional(context, "people")
         return None if walking is None else discs_at(walking, context.get_time() if time is None else time)

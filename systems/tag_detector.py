@@ -1,4 +1,4 @@
-"""The tag detector: a camera's images to the tag sensor's message."""
+"""The tag detector: converts a camera's images to TagDetections messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tfg_drake.vision.tag_detector import TagDetector as Detector
 
 
 class TagDetector(LeafSystem):
-    """Range and bearing of the tags in a camera's images, once a frame, see tfg_drake.vision.
+    """Measures range and bearing of the tags in each frame of a camera, see tfg_drake.vision.
 
     .. pydrake_system::
 
@@ -27,9 +27,9 @@ class TagDetector(LeafSystem):
         - detections
         - remarks
 
-    image: an ImageRgba8U, as the port color_image of Drake's RgbdSensor has it. detections: a TagDetections message,
-    stamped with the time of its image; stamped -inf and empty before the first. remarks: tuple of lines, what was left
-    out of the newest image and why. What Drake renders is calibrated by tfg_drake.systems.rendered_world.
+    image: an ImageRgba8U, as the port color_image of Drake's RgbdSensor. detections: a TagDetections message, stamped
+    with the time of its image; stamped -inf and empty before the first. remarks: tuple of lines, the tags rejected in
+    the newest image and why. tfg_drake.systems.rendered_world makes the calibration of Drake's images.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class TagDetector(LeafSystem):
         noise: TagNoise | None = None,
         least_side: float = 0.0,
     ):
-        """rate: frames a second, Hz. Else see tfg_drake.vision.sighting.sighted."""
+        """rate: of frames, Hz. For the others see tfg_drake.vision.sighting.sighted."""
         super().__init__()
         self._detector = Detector()
         self._sheet = (calibration, sizes, mount, noise)

@@ -19,14 +19,14 @@ from tfg_drake.world.world import World
 
 @message
 class _SensorState:
-    """The newest frame, and the noise (n, 2) that the next one's is correlated with, none where it is white."""
+    """The newest frame, and the noise (n, 2) with which the next frame's is correlated, empty for white noise."""
 
     frame: TagDetections
     noise: FloatArray
 
 
 class TagSensor(LeafSystem):
-    """Range and bearing of the tags in view, once a frame, see tfg_drake.simulation.tag_sensor.
+    """Measures range and bearing of the tags in view in each frame, see tfg_drake.simulation.tag_sensor.
 
     .. pydrake_system::
 
@@ -42,14 +42,14 @@ class TagSensor(LeafSystem):
         - detections
 
     pose: x, y, theta, v, w of the plant. noise: NOISE_PER_TAG standard normal numbers for each of the world's tags,
-    fresh every frame; tag_errors: 2 for each, the same all along; frame_noise: 2, fresh every frame. Where reality has
-    no use for the last two they may be left unconnected. people: a People message, who hide tags; left unconnected
-    where there are none. world: a WorldNow message, left unconnected where nothing changes. detections: a TagDetections
-    message; stamped -inf and empty before the first frame.
+    drawn anew for every frame; tag_errors: 2 for each tag, constant during a run; frame_noise: 2, drawn anew for every
+    frame. The last two may be unconnected if reality does not use them. people: a People message, who hide tags;
+    unconnected without people. world: a WorldNow message, unconnected if the world is constant. detections: a
+    TagDetections message; stamped -inf and empty before the first frame.
     """
 
     def __init__(self, world: World, config: TagSensorConfig, reality: TagRealityConfig | None = None):
-        """config: the data sheet. reality: what the sensor does otherwise."""
+        """config: the data sheet. reality: deviations of the real sensor from it."""
         super().__init__()
         reality = reality or TagRealityConfig()
         self._world, self._stated, self._reality = world, config, reality

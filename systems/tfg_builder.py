@@ -1,4 +1,4 @@
-"""The TFG builder: surfaces, free space and frontiers of every view, placed by the newest map."""
+"""The TFG builder: adds surfaces, free space and frontiers of every view and places them by the newest map."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GLANCE_SCANS = 3
 
 @message
 class _BuilderState:
-    """The graph, and it resolved in the newest map; since the last view, scans of the running turn."""
+    """The graph, the graph resolved in the newest map, and the scans of the current turn."""
 
     graph: TfgGraph
     tfg: TfgMap
@@ -30,7 +30,7 @@ class _BuilderState:
 
 
 class TfgBuilder(LeafSystem):
-    """Collects the scans of a turn in place and adds them to the graph when the turn is in the map.
+    """Collects the scans of a turn or glance and adds them to the graph when it is in the map.
 
     .. pydrake_system::
 
@@ -45,10 +45,10 @@ class TfgBuilder(LeafSystem):
         - tfg_graph
 
     scan: LaserScan, map: MapEstimate, mission: MissionStatus. landmarks: MapEstimate of tags and walls, optional:
-    without it surfaces hang on views alone. tfg: TfgMap, in M. tfg_graph: TfgGraph in the coordinates of its walls and
-    views, for whoever keeps the map.
+    without it surfaces are anchored to views only. tfg: TfgMap, in M. tfg_graph: TfgGraph in the coordinates of its
+    walls and views, for saving the map.
 
-    tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError: a view
+    tfg.stage follows map.stage one view at a time. A map that is more than one stage ahead raises ValueError, as a view
     was missed.
     """
 
@@ -60,7 +60,7 @@ class TfgBuilder(LeafSystem):
         explorer: ExplorerConfig,
         keep_out: FloatArray | None = None,
     ):
-        """keep_out: (k, 4) what fills the areas that the robot must not enter, m in M; None for none."""
+        """keep_out: (k, 4) segments that fill the keep-out areas, m in M; None for none."""
         super().__init__()
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out

@@ -1,4 +1,4 @@
-"""Records a mission's picture over time."""
+"""Records the layers of a mission's picture over time."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ _LAYERS = {
 
 
 class LayerWriter(Protocol):
-    """A writer of layers: a TimelineWriter, or a picture that draws them."""
+    """A writer of layers: a TimelineWriter, or an object that draws them."""
 
     def is_due(self, layer: str, time: float) -> bool:
-        """True if a layer may be written at a time, s."""
+        """Return True if a layer may be written at a time, s."""
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
-        """Takes a record."""
+        """Write a record of a layer."""
 
     def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
-        """Takes how a table has changed."""
+        """Write the changes of a table."""
 
     def flush(self, *, all_of_it: bool = True) -> None:
-        """Called after all records of an instant."""
+        """Finish an instant, after all its records."""
 
 
 class TimelineRecorder(LeafSystem):
-    """Writes what a mission looks like to a file, see tfg_drake.storage.timeline and tfg_drake.pictures.scene.
+    """Writes the layers of a mission to a file, see tfg_drake.storage.timeline and tfg_drake.pictures.scene.
 
     .. pydrake_system::
 
@@ -77,17 +77,17 @@ class TimelineRecorder(LeafSystem):
         - truth
 
     map: MapEstimate, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice, path: Path, grid: GridMap, mission:
-    MissionStatus, pose: PoseEstimate, local_roadmap: Roadmap, landmarks: MapEstimate of tags and walls, written when
-    map is, all in M. scan: LaserScan. people: People, in W. pushes: Pushes, what somebody does to the base.
+    MissionStatus, pose: PoseEstimate, local_roadmap: Roadmap, landmarks: MapEstimate of tags and walls, written with
+    map, all in M. scan: LaserScan. people: People, in W. pushes: Pushes, motions that the wheels do not cause.
 
-    Every port is optional and gives its own layers, which are written when their message has changed. enabled: (1,)
-    whether the base may move. truth: the true pose (x, y, theta, v, w) in W.
+    Every port is optional and has its own layers, which are written when their message has changed. enabled: (1,), 1
+    while the base may move. truth: the true pose (x, y, theta, v, w) in W.
 
-    It changes nothing in the Context; the file is a side effect outside of it: one simulation to a file.
+    The recorder changes nothing in the Context; the file is a side effect, so each simulation needs its own file.
     """
 
     def __init__(self, writer: LayerWriter) -> None:
-        """writer: where to; whoever opened it closes it."""
+        """writer: of the file, closed by its owner."""
         super().__init__()
         self._writer = writer
         self._Forget()
@@ -98,12 +98,12 @@ class TimelineRecorder(LeafSystem):
         self.DeclareForcedPublishEvent(functools.partial(self._Write, True))
 
     def Connect(self, builder: DiagramBuilder, station: System, explorer: System, *others: System) -> None:
-        """Connects it to a mission's station, explorer and others, such as its operator, by port name."""
+        """Connect it to a mission's station, explorer and other systems, such as its operator, by port name."""
         connect_by_name(builder, self, explorer, *others)
         connect_by_name(builder, self, station, **_HEARD_AS)
 
     def _Forget(self) -> None:
-        """Nothing has been written."""
+        """Mark all layers as not yet written."""
         self._newest: dict[str, object] = {}  # what stands in the file
         self._stars: dict[int, FloatArray] = {}  # the same, of each view
         self._count = 0
@@ -122,7 +122,7 @@ class TimelineRecorder(LeafSystem):
         self._writer.flush(all_of_it=everything)
 
     def _Look(self, context: Context, now: float, everything: bool) -> None:
-        """Writes what has changed since the last look; everything: also what has been written too much lately."""
+        """Write what has changed since the last call; everything: also layers that have exceeded their rate."""
         for name in ("map", "tfg", "roadmap", "goal", "path", "grid", "pushes", "mission"):
             message = self._Get(context, name)
             before = self._newest.get(name)

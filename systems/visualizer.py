@@ -1,4 +1,4 @@
-"""A mission in Drake's Meshcat, in space: what is true, faint, and what the robot knows, live and in a recording."""
+"""Draws a mission in Drake's Meshcat, live and in a recording: the truth faintly, and the robot's knowledge."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ RECORDS, DRIVING = ("path", "goal", "grid"), ("path", "goal")
 class TfgVisualizer(TimelineRecorder):
     """Draws a mission in Meshcat.
 
-    It has the input ports of TimelineRecorder; every one is optional and draws its own part. Only what lies under /tfg
-    is touched, and the camera.
+    It has the input ports of TimelineRecorder; every one is optional and draws its own part. It changes only objects
+    under /tfg, and the camera.
 
-    While Meshcat records, all that is drawn has its time: play it with PublishRecording, keep it with StaticHtml. What
-    the map was like before then stays in the scene, unseen, until another recording or simulation begins.
+    While Meshcat records, everything drawn has its time: play it with PublishRecording, save it with StaticHtml.
+    Earlier versions of the map stay in the scene, invisible, until another recording or simulation begins.
 
-    A recording that is published or kept shows its end until somebody presses play under "Open Controls"; from then on
-    the slider for the time works, too.
+    A published or saved recording shows its end until you press play under "Open Controls"; from then on the time
+    slider works, too.
 
-    A Meshcat that fails, as its server does after a malformed message, is told once in the log and not used again.
+    A Meshcat that fails, as its server does after a malformed message, is reported once in the log and not used again.
     """
 
     def __init__(
@@ -77,9 +77,9 @@ class TfgVisualizer(TimelineRecorder):
     ) -> None:
         """
         Args:
-            meshcat: where to draw.
-            world: the true walls, None where they are not known.
-            X_WM: (3,) pose of the map frame in the world, m and rad; where the world has the robot start by default.
+            meshcat: the Meshcat to draw in.
+            world: the true walls, None if unknown.
+            X_WM: (3,) pose of the map frame in the world, m and rad; by default the start in the world.
             radius: of the robot, m.
         """
         start = np.zeros(3) if world is None else world.start
@@ -97,14 +97,14 @@ class TfgVisualizer(TimelineRecorder):
         world: World | None = None,
         radius: float = RobotConfig.radius,
     ) -> TfgVisualizer:
-        """Adds a visualizer of a mission, connected to its station and explorer by port name."""
+        """Add a visualizer of a mission, connected to its station and explorer by port name."""
         visualizer = TfgVisualizer(meshcat, world, radius=radius)
         builder.AddNamedSystem("visualizer", visualizer)
         visualizer.Connect(builder, station, explorer)
         return visualizer
 
     def PlaceMap(self, X_WM: FloatArray, time: float) -> None:
-        """Shows the map at another pose (3,) in the world from a time on, s, as it becomes known."""
+        """Show the map at another pose (3,) in the world from a time on, s, when it becomes known."""
         self._scene.write("frame", time, {"pose": X_WM})
 
     def _Begin(self, context: Context) -> None:
@@ -114,7 +114,7 @@ class TfgVisualizer(TimelineRecorder):
 
 
 class MeshcatScene:
-    """Layers as they come, see TimelineWriter, drawn in Meshcat at their times."""
+    """Draws layers in Meshcat at their times, see TimelineWriter."""
 
     def __init__(self, meshcat: Meshcat, world: World | None, X_WM: FloatArray, radius: float) -> None:
         """See TfgVisualizer."""
@@ -130,14 +130,14 @@ class MeshcatScene:
         self._legend_y = self._words_y[0] - lines * pixel, self._words_y[0]
 
     def is_due(self, layer: str, time: float) -> bool:
-        """True unless the layer was drawn, or a recording took too much of it, lately."""
+        """Return True unless the layer was drawn recently or a recording has taken too much of it."""
         return time >= self._due.get(layer, -math.inf)
 
     def flush(self, *, all_of_it: bool = True) -> None:
-        """Does nothing."""
+        """Do nothing."""
 
     def begin(self, time: float = 0.0) -> None:
-        """Show what there is before the mission begins, at a time, s."""
+        """Draw the scene before the mission begins, at a time, s."""
         # Of each thing its newest version, and whether a recording has that.
         self._versions: dict[str, tuple[int, bool]] = {}
         self._old: list[str] = []
@@ -150,11 +150,11 @@ class MeshcatScene:
         self._attempt(functools.partial(self._Begin, time))
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
-        """Draws a record."""
+        """Draw a record."""
         self._attempt(functools.partial(self._Write, layer, time, arrays, told))
 
     def write_rows(self, layer: str, time: float, table: Table, **told: Any) -> None:
-        """Draws a table anew."""
+        """Redraw a table."""
         if layer in TABLES:
             shown = layers(layer, table.arrays, SIGMAS)
             self._attempt(functools.partial(self._Show, layer, time, layer, shown))
@@ -227,8 +227,8 @@ class MeshcatScene:
                 self._said["goal"] = _words_of_goal(arrays, told, self._X_WM)
 
     def _ShowTrail(self, pose: FloatArray, time: float) -> None:
-        """The way driven, a piece after the other, and how sure the robot is of its place; pose: (7,) x, y, yaw and the
-        variances xx, xy, yy, yaw."""
+        """Draw the path driven, piece by piece, and the uncertainty of the pose; pose: (7,) x, y, yaw and the variances
+        xx, xy, yy, yaw."""
         if self._way and np.hypot(*(pose[:2] - self._way[-1])) < TRAIL_STEP:
             return
         self._way.append(pose[:2])
@@ -247,7 +247,7 @@ class MeshcatScene:
         self._ShowPlate(path, words_plate(said), *self._words_y)
 
     def _ShowPlate(self, path: str, png: bytes, low: float, high: float) -> None:
-        """A picture that lies on the floor, as wide as the building, from one y to another, m in W."""
+        """Draw a picture on the floor, as wide as the building, from one y to another, m in W."""
         x_min, _, x_max, _ = self._view
         corners = ((x_min, low), (x_max, low), (x_max, high), (x_min, high))
         lines = [f"v {x:.3f} {y:.3f} {PLATE_HEIGHT}" for x, y in corners]
@@ -280,7 +280,7 @@ class MeshcatScene:
             self._due[record] = max(time, self._due.get(record, time)) + size / RECORDED_RATE
 
     def _NextVersion(self, name: str, time: float, under: str = "/tfg/map") -> str:
-        """The path of what a thing is like from a time on, s: a new one where a recording has the last."""
+        """Return the Meshcat path of an object's version from a time on, s: a new path if a recording has the last."""
         recorded = self._IsRecorded()
         if recorded and not self._recorded:
             for path in self._old:  # of a recording that there was before
@@ -301,7 +301,7 @@ class MeshcatScene:
         return path
 
     def _IsRecorded(self) -> bool:
-        """True if Meshcat records. It does not tell, but it takes no number into a recording's track of booleans."""
+        """Return True if Meshcat records. It has no query, but refuses a number in a recording's track of booleans."""
         self._meshcat.get_mutable_recording().SetProperty(0, PROBE, "visible", True)
         try:
             self._meshcat.SetProperty(PROBE, "visible", 1.0, 0.0)
@@ -310,7 +310,7 @@ class MeshcatScene:
         return False
 
     def _Toggle(self, path: str, visible: bool, time: float, recorded: bool) -> None:
-        """Shows or hides what lies there from a time on, s; a recording also learns what it was like before."""
+        """Show or hide the objects at a path from a time on, s; a recording also gets their state before."""
         before, since = self._shown.get(path, (False, -math.inf))
         if recorded:
             start = self._meshcat.get_mutable_recording().start_time()
@@ -319,7 +319,7 @@ class MeshcatScene:
         self._shown[path] = visible, time
 
     def _ShowLayers(self, path: str, shown: Iterable[Layer]) -> int:
-        """Returns how many bytes they are."""
+        """Draw layers; returns their size, bytes."""
         obj, materials = wavefront(shown, self._unit)
         if not obj:
             self._meshcat.Delete(path)
@@ -329,7 +329,7 @@ class MeshcatScene:
         return len(obj)
 
     def _ShowCamera(self) -> None:
-        """From the south and above; the whole building and what is written beside it fill the window."""
+        """Set the camera south of and above the building, so that building and legend fill the window."""
         x_min, _, x_max, y_max = self._view
         y_min = self._legend_y[0]
         height = max((y_max - y_min) * math.sin(ELEVATION), (x_max - x_min) / ASPECT)
@@ -352,13 +352,13 @@ def _words_of_goal(arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any], 
 
 
 def _mesh(obj: str, files: Mapping[str, bytes]) -> Mesh:
-    """A mesh by the text of an OBJ file and the files that it names."""
+    """Return a mesh from the text of an OBJ file and the files that it names."""
     there = {name: MemoryFile(content, f".{name.partition('.')[2]}", name) for name, content in files.items()}
     return Mesh(InMemoryMesh(mesh_file=MemoryFile(obj.encode(), ".obj", "mesh"), supporting_files=there))
 
 
 def _view(world: World | None, X_WM: FloatArray) -> tuple[float, float, float, float]:
-    """x_min, y_min, x_max, y_max in W, m: the walls, or 15 m round the start where none are known."""
+    """Return x_min, y_min, x_max, y_max in W, m: the walls, or 15 m around the start if none are known."""
     if world is None or not len(world.walls):
         return X_WM[0] - 15.0, X_WM[1] - 10.0, X_WM[0] + 15.0, X_WM[1] + 10.0
     points = world.walls.reshape(-1, 2)
