@@ -1,13 +1,13 @@
 """The default solver: nested dissection of the keyframe graph, dense fronts eliminated by LAPACK.
 
-Keyframes are cut in halves of halves; what two halves share is eliminated last. A front is a half at some depth: the
-unknowns eliminated in it, which no keyframe outside it has, and its boundary, which the fronts above eliminate. All
-fronts are dense, so LAPACK does the work. See George, "Nested dissection of a regular finite element mesh" (1973), and
-Liu, "The multifrontal method for sparse matrix solution" (1992). The work grows with the cube of what two halves share,
-so each part is cut where that is least.
+The keyframes are bisected recursively; the unknowns that two halves share are eliminated last. A front is a half at
+some depth: the unknowns eliminated in it, which no keyframe outside uses, and its boundary, which the fronts above
+eliminate. All fronts are dense, so LAPACK does the work. See George, "Nested dissection of a regular finite element
+mesh" (1973), and Liu, "The multifrontal method for sparse matrix solution" (1992). The work grows with the cube of the
+number of shared unknowns, so each part is cut where they are fewest.
 
-One elimination serves the steps as long as values do not move far, and the values are exact: each gradient is taken
-anew. The parameters, which all keyframes share, are eliminated last.
+One elimination serves all steps as long as the values do not move far. The result is exact, as each gradient is
+computed anew. The shared parameters are eliminated last.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ LEAST_SHARE = 0.4
 
 @dataclasses.dataclass(frozen=True)
 class Front:
-    """A part of the graph. unknowns: (f,) ascending, the first `own` of them, which follow each other, are eliminated
-    here. halves: places of its two halves among the fronts, none in a leaf. keyframes: (q,) of a leaf. above: (f -
-    own,) where the others are among the unknowns of the front above."""
+    """A part of the graph. unknowns: (f,) ascending, the first `own` of them, which are consecutive, are eliminated
+    here. halves: indices of its two halves among the fronts, empty in a leaf. keyframes: (q,) of a leaf. above: (f -
+    own,) indices of the others among the unknowns of the front above."""
 
     unknowns: IntArray
     own: int
@@ -60,8 +60,8 @@ class Front:
 
 @dataclasses.dataclass(frozen=True)
 class Dissection:
-    """Fronts, each after its halves, and where the unknowns are. at: (g,) the first unknown of each of g variables,
-    NONE of one left out. size: how many unknowns there are."""
+    """Fronts, each after its halves, and the numbering of the unknowns. at: (g,) the first unknown of each of g
+    variables, NONE for an omitted one. size: number of unknowns."""
 
     fronts: tuple[Front, ...]
     at: IntArray
@@ -77,7 +77,7 @@ class Elimination:
     log_determinant: float
 
     def solution(self, vector: FloatArray) -> FloatArray:
-        """(u,) what times the information is the vector (u,)."""
+        """Return the solution x (u,) of information times x = vector (u,)."""
         x = vector.copy()
         for front, lower, below in self.parts:
             if front.own:
@@ -118,7 +118,7 @@ class Elimination:
 
 @dataclasses.dataclass(frozen=True)
 class System(Elimination):
-    """A graph's system linearised at some values, and eliminated. gradient: (u,) of the cost, error: twice the cost.
+    """A graph's linearised and eliminated system. gradient: (u,) of the cost, error: twice the cost.
     places: (., 2, 3) Hessian and gradient of each keyframe on each of its tags."""
 
     gradient: FloatArray
@@ -127,12 +127,12 @@ class System(Elimination):
 
 
 def leaves(points: FloatArray, variable: IntArray, keyframe: IntArray, most: int = LEAF) -> IntArray:
-    """(k,) the leaf of each of k keyframes: halves of halves, 2^d leaves of at most so many keyframes, such that leaves
-    2 i and 2 i + 1 are halves of one part.
+    """Return the leaf (k,) of each of k keyframes: 2^d leaves of at most `most` keyframes, such that leaves 2 i and
+    2 i + 1 are halves of one part.
 
     Args:
-        points: (k, 2) where the keyframes are.
-        variable, keyframe: (e,) the variables that each keyframe has, and which that is.
+        points: (k, 2) positions of the keyframes.
+        variable, keyframe: (e,) pairs of a variable and a keyframe that uses it.
     """
     angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     along = points @ np.stack([np.cos(angle), np.sin(angle)])
@@ -182,13 +182,13 @@ def _halves(
 def dissected(
     leaf: IntArray, variable: IntArray, keyframe: IntArray, width: IntArray, tied: IntArray, piece: IntArray
 ) -> Dissection:
-    """The dissection of a graph.
+    """Return the dissection of a graph.
 
     Args:
         leaf: (k,) of each keyframe, as of `leaves`.
-        variable, keyframe: (e,) the variables, from 0 to g - 1, that each keyframe has, and which that is.
-        width: (g,) unknowns of each variable, 0 where it is left out.
-        tied, piece: (t,) the variables that each piece of surface ties, and which that is.
+        variable, keyframe: (e,) pairs of a variable, from 0 to g - 1, and a keyframe that uses it.
+        width: (g,) number of unknowns of each variable, 0 if it is omitted.
+        tied, piece: (t,) pairs of a variable and a piece of surface that ties it.
     """
     depth = int(leaf.max(initial=0)).bit_length()
     number = len(width)
@@ -249,10 +249,10 @@ def _in_order(level: int, i: int) -> list[tuple[int, int]]:
 
 
 def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], damping: float = 0.0) -> Elimination:
-    """The system eliminated.
+    """Eliminate the system.
 
-    block: the information (f, f) that is in a front first. damping: added to each unknown's.
-    Raises numpy.linalg.LinAlgError where it is singular.
+    block: returns the information (f, f) assembled in a front. damping: added to that of each unknown.
+    Raises numpy.linalg.LinAlgError if it is singular.
     """
     parts: list[tuple[Front, FloatArray, FloatArray]] = []
     left: dict[int, FloatArray] = {}
@@ -290,12 +290,12 @@ def extend_add(whole: FloatArray, part: FloatArray, at: IntArray) -> None:
 
 
 class DissectionSolver:
-    """What eliminates one graph. Values may move as far as keeps_for, m or rad, until it does so anew."""
+    """Eliminates one graph. It eliminates again once values have moved by keeps_for, m or rad."""
 
     keeps_for = 0.05
 
     def __init__(self, graph: KeyframeGraph, *, landmarks: bool = True) -> None:
-        """landmarks: whether they are unknowns."""
+        """landmarks: True if they are unknowns."""
         self.factors = factors_of(graph)
         n, k, rows = len(graph.ids), len(graph.keyframes), self.factors.keyframes.rows
         seen_by = np.repeat(np.arange(k), np.diff(self.factors.keyframes.offsets))
@@ -323,9 +323,9 @@ class DissectionSolver:
         self.unknowns = Unknowns(landmark_at, np.append(NONE, node_at), int(shared_at[0]), error_at)
 
     def linearised(self, values: Values, damping: float) -> System:
-        """The system at some values, with `damping` added to the information on each unknown.
+        """Return the system at some values, with `damping` added to the information on each unknown.
 
-        Raises numpy.linalg.LinAlgError where it is singular.
+        Raises numpy.linalg.LinAlgError if it is singular.
         """
         factors, u, size = self.factors, self.unknowns, self._dissection.size
         gradient, error = np.zeros(size), 0.0

@@ -1,12 +1,12 @@
-"""The SLAM estimator as pure steps on one immutable state: odometry and detections in, pose and map out.
+"""The SLAM estimator as pure functions on one immutable state: odometry and detections in, pose and map out.
 
 Between views a localiser estimates the pose in the map; turns in place and pieces of the way collect frames. At the
-end of a turn it and the pieces before it are solved, each by itself, and join the map, and the localiser starts anew at
-the departure pose. Frames are taken by their stamps, whatever the order of arrival: one is processed when odometry
-beyond its stamp has arrived. Those with stamps in [begin, end) belong to the turn.
+end of a turn the turn and the pieces before it are solved separately and join the map, and the localiser restarts at
+the departure pose. Frames are processed by their stamps, whatever the order of arrival, each once odometry beyond its
+stamp has arrived. Frames with stamps in [begin, end) belong to the turn.
 
-What cannot be true is left out and logged in a line: impossible sightings, tags that contradict the map, a robot that
-is suddenly elsewhere (a slip, a push, a kidnapping).
+Implausible input is rejected and logged in a line: impossible sightings, tags that contradict the map, a robot that is
+suddenly elsewhere (a slip, a push, a kidnapping).
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ _remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 
 def carried(state: EstimatorState) -> EstimatorState:
-    """The state of a robot that may be anywhere in its map by now, and whose odometry and clocks begin anew."""
+    """Return the state of a robot that may have been carried anywhere in its map, with new odometry and clocks."""
     before_any: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(state)}
     of_drive = ("newest", "odometry", "pending", "scans", "unread", "looked", "suspect", "log")
     anew = {name: before_any[name] for name in of_drive}
@@ -142,7 +142,7 @@ def carried(state: EstimatorState) -> EstimatorState:
 
 @kept_finite
 def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorState:
-    """The state after one odometry message; one that is not newer than the last is ignored."""
+    """Return the state after an odometry message, which is ignored if it is not newer than the last."""
     if state.newest is None:
         if odometry.stamp < state.stamp:
             return state  # From before the robot was carried.
@@ -167,9 +167,8 @@ def process_odometry(state: EstimatorState, odometry: Odometry) -> EstimatorStat
 
 
 def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorState:
-    """The state where odometry does not tell the way from the newest message to this one, but guesses it: the view
-    under way begins anew, as the way there from the last one is not known better than that. What was seen meanwhile is
-    left out."""
+    """Return the state if odometry only guesses the way from the newest message to this one: the current view begins
+    anew, as the way to it is unknown. What was seen in between is dropped."""
     assert state.newest is not None
     before = _step_to(state, state.odometry[-1].stamp)
     dt = odometry.stamp - state.newest.stamp
@@ -194,7 +193,7 @@ def _with_way_unknown(state: EstimatorState, odometry: Odometry) -> EstimatorSta
 
 @kept_finite
 def process_detections(state: EstimatorState, detections: TagDetections) -> EstimatorState:
-    """The state after one frame of tags, or with the frame waiting for odometry; one older than the filters is
+    """Return the state after a frame of tags, or with the frame queued for odometry; a frame older than the filters is
     ignored."""
     state = _kept(state, detections)
     if not detections.stamp - state.offset >= state.stamp or state.landmarks == "walls":
@@ -210,7 +209,7 @@ def process_detections(state: EstimatorState, detections: TagDetections) -> Esti
 
 @kept_finite
 def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
-    """The state with one more scan to compare the frame of its instant with."""
+    """Return the state with one more scan, queued to be compared with the frame of its instant."""
     if not math.isfinite(scan.stamp) or (state.scans and scan.stamp <= state.scans[-1].stamp):
         return state
     state = replace(_kept(state, scan), scans=(*state.scans, scan)[-SCANS:])
@@ -219,10 +218,10 @@ def process_scan(state: EstimatorState, scan: LaserScan) -> EstimatorState:
 
 @kept_finite
 def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
-    """The state with a turn opened at a stamp, which ends the way; the pose then is the arrival pose A.
+    """Open a turn at a stamp, which ends the way; the pose at that time is the arrival pose A.
 
-    The stamp is brought into the span of the odometry at hand. Raises ValueError before any odometry or while a turn
-    is open.
+    The stamp is limited to the span of the available odometry. Raises ValueError before any odometry or while a turn is
+    open.
     """
     if not state.odometry:
         raise ValueError("A turn cannot begin before the first odometry message.")
@@ -233,10 +232,10 @@ def begin_turn(state: EstimatorState, stamp: float) -> EstimatorState:
 
 @kept_finite
 def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> EstimatorState:
-    """The state with the open turn solved and added to the map as a view, and the localiser at the departure pose D.
+    """Solve the open turn, add it to the map as a view, and restart the localiser at the departure pose D.
 
-    explored: everything is, so of a large map landmarks all over it are known jointly too. The stamp is brought into
-    the span of the odometry at hand. Raises ValueError where no turn is open.
+    explored: everything is explored, so landmarks all over a large map become jointly known. The stamp is limited to
+    the span of the available odometry. Raises ValueError if no turn is open.
     """
     if state.turn is None:
         raise ValueError("No turn is open.")
@@ -248,11 +247,11 @@ def end_turn(state: EstimatorState, stamp: float, *, explored: bool = False) -> 
 
 @kept_finite
 def close_piece(state: EstimatorState, stamp: float, *, at_last: bool = False) -> EstimatorState:
-    """The state with the piece of the way since the last call added to the map as a view, as if it had been a turn.
+    """Add the piece of the way since the last call to the map as a view, as if it were a turn.
 
-    For recorded drives without turns; needs path_keyframe_period = inf. While it is in doubt where the robot is, the
-    piece stays open, but at last. The stamp is brought into the span of the odometry at hand. Raises ValueError before
-    any odometry, or where no piece is open.
+    For recorded drives without turns; needs path_keyframe_period = inf. While the pose is in doubt the piece stays
+    open, except at the end. The stamp is limited to the span of the available odometry. Raises ValueError before any
+    odometry, or if no piece is open.
     """
     if not state.log or state.turn is not None or not math.isinf(state.path_keyframe_period):
         raise ValueError("No piece of the way is open: path_keyframe_period must be inf, and odometry have arrived.")
@@ -264,7 +263,7 @@ def close_piece(state: EstimatorState, stamp: float, *, at_last: bool = False) -
 
 
 def pose_estimate(state: EstimatorState) -> PoseEstimate:
-    """The pose at the newest odometry message; at the origin, stamp 0, before the first."""
+    """Return the pose at the newest odometry message; before the first, the origin with stamp 0."""
     stamp, speed = 0.0, np.zeros(2)
     increment, dt = np.zeros(3), 0.0
     if state.odometry:
@@ -295,9 +294,9 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
 
 @kept_finite
 def finished_map(state: EstimatorState) -> EstimatorState:
-    """The state at the end of a mission: its map is solved and known jointly as a whole, as far as memory allows.
+    """Return the state at the end of a mission, with the map solved and jointly known as a whole, if memory allows.
 
-    Every sighting is tested once more, and those that the map as a whole contradicts are taken back.
+    Every sighting is tested again, and those that contradict the whole map are removed.
     """
     estimate = state.map
     if estimate is None:
@@ -322,8 +321,8 @@ def _kept(state: EstimatorState, message: Message) -> EstimatorState:
 
 
 def _first_looked(state: EstimatorState) -> EstimatorState:
-    """The state when its first turn is over: what is wrong with the sensors is told. Where that is the camera's clock,
-    all is taken in anew by the right one: filters that lost the robot by the wrong one cannot be mended."""
+    """Return the state at the end of the first turn, after reporting sensor faults. If the camera's clock is wrong, all
+    messages are processed again with the right one, as filters that lost the robot cannot be repaired."""
     look, turn = state.look, state.turn
     if look is None or turn is None:
         return state
@@ -346,8 +345,8 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
 
 
 def _begun_anew(state: EstimatorState, ahead: float) -> EstimatorState:
-    """The state before any message of an estimator that has mapped nothing yet, with the camera's clock so much, s,
-    farther ahead than its data sheet says, and the first look over."""
+    """Return the initial state of an estimator that has mapped nothing yet, with the camera's clock ahead of its data
+    sheet by `ahead`, s, and the first look over."""
     prior = replace(state.sheet, mean=state.sheet.mean + ahead * np.eye(SHARED)[CLOCK])
     graph = empty_graph(prior, state.graph.solver)
     return EstimatorState(
@@ -365,7 +364,7 @@ def _begun_anew(state: EstimatorState, ahead: float) -> EstimatorState:
 
 
 def _process_pending(state: EstimatorState) -> EstimatorState:
-    """The state after all waiting frames that odometry has passed."""
+    """Return the state after all queued frames that odometry has passed."""
     while state.odometry:
         scan = state.unread[0].stamp if state.unread else math.inf
         frame = state.pending[0].stamp - state.offset if state.pending else math.inf
@@ -386,7 +385,7 @@ def _process_pending(state: EstimatorState) -> EstimatorState:
 
 
 def _with_straightness(state: EstimatorState, scan: LaserScan, lines: FloatArray) -> EstimatorState:
-    """The state once the operator knows that too little of what the scans see is straight to be a landmark."""
+    """Return the state after a note to the operator if too little of the surfaces in view is straight for walls."""
     seen = np.array([np.sum(lines[:, 3] - lines[:, 2]), surface_seen(scan)])
     straight = state.straight * FORGET + seen
     by_walls = state.map is not None and not is_tag(state.map.ids).any()
@@ -467,7 +466,7 @@ def _instant(now: DeadReckoning) -> TurnFrame:
 
 
 def _is_elsewhere(seen: Stretch, X_OB: FloatArray) -> bool:
-    """Whether the robot has moved on since the newest points of a turn or piece."""
+    """Return whether the robot has moved on since the newest points of a turn or piece."""
     for frame in reversed(seen.frames):
         if len(frame.points):
             moved = se2.between(frame.X_OB, X_OB)
@@ -476,8 +475,8 @@ def _is_elsewhere(seen: Stretch, X_OB: FloatArray) -> bool:
 
 
 def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray, most: float) -> LaserScan | None:
-    """The scan nearest in time to a frame that has tags. None where there is none, or where the robot moves by more
-    than `most`, m and rad, between the two; twist (2,): its speeds at the frame."""
+    """Return the scan nearest in time to a frame with tags. None without one, or if the robot moves by more than
+    `most`, m and rad, between the two; twist (2,): its speeds at the frame."""
     if not (len(frame.ids) and state.scans):
         return None
     scan = min(state.scans, key=lambda scan: abs(scan.stamp - frame.stamp))
@@ -485,7 +484,7 @@ def _scan_beside(state: EstimatorState, frame: TagDetections, twist: FloatArray,
 
 
 def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> TagWatch:
-    """Which tags should have been seen, with a frame at the state's stamp and the robot's twist (2,) then."""
+    """Return the watch over expected tags after a frame at the state's stamp, with the robot's twist (2,)."""
     scan = _scan_beside(state, frame, twist, NEARLY_THERE)
     if scan is None or state.map is None or state.contradictions or state.is_kidnapped:
         return state.watch
@@ -534,7 +533,7 @@ def _reduced(state: EstimatorState, seen: Stretch) -> tuple[EstimatorState, Redu
 
 
 def _prior(state: EstimatorState) -> Shared:
-    """The parameters as known without any keyframe: by the data sheets and by the scan."""
+    """Return the parameters as known without any keyframe: from data sheets and scans."""
     if not state.ranges.pairs:
         return state.sheet
     return state.sheet.with_information(*scan_information(state.ranges, state.noise.now.worth))
@@ -543,8 +542,8 @@ def _prior(state: EstimatorState) -> Shared:
 def _reduced_anew(
     state: EstimatorState, graph: KeyframeGraph, sources: tuple[Source | None, ...]
 ) -> tuple[KeyframeGraph, tuple[Source | None, ...]]:
-    """The graph with those of its newest keyframes reduced anew that were reduced by other parameters or noise; their
-    sources."""
+    """Return the graph with those of its newest keyframes reduced again that were reduced with other parameters or
+    noise, and their sources."""
     keyframes, kept, shared, noise = list(graph.keyframes), list(sources), graph.shared, state.noise
     for k, source in enumerate(sources):
         at = k - len(sources)
@@ -566,7 +565,7 @@ def _reduced_anew(
 
 
 def _with_scale_reported(state: EstimatorState) -> EstimatorState:
-    """The state once the operator knows of ranges that are so wrong that a setting must be."""
+    """Return the state after a note to the operator if ranges are so wrong that a setting must be."""
     share = 0.0 if state.ranges.reported else great_error(state.ranges, state.graph.shared)
     if not share:
         return state
@@ -648,8 +647,8 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
 
 
 def _found_meanwhile(state: EstimatorState, begun: Stretch) -> Stretch:
-    """A piece that began after a way that is not known, its first pose by where the robot is by now, if that tells
-    more: it has found itself among what is mapped. That is told again by what it has seen."""
+    """Return a piece that began after an unknown way, with its first pose inferred from the current pose if that is
+    better known, as the robot has relocalised meanwhile. Its observations carry this information again."""
     X_MB, covariance = pose_now(state)
     sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
     if np.all(sigma >= begun.sigma) or math.isinf(state.contradictions):

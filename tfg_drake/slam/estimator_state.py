@@ -1,4 +1,4 @@
-"""All that the SLAM estimator knows, as one immutable object."""
+"""The whole state of the SLAM estimator, as one immutable object."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_dev
 class Stretch:
     """A stretch of the log: a turn, or a piece of the way that is mapped like one.
 
-    begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: those
-    seen since. is_apart: the way to it from the last view is not known better than that: the robot was moved by
-    something else than its wheels. solved: as a keyframe, None while it is under way.
+    begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: the
+    frames seen since. is_apart: the way to it from the last view is known only by these, as the robot was moved by
+    something other than its wheels. solved: as a keyframe, None while it is open.
     """
 
     begin: TurnFrame
@@ -66,9 +66,8 @@ class Stretch:
 
 @message
 class Placed:
-    """How the frame of a map lies in another, as M of a session in the map K that it began with: X_KM (3,) and its
-    covariance (3, 3). moved: ids of the tags that stand elsewhere by now, tags: how many agree, 0 where surfaces say
-    so."""
+    """The pose of a map's frame in another map, such as M of a session in its known map K: X_KM (3,) and its covariance
+    (3, 3). moved: ids of the tags that have moved, tags: number of tags that agree, 0 if surfaces decided."""
 
     X: Annotated[FloatArray, 3]
     covariance: Annotated[FloatArray, 3, 3]
@@ -77,18 +76,18 @@ class Placed:
 
     @property
     def by(self) -> str:
-        """The landmarks that say so, in the plural."""
+        """The name of the landmarks that decided, in the plural."""
         return f"{self.tags} tags" if self.tags else "surfaces"
 
 
 @message
 class KnownMap:
-    """The map K that a session began with, as long as it maps apart from that, or that they are one may be taken back.
+    """The map K that a session began with, while the session maps apart or the join may be withdrawn.
 
-    keyframe: all of it, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. seen: what its
-    views have seen. evidence: for the places of its tags, facing: (n, 2) which way these face. said: where somebody
-    says that the session begins. X_WK: (3,) where K lies in its world. since: the stage at which both became one, 0 as
-    long as they are apart. sessions: (s,) that K is of, as of `KeyframeGraph`.
+    keyframe: the whole map, seen from its origin, to the pose X_KD (3,). estimate: its landmarks. seen: the surfaces
+    that its views have seen. evidence: for the places of its tags, facing: (n, 2) unit vectors in which these face.
+    said: the start of the session as stated by a person. X_WK: (3,) pose of K in its world. since: the stage at which
+    both became one, 0 while they are apart. sessions: (s,) of K, see `KeyframeGraph`.
     """
 
     keyframe: Keyframe
@@ -105,27 +104,26 @@ class KnownMap:
 
 @message
 class EstimatorState:
-    """All the estimator knows; the defaults are before any message.
+    """The whole state of the estimator; the defaults are those before any message.
 
-    noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: s of way that
-    are mapped as one piece; 0 where only its motion is. graph: its landmarks as they lay at its last solve or when they
-    were first seen, solved: the graph at that solve. ranges: how the tags' ranges compare with those of scans.
-    evidence: for the places where it has its tags, and against them. watch: which of them should have been seen since.
-    newest: the last odometry message. odometry: dead reckoning from the localiser's instant on. pending: frames that
-    wait for it. scans: the newest scans. instant: the localiser's, nothing seen. contradictions: frames that contradict
-    the pose, less those that agree since, inf where it is a guess until the robot has found itself. suspect: where the
-    first that contradicts it was seen, without frames; None where none does. log: what was seen since the last view,
-    the pieces of the way and the turn after them; the newest is under way. placed: s, since when the robot knows where
-    it is in a map that it began with, or in which it may have been carried while nobody looked; nan as long as it does
-    not in the latter. map: what has become of the solved graph since, None before
-    the first view. look: the newest messages in the order of their arrival, None once the first turn is over. sources:
-    of the newest keyframes, None of one that has none. walls: of the map. landmarks: what it is made of, one of
-    `config.LANDMARKS`. unread: scans that wait for odometry. looked: s, when lines were last taken for a stretch.
-    may_be_moved: by something else than its wheels. straight: (2,) m of straight walls and of all surfaces that the
-    scans of the last minutes have seen, nan once it was told that too little is straight. loops: the search for them.
-    deviation: (2,) of the newest pose at the last solve, m and rad. known: the map that the session began with, until
-    it is part of this one for good; at: where in it that is, once it is known; hypotheses: where in it that may be,
-    none where that is anywhere or nowhere.
+    noise: of odometry and tags. sheet: the shared parameters by the data sheets. path_keyframe_period: duration of a
+    piece of the way, s; 0 if only the motion is kept. graph: with landmarks at their values of the last solve or first
+    sighting, solved: the graph at that solve. ranges: comparison of the tags' ranges with those of scans. evidence: for
+    and against the places of the tags. watch: over the tags that should have been seen. newest: the last odometry
+    message. odometry: dead reckoning from the localiser's instant on. pending: frames that wait for odometry. scans:
+    the newest scans. instant: the localiser's, with nothing seen. contradictions: number of frames that contradict the
+    pose, less those that agree since; inf if the pose is a guess until the robot has relocalised. suspect: the stretch
+    that begins at the first contradicting frame, without frames; None without contradiction. log: the stretches since
+    the last view, pieces of the way and then the turn; the newest is open. placed: time, s, since when the robot knows
+    its place in a map that it began with or in which it may have been carried; in the latter nan until it does.
+    map: the updated estimate since the last solve, None before the first view. look: the
+    newest messages in the order of arrival, None once the first turn is over. sources: of the newest keyframes, None
+    for one that has none. walls: statistics of the map's walls. landmarks: their kind, one of `config.LANDMARKS`.
+    unread: scans that wait for odometry. looked: time, s, when lines were last taken for a stretch. may_be_moved: by
+    something other than its wheels. straight: (2,) m of straight walls and of all surfaces in the scans of the last
+    minutes, nan once it was reported that too little is straight. loops: the loop search. deviation: (2,) of the newest
+    pose at the last solve, m and rad. known: the map that the session began with, until the join is final; at: the
+    session's place in it, once known; hypotheses: the possible places in it, empty if these are everywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -163,12 +161,12 @@ class EstimatorState:
 
     @property
     def stamp(self) -> float:
-        """The filters' instant, s."""
+        """The time of the filters, s."""
         return self.instant.stamp
 
     @property
     def offset(self) -> float:
-        """The camera's clock is taken to be so much ahead, s."""
+        """The estimated offset of the camera's clock, ahead, s."""
         return float(self.graph.shared.mean[CLOCK])
 
     @property
@@ -178,18 +176,18 @@ class EstimatorState:
 
     @property
     def mapped(self) -> tuple[Stretch, ...]:
-        """The part of the log that the next view maps: all, or where the robot was moved by something else than its
-        wheels the stretches since."""
+        """The part of the log that the next view maps: all of it, or the stretches since the robot was moved by
+        something other than its wheels."""
         return self.log[max((k for k, one in enumerate(self.log) if one.is_apart), default=0) :]
 
     @property
     def is_kidnapped(self) -> bool:
-        """Whether the robot was moved since the last view by something else than its wheels."""
+        """Whether the robot was moved by something other than its wheels since the last view."""
         return any(one.is_apart for one in self.log)
 
     @property
     def seen_in_doubt(self) -> Stretch | None:
-        """The frames since the pose came into doubt, as one stretch; None where it is in none."""
+        """The frames since the pose became doubtful, as one stretch; None if it is not."""
         if self.suspect is None:
             return None
         begin = self.suspect.begin.stamp

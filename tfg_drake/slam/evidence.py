@@ -1,15 +1,14 @@
-"""The evidence for and against tags: impossible sightings, misread ids, outliers, moved tags, and tags that are gone.
+"""Evidence for and against the places of tags: impossible sightings, misread ids, outliers, moved and removed tags.
 
-A sighting that cannot be true is left out of its frame. Of the others an id may be misread, a range grossly wrong, and
-a tag moved elsewhere. So a tag is believed to be at a place when it was seen there in several frames, of one keyframe
-or of many, and what was believed is taken back when more has been seen of it elsewhere since. Each frame speaks for one
-place and against all others; the frames of one keyframe have their errors in common, and old ones fade, so neither
-counts without limit.
+Impossible sightings are removed from their frame. In the others an id may be misread, a range grossly wrong, or a tag
+moved. So a place of a tag is accepted when several frames, of one or more keyframes, saw the tag there, and withdrawn
+when more frames have seen it elsewhere since. Each frame supports one place and counts against all others. The counts
+are limited, as the frames of one keyframe share their errors and old frames lose relevance.
 
-A tag that fell off or was taken away is not seen where the map has it, though nothing hides it. Where the scan meets a
-surface all over a tag's place, not aslant and from the side that the tag has been seen from, the frame should show it.
-How often frames do, all tags taken together, tells how many in a row must fail to, until nothing speaks for its place
-any more.
+A tag that fell off or was removed is missing at its mapped place although nothing hides it. Where the scan hits a
+surface all over a tag's place, not obliquely and from the side that the tag was seen from, the frame should show it.
+The share of frames that do, over all tags, determines how many in a row must miss the tag before its place loses its
+support.
 """
 
 from __future__ import annotations
@@ -74,8 +73,8 @@ LEAST_FRAMES = 5
 
 
 def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
-    """The detections without those that are not finite, have no positive range or deviation, or share their id with
-    another one of the frame (which of the two is wrong cannot be told); and how many those were."""
+    """Return the detections without those that are not finite, have no positive range or deviation, or share their id
+    with another one of the frame (either may be wrong), and the number of those removed."""
     _, which, count = np.unique(detections.ids, return_inverse=True, return_counts=True)
     good = np.isfinite(detections.bearing) & (count[which] == 1)
     for positive in (detections.range, detections.sigma_range, detections.sigma_bearing):
@@ -87,26 +86,25 @@ def sanitized(detections: TagDetections) -> tuple[TagDetections, int]:
 
 @message
 class Sighted:
-    """A keyframe, before it is in the map. frames: (n,) in how many of its frames each of its tags was seen. source:
-    where it comes from, None of a way that nothing was seen on."""
+    """A keyframe that is not yet in the map. frames: (n,) number of its frames that saw each of its tags. source: its
+    frames and parameters, None for a way on which nothing was seen."""
 
     keyframe: Keyframe
     frames: IntArray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=np.int64))
     source: Source | None = None
 
     def only(self, tags: BoolArray) -> Sighted:
-        """With some of its tags (n,) only."""
+        """Return it with some of its tags (n,) only."""
         keyframe = without_tags(self.keyframe, self.keyframe.ids[~tags])
         return replace(self, keyframe=keyframe, frames=self.frames[tags])
 
 
 @message
 class Evidence:
-    """Places of tags, and the number of frames that speak for each.
+    """Places of tags, and the number of frames that support each.
 
-    ids: (h,) the tag's. view: (h,) MAPPED where it is the place that the map has, else the view that the
-    place is kept with: p_AL (h, 2) is in its arrival frame, m, with variance (h,), m^2. frames: (h,) that speak for it,
-    more than for other places since.
+    ids: (h,) of the tags. view: (h,) MAPPED for the mapped place, otherwise the view in whose arrival frame p_AL (h, 2)
+    is, m, with variance (h,), m^2. frames: (h,) that support the place, less those for other places since.
     """
 
     ids: Annotated[IntArray, "h"]
@@ -117,12 +115,12 @@ class Evidence:
 
     @property
     def is_mapped(self) -> BoolArray:
-        """(h,) which of the places the map has."""
+        """Mask (h,) of the mapped places."""
         return np.asarray(self.view == MAPPED)
 
 
 def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> BoolArray:
-    """Which of the tags (n,) of a keyframe at X_MA (3,) were seen there, in it and before, often enough to be mapped.
+    """Return a mask of the tags (n,) of a keyframe at X_MA (3,) that were seen there often enough to be mapped.
 
     graph: without it.
     """
@@ -131,9 +129,9 @@ def believable(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfr
 
 
 def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: KeyframeGraph) -> Evidence:
-    """The evidence with one keyframe more, the newest of a graph that has a view.
+    """Return the evidence with one keyframe more, the newest of a graph that has a view.
 
-    agrees: (n,) which of its tags the map has where it saw them.
+    agrees: (n,) mask of its tags that were seen at their mapped places.
     """
     X_MA, newest = graph.X_MN[-2], np.array([len(graph.X_AV) - 1])
     tag, same = _compared(evidence, seen, X_MA, graph)
@@ -155,26 +153,26 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
 
 
 def overturned(evidence: Evidence) -> IntArray:
-    """Ids, ascending, of the tags that stand elsewhere than the map has them, by what was seen since."""
+    """Return the ids, ascending, of the tags that have more support at another place than at the mapped one."""
     ids, mapped, elsewhere = _against(evidence)
     return ids[(mapped >= 0) & (elsewhere >= CONFIRMATIONS) & (elsewhere > mapped)]
 
 
 def forgotten(evidence: Evidence, ids: IntArray) -> Evidence:
-    """The evidence without the places that the map had of some tags."""
+    """Return the evidence without the mapped places of some tags."""
     return take(evidence, ~(evidence.is_mapped & np.isin(evidence.ids, ids)))
 
 
 def disputed(evidence: Evidence, ids: IntArray) -> Evidence:
-    """The evidence with nothing left that speaks for where the map has some tags (t,)."""
+    """Return the evidence without support for the mapped places of some tags (t,)."""
     return replace(evidence, frames=np.where(evidence.is_mapped & np.isin(evidence.ids, ids), 0, evidence.frames))
 
 
 def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
-    """The sighting that contradicts a solved graph most, as the landmark's id and the keyframe's index: without it the
-    squared error would fall by more than REJECTED. None where there is no such.
+    """Return the sighting that contradicts a solved graph most, as the landmark's id and the keyframe's index: without
+    it the squared error would fall by more than REJECTED. None if there is none.
 
-    What an update believed while the pose was hardly known, or the map bent, comes out here.
+    This removes sightings that an update accepted while the pose was uncertain or the map bent.
     """
     most, found = REJECTED, None
     for j, one in enumerate(graph.keyframes):
@@ -191,8 +189,8 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
 
 
 def reconciled(graph: KeyframeGraph, estimate: MapEstimate) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
-    """A graph, solved as a whole, and its map, less the sightings that contradict it, the worst first; and the ids of
-    their tags."""
+    """Return a graph, solved as a whole, and its map without the sightings that contradict it, removed worst first; and
+    the ids of their tags."""
     wrong: list[int] = []
     while len(wrong) < MOST_TAKEN_BACK and (sighting := contradicted(graph)) is not None:
         graph = taken_back(graph, *sighting)
@@ -202,14 +200,14 @@ def reconciled(graph: KeyframeGraph, estimate: MapEstimate) -> tuple[KeyframeGra
 
 
 def doubtful(evidence: Evidence) -> IntArray:
-    """Ids, ascending, of the tags that were seen but are not known to be at any one place: hardly seen, or seen
-    elsewhere nearly as often as where the map has them."""
+    """Return the ids, ascending, of the doubtful tags: seen in too few frames, or elsewhere nearly as often as at the
+    mapped place."""
     ids, mapped, elsewhere = _against(evidence)
     return ids[mapped - elsewhere < CONFIRMATIONS]
 
 
 def with_doubts(estimate: MapEstimate, evidence: Evidence, graph: KeyframeGraph) -> MapEstimate:
-    """The estimate with the tags that are doubtful, each at the place that most frames speak for. graph: the map's."""
+    """Return the estimate with the doubtful tags, each at its best supported place. graph: the map's."""
     ids = doubtful(evidence)
     order = np.lexsort((~evidence.is_mapped, -evidence.frames, evidence.ids))
     best = take(evidence, order[np.searchsorted(evidence.ids[order], ids)])
@@ -220,8 +218,8 @@ def with_doubts(estimate: MapEstimate, evidence: Evidence, graph: KeyframeGraph)
 
 
 def _against(evidence: Evidence) -> tuple[IntArray, IntArray, IntArray]:
-    """The tags (t,), ascending, the frames (t,) that speak for where the map has each, -1 where it has it nowhere, and
-    those (t,) for the best other place, 0 without any."""
+    """Return the tags (t,), ascending, the frames (t,) that support the mapped place of each, -1 if it is not mapped,
+    and those (t,) for the best other place, 0 without any."""
     ids, tag = np.unique(evidence.ids, return_inverse=True)
     mapped, elsewhere = np.full(len(ids), -1), np.zeros(len(ids), dtype=np.int64)
     mapped[tag[evidence.is_mapped]] = evidence.frames[evidence.is_mapped]
@@ -263,11 +261,11 @@ def _of_tags(n: int, tag: IntArray, frames: IntArray) -> IntArray:
 
 @message
 class TagWatch:
-    """Which tags of the map frames should have shown, and did not.
+    """Counts of frames that should have shown a mapped tag and did not.
 
-    ids: (k,) the map's. seen_from: (k, 2) sums of unit vectors from each tag to the camera in the frames that showed
-    it, in M. failed: (k,) frames in a row that should have shown it. widest: rad, the greatest bearing of any sighting.
-    all_expected: frames that should have shown a tag, of all tags together, all_seen: those that did.
+    ids: (k,) of the map's tags. seen_from: (k, 2) sums of unit vectors from each tag to the camera in the frames that
+    showed it, in M. failed: (k,) consecutive frames that missed it. widest: rad, the greatest bearing of any sighting.
+    all_expected: number of frames that should have shown a tag, summed over tags, all_seen: of those that did.
     """
 
     ids: Annotated[IntArray, "k"]
@@ -281,10 +279,10 @@ class TagWatch:
 def watched(
     watch: TagWatch, p_ML: FloatArray, X_MC: FloatArray, yaw: float, frame: TagDetections, scan: LaserScan
 ) -> TagWatch:
-    """The watch after one frame of a camera at X_MC (3,), by the scan of that instant.
+    """Return the watch after one frame of a camera at X_MC (3,), with the scan of that instant.
 
     p_ML: (k, 2) of the map's tags, m in M. yaw: of the camera in the body frame, rad. A frame without a tag of the map
-    says nothing: the camera may see none at all.
+    is ignored, as the camera may be blind.
     """
     before, rays = (watch.ids, watch.seen_from, watch.failed, watch.widest), (scan.angles, scan.ranges)
     seen_from, failed, widest, expected, seen = _watched(before, p_ML, X_MC, yaw, (frame.ids, frame.bearing), rays)
@@ -292,13 +290,13 @@ def watched(
 
 
 def missing(watch: TagWatch) -> BoolArray:
-    """(k,) which of the tags are not where the map has them."""
+    """Return a mask (k,) of the tags that are missing at their mapped places."""
     share = (watch.all_seen + 1.0) / (watch.all_expected + 2.0)
     return np.asarray(watch.failed >= max(LEAST_FRAMES, math.log(LEAST_CHANCE) / math.log1p(-share)))
 
 
 def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
-    """The watch after a new view, with the map's tags (n,) as they are now: of what was missing it begins anew."""
+    """Return the watch after a new view, for the map's current tags (n,); missing tags start over."""
     rows, known = rows_of(ids, watch.ids)
     seen_from, failed = np.zeros((len(ids), 2)), np.zeros(len(ids), dtype=np.int64)
     seen_from[known] = watch.seen_from[rows[known]]
@@ -343,7 +341,7 @@ def _watched(
 
 @njit(cache=True)
 def _expected(p_ML: FloatArray, seen_from: FloatArray, X_MC: FloatArray, yaw: float, widest: float, scan: Rays) -> bool:
-    """Whether a frame should show a tag, at p_ML (2,) and seen from (2,)."""
+    """Return whether a frame should show a tag at p_ML (2,) that was seen from (2,)."""
     x, y = X_MC[0] - p_ML[0], X_MC[1] - p_ML[1]
     distance = math.hypot(x, y)
     if not 0.0 < distance < NEAR:
