@@ -49,12 +49,12 @@ class Front:
 
     @property
     def eliminated(self) -> slice:
-        """The unknowns that are."""
+        """The slice of the unknowns that are eliminated here."""
         return slice(int(self.unknowns[0]), int(self.unknowns[0]) + self.own) if self.own else slice(0, 0)
 
     @property
     def boundary(self) -> IntArray:
-        """(f - own,) the unknowns that are not."""
+        """(f - own,) the unknowns that are eliminated above."""
         return self.unknowns[self.own :]
 
 

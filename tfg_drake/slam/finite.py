@@ -1,4 +1,4 @@
-"""Tells at once of an estimate that is no longer finite: nothing good comes of it any more."""
+"""Stops the estimator as soon as its estimate is no longer finite."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Step = TypeVar("Step", bound=Callable[..., EstimatorState])
 
 
 def kept_finite(step: Step) -> Step:
-    """A step of the estimator that raises EstimateLost where its result is not finite, or none is found."""
+    """Wrap a step of the estimator so that it raises EstimateLost if its result is missing or not finite."""
 
     @functools.wraps(step)
     def checked(state: EstimatorState, /, *args: Any, **kwargs: Any) -> EstimatorState:

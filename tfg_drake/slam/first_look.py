@@ -1,9 +1,9 @@
-"""The first look: scan and tags held against odometry while the robot turns round where it stands.
+"""The first look: compares scan and tags with odometry while the robot turns in place.
 
-A sensor that is mounted upside down, or whose clock is wrong, shows it before anything is mapped: it says by itself how
-far the robot has turned from one of its messages to the next, and odometry says so of any two instants. Mirrored, all
-turns against the robot; by a wrong clock, it begins and ends to turn too soon or too late. (Whether the tags' ranges
-are those of the scan is the subject of `tfg_drake.slam.scan_ranges`.)
+This detects a sensor that is mounted upside down, or whose clock is wrong, before anything is mapped: the sensor's
+messages determine how far the robot has turned from one to the next, and so does odometry. With a mirrored sensor the
+turns have opposite signs; with a wrong clock they begin and end too early or too late. (Tag ranges are compared with
+the scan in `tfg_drake.slam.scan_ranges`.)
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Message = Odometry | TagDetections | LaserScan
 
 
 def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tuple[Verdict, Verdict]:
-    """The verdicts of the tags and the scans of a first look, one that says nothing like one that agrees. known: s, how
-    far the camera's clock is ahead of the odometry's as far as is known: `lag` comes on top."""
+    """Return the verdicts on tags and scans of a first look; a sensor without information counts as agreeing. known: s,
+    the known offset of the camera's clock ahead of the odometry's, to which `lag` is added."""
     odometry = [one for one in messages if isinstance(one, Odometry)]
     frames = [sanitized(one)[0] for one in messages if isinstance(one, TagDetections)]
     scans = [one for one in messages if isinstance(one, LaserScan) and len(one.angles)]
@@ -48,7 +48,7 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
 
 
 def remedies(tags: Verdict, scan: Verdict) -> list[str]:
-    """Remedies that somebody can take, a line each."""
+    """Return remedies for the user, one line each."""
     if tags.against and scan.against:
         return [BOTH_AGAINST]
     lines = [TAGS_AGAINST] if tags.against else []
@@ -61,8 +61,8 @@ def remedies(tags: Verdict, scan: Verdict) -> list[str]:
 
 
 def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:
-    """Stamps (s) of two frames one after the other and how far the robot has turned between them (rad), (n, 3): the
-    median of all tags in both. Ids are unique in each frame."""
+    """Return stamps (s) of consecutive frames and the robot's turn between them (rad), (n, 3): the median over all tags
+    in both. Ids are unique in each frame."""
     seen = []
     for before, after in itertools.pairwise([frame for frame in frames if len(frame.ids)]):
         _, i, j = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
@@ -73,7 +73,7 @@ def turns_of_tags(frames: Sequence[TagDetections]) -> FloatArray:
 
 
 def agreement(odometry: Sequence[Odometry], seen: FloatArray) -> Verdict:
-    """The verdict of turns seen (n, 3), see `turns_of_tags`, which tell nothing of the way."""
+    """Return the verdict on turns (n, 3), see `turns_of_tags`, which do not determine distances."""
     n = len(seen)
     X, covariance = np.zeros((n, 3)), np.tile(np.diag(np.square([MOST, MOST, STEP])), (n, 1, 1))
     X[:, 2] = seen[:, 2]

@@ -1,7 +1,8 @@
-"""Two maps of a session become one, or apart again: that which it began with, and its own.
+"""Joins a session's own map with the map that it began with, or separates them again.
 
-The older one is a keyframe at the beginning of the graph, in whose frame all lies from then on, with the names of the
-session's walls where they are the same. Without this keyframe, and the way to the session's first, that is as it was.
+The older map becomes a keyframe at the beginning of the graph and determines the frame from then on; its walls take the
+ids of the session's walls that are the same. Removing this keyframe, and the way to the session's first one, restores
+the session's map.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ OF_KNOWN = 1
 
 
 def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorState:
-    """The state of a session that lies so in the map that it began with as one map, in the frame of that. Where no tags
-    say so this may be taken back."""
+    """Return the state of a session joined with its known map, in the frame of that map. If tags did not decide, the
+    join may be withdrawn."""
     graph, before = state.graph, state.map
     assert before is not None
     told = solve(graph, state.stamp, no_observation(), joint=known_jointly(graph))[1]
@@ -50,8 +51,7 @@ def with_known(state: EstimatorState, known: KnownMap, at: Placed) -> EstimatorS
 
 
 def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
-    """The state of a session that does not lie so in the map that it began with, apart from that again, in a frame of
-    its own."""
+    """Return the state of a session separated from its known map again, in its own frame, as the join was wrong."""
     begin = OF_KNOWN + 1
     assert state.map is not None
     X_SM = se2.inverse(state.graph.X_MN[begin])
@@ -66,10 +66,10 @@ def without_known(state: EstimatorState, known: KnownMap) -> EstimatorState:
 def _moved(
     graph: KeyframeGraph, X_FM: FloatArray, first: tuple[tuple[Keyframe, FloatArray], ...], begin: int
 ) -> KeyframeGraph:
-    """The graph of its keyframes from one on, in another frame, in which M lies at X_FM (3,), behind the first there,
-    each with the pose (3,) at its end.
+    """Return the graph of the keyframes from `begin` on, in another frame F with M at X_FM (3,), after the keyframes
+    `first`, each with the pose (3,) at its end.
 
-    Surfaces and free space hang on the views, and on the walls where those of the graph have them.
+    Surfaces and free space stay anchored to views, and to the walls that remain in the graph.
     """
     both = replace(take(graph, n=np.zeros(0, dtype=np.int64)), keyframes=(), X_MN=np.zeros((1, 3)))
     for one, X in (*first, *zip(graph.keyframes[begin:], se2.compose(X_FM, graph.X_MN[begin + 1 :]), strict=True)):
@@ -85,12 +85,12 @@ def _moved(
 
 
 def _turned(watch: TagWatch, X_FM: FloatArray) -> TagWatch:
-    """The watch in another frame, in which M lies at X_FM (3,)."""
+    """Return the watch in another frame F, with M at X_FM (3,)."""
     return replace(watch, seen_from=watch.seen_from @ rotation(float(X_FM[2])).T)
 
 
 def _with_facing(watch: TagWatch, known: KnownMap) -> TagWatch:
-    """The watch over the tags of both maps; of those that only the older has it knows which way they face."""
+    """Return the watch over the tags of both maps, with the facing of those that only the older map has."""
     row, is_old = rows_of(watch.ids, known.estimate.of_tags.ids)
     only_old = is_old & ~watch.seen_from.any(axis=1)
     seen_from = watch.seen_from.copy()

@@ -1,8 +1,8 @@
-"""A keyframe: one Gaussian, in information form, of all that a turn or a piece of the way tells.
+"""A keyframe: one Gaussian, in information form, of all measurements of a turn or a piece of the way.
 
-It is kept in the unit that it was measured in: metres where scans saw walls, else lengths times (1 + the scale of
-ranges), or times (1 + the scale of distance) where no tag was seen. In another a scale would be one more direction of
-its information, right only where the keyframe was taken: as soon as others move the tags by a little, it pulls at the
+Its lengths are kept in their unit of measurement: metres if scans saw walls, otherwise metres times (1 + the scale of
+ranges), or times (1 + the scale of distance) if no tag was seen. In metres a scale would be one more direction of the
+information, valid only at the linearisation point: as soon as other keyframes move the tags a little, it would bias the
 scale, always with the same sign.
 """
 
@@ -29,8 +29,8 @@ OPEN_HEADING = 1.0
 
 
 class Measured(NamedTuple):
-    """Landmarks as a keyframe has them: how many are walls, which come first, y_AL (n, 2), the anchors (n, 2) of the
-    walls, y_AD (3,) and the unit of lengths, see Keyframe."""
+    """Landmarks of a keyframe: the number of walls, which come first, y_AL (n, 2), the anchors (n, 2) of the walls,
+    y_AD (3,) and the unit of lengths, see Keyframe."""
 
     walls: int
     y_AL: FloatArray
@@ -76,7 +76,7 @@ class Keyframe:
 
     @property
     def walls(self) -> int:
-        """How many of its landmarks are walls."""
+        """The number of its landmarks that are walls."""
         return int(np.searchsorted(self.ids, WALLS_BELOW))
 
     @property
@@ -86,7 +86,7 @@ class Keyframe:
 
     @property
     def without_errors(self) -> FloatArray:
-        """W where the tags' errors are zero, (2n + 16, 2n + 16)."""
+        """W (2n + 16, 2n + 16) for zero constant errors of tags."""
         size = 2 * len(self.ids) + 3 + SHARED
         return np.ascontiguousarray(self.information[:size, :size])
 
@@ -100,7 +100,8 @@ class Keyframe:
         return np.asarray(J.T @ self.information @ J)
 
     def given(self, shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters (13,)."""
+        """Return p_AL (n, 2) and X_AD (3,), m and rad, and their covariance (2n + 3, 2n + 3), given the parameters
+        (13,)."""
         covariance, by_shared = self.conditional()
         y = np.append(self.y_AL.ravel(), self.y_AD) + by_shared @ shared
         scale = np.append(np.full(len(y) - 1, 1.0 / scale_of(self.unit, shared)), 1.0)
@@ -126,8 +127,8 @@ class Keyframe:
 def keyframe(
     landmarks: Landmarks, y: FloatArray, shared: FloatArray, unit: int, W: FloatArray, g: FloatArray
 ) -> Keyframe:
-    """The keyframe of a cost that has gradient g (u,) and Hessian W (u, u) at (y, shared), y: (2n + 3,), shared: (13,),
-    and where the tags' errors are zero, if they are among the u unknowns."""
+    """Return the keyframe of a cost with gradient g (u,) and Hessian W (u, u) at (y, shared), y: (2n + 3,), shared:
+    (13,), and at zero errors of the tags, if they are among the u unknowns."""
     (ids, anchor, reach, on_error), m = landmarks, len(y)
     parameters = np.append(shared, np.zeros(len(W) - m - SHARED))
     back = np.linalg.solve(W[:m, :m], W[:m, m:] @ parameters - g[:m])
@@ -138,7 +139,7 @@ def keyframe(
 
 
 def placed(X_FA: FloatArray, ids: IntArray, y_AL: FloatArray, anchor: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Landmarks (n, 2) of A and the anchors (n, 2) of the walls among them, as they are in F: X_FA (3,)."""
+    """Return landmarks (n, 2) of A, and the anchors (n, 2) of the walls among them, in F: X_FA (3,)."""
     walls = ~is_tag(ids)
     y_FL, moved = se2.transform(X_FA, y_AL), np.where(walls[:, None], se2.transform(X_FA, anchor), 0.0)
     y_FL[walls] = y_AL[walls] + [X_FA[2], 0.0]
@@ -148,43 +149,44 @@ def placed(X_FA: FloatArray, ids: IntArray, y_AL: FloatArray, anchor: FloatArray
 def joined_reach(
     wall: FloatArray, anchor: FloatArray, reach: FloatArray, at: FloatArray, other: FloatArray
 ) -> FloatArray:
-    """The reach (n, 2) of walls (n, 2) from their anchors (n, 2), with another reach (n, 2) from points at (n, 2)."""
+    """Return the reach (n, 2) of walls (n, 2) from their anchors (n, 2), united with another reach (n, 2) from points
+    at (n, 2)."""
     further = other + np.sum((at - anchor) * along_walls(wall), axis=1)[:, None]
     return np.column_stack([np.minimum(reach[:, 0], further[:, 0]), np.maximum(reach[:, 1], further[:, 1])])
 
 
 def is_unknown(one: Keyframe) -> bool:
-    """Whether a keyframe is the way of a robot that was kidnapped."""
+    """Return whether a keyframe is an unknown motion, as of a kidnapped robot."""
     return not len(one.ids) and bool(one.information[2, 2] <= OPEN_HEADING**-2)
 
 
 def moved_points(X_FA: FloatArray, points: FloatArray) -> FloatArray:
-    """Points with normals (p, 4) of A, or each of its own, as they are in F: X_FA (3,), or (p, 3)."""
+    """Return points with normals (p, 4) of A, or each of its own frame, in F: X_FA (3,), or (p, 3)."""
     return np.hstack([se2.transform(X_FA, points[:, :2]), se2.transform(X_FA * [0.0, 0.0, 1.0], points[:, 2:])])
 
 
 def moves_of_origin(X_AB: FloatArray) -> FloatArray:
-    """Derivatives (k, 3, 3) of where the origin A goes, were it fixed to B, with a move of B by x, y (m) and theta
-    (rad) of A, at X_AB (k, 3)."""
+    """Return the derivatives (k, 3, 3) of the origin A, fixed to B, on a move of B by x, y (m) and theta (rad) in A, at
+    X_AB (k, 3)."""
     moves = np.tile(np.eye(3), (len(X_AB), 1, 1))
     moves[:, 0, 2], moves[:, 1, 2] = X_AB[:, 1], -X_AB[:, 0]
     return moves
 
 
 def along_walls(wall: FloatArray) -> FloatArray:
-    """Unit vectors (n, 2) along walls (n, 2): their normals turned left by 90 degrees."""
+    """Return unit vectors (n, 2) along walls (n, 2): their normals turned left by 90 degrees."""
     return np.column_stack([-np.sin(wall[:, 0]), np.cos(wall[:, 0])])
 
 
 def without_tags(one: Keyframe, ids: IntArray) -> Keyframe:
-    """The keyframe with some tags marginalised out."""
+    """Return the keyframe with some tags marginalised out."""
     keep = ~np.isin(one.ids, ids)
     return one if keep.all() else of_landmarks(one, np.flatnonzero(keep))
 
 
 def of_landmarks(one: Keyframe, rows: IntArray) -> Keyframe:
-    """The keyframe of its landmarks in these rows (k,), in this order; the others are marginalised out, whose errors
-    count as zero."""
+    """Return the keyframe with only its landmarks in these rows (k,), in this order; the others are marginalised out,
+    with zero constant errors."""
     n, pairs = len(one.ids), (2 * rows[:, None] + [0, 1]).ravel()
     errors = 2 * n + 3 + SHARED + pairs if len(one.information) > 2 * n + 3 + SHARED else pairs[:0]
     keep, gone = np.concatenate([pairs, 2 * n + np.arange(3 + SHARED), errors]), np.setdiff1d(np.arange(2 * n), pairs)
@@ -195,7 +197,7 @@ def of_landmarks(one: Keyframe, rows: IntArray) -> Keyframe:
 
 
 def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
-    """A way known from elsewhere than odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
+    """Return a keyframe of a motion that is not known from odometry: X_AD (3,) and its covariance (3, 3), m and rad."""
     none = np.empty((0, 2))
     return of_places(np.empty(0, dtype=np.int64), none, none, none, X_AD, covariance)
 
@@ -203,8 +205,8 @@ def way(X_AD: FloatArray, covariance: FloatArray) -> Keyframe:
 def of_places(
     ids: IntArray, p_AL: FloatArray, anchor: FloatArray, reach: FloatArray, X_AD: FloatArray, covariance: FloatArray
 ) -> Keyframe:
-    """A keyframe that tells nothing of the parameters: p_AL (n, 2) of some landmarks (n,), ascending, and X_AD (3,), m
-    and rad, where the parameters are zero, with their covariance (2n + 3, 2n + 3). anchor, reach: of walls."""
+    """Return a keyframe without information on the parameters: p_AL (n, 2) of landmarks (n,), ascending, and X_AD (3,),
+    m and rad, at zero parameters, with their covariance (2n + 3, 2n + 3). anchor, reach: of walls."""
     n = len(ids)
     information = np.zeros((2 * n + 3 + SHARED, 2 * n + 3 + SHARED))
     information[:-SHARED, :-SHARED] = np.linalg.inv(covariance)
@@ -213,10 +215,10 @@ def of_places(
 
 
 def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyframe, FloatArray, float]:
-    """Two keyframes that follow each other as one, linearised at the parameters (13,); the pose (3,) between them in
-    the first's frame, m and rad, and the standard deviation of its position, m.
+    """Fuse two consecutive keyframes, linearised at the parameters (13,). Returns also the pose (3,) between them in
+    the first one's frame, m and rad, and the standard deviation of its position, m.
 
-    Both have the same unit, so no scale is in how they lie to each other.
+    Both have the same unit, so their relative pose contains no scale.
     """
     ids = np.union1d(first.ids, second.ids)
     rows = np.searchsorted(ids, first.ids), np.searchsorted(ids, second.ids)
@@ -274,7 +276,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
 
 
 def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
-    """Where tags, D, A, the parameters and the tags' errors of a keyframe are in a fusion of n tags."""
+    """Return the indices of tags, D, A, the parameters and the tags' errors of a keyframe in a fusion of n tags."""
     tags, shared = (2 * rows[:, None] + [0, 1]).ravel(), 2 * n + 3 + np.arange(SHARED)
     return np.concatenate([tags, D + np.arange(3), A + np.arange(3), shared, 2 * n + 3 + SHARED + tags])
 
@@ -282,8 +284,8 @@ def _places(rows: IntArray, n: int, D: int, A: int) -> IntArray:
 def linearised(
     one: Keyframe, landmarks: Pair, ends: Pair, shared: FloatArray, errors: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Hessian, gradient and twice the cost of a keyframe, as of `gradient_of`. landmarks: p_ML and p_MC, ends: A and D,
-    as of `residual`. errors: (2n,) of the tags, if these are parameters."""
+    """Return Hessian, gradient and twice the cost of a keyframe, see `gradient_of`. landmarks: p_ML and p_MC, ends: A
+    and D, see `residual`. errors: (2n,) of the tags, if these are parameters."""
     linear = residual(*landmarks, one.measured, *ends, shared)
     vector, parameters, information = one.vector, shared, one.without_errors
     if errors is not None:
@@ -298,9 +300,9 @@ def linearised(
 def wall_off(
     wall: FloatArray, p_MC: FloatArray, seen: FloatArray, p_AC: FloatArray, A: FloatArray
 ) -> tuple[float, float, float, float, float, float]:
-    """Angle, rad, and distance, m, of a wall (2,) of the map, by its anchor p_MC (2,), less those that were seen (2,),
-    by an anchor p_AC (2,), from A (3,). And of the distance the derivatives on the wall's angle and on A's x, y, theta;
-    the angle has those of 1 and -1 on the wall's and A's."""
+    """Return angle, rad, and distance, m, of a wall (2,) of the map with anchor p_MC (2,), less the measured ones (2,)
+    with anchor p_AC (2,) from A (3,); and the derivatives of the distance on the wall's angle and on A's x, y, theta.
+    Those of the angle are 1 on the wall's and -1 on A's."""
     c, s, n_x, n_y = math.cos(A[2]), math.sin(A[2]), math.cos(wall[0]), math.sin(wall[0])
     lever_x, lever_y = c * p_AC[0] - s * p_AC[1], s * p_AC[0] + c * p_AC[1]
     x, y = A[0] + lever_x - p_MC[0], A[1] + lever_y - p_MC[1]
@@ -312,10 +314,10 @@ def wall_off(
 def residual(
     p_ML: FloatArray, p_MC: FloatArray, measured: Measured, A: FloatArray, D: FloatArray, shared: FloatArray
 ) -> Linear:
-    """The error (2n + 16,) of a keyframe, see Keyframe, its Jacobian `on` (2n + 16, 16) A and the parameters, and the
-    Jacobians `by_landmark` (n + 1, 2, 2) on its landmarks and on D's position.
+    """Return the error (2n + 16,) of a keyframe, see Keyframe, its Jacobian `on` (2n + 16, 16) A and the parameters,
+    and the Jacobians `by_landmark` (n + 1, 2, 2) on its landmarks and on D's position.
 
-    p_ML: (n, 2) its landmarks, p_MC: (n, 2) the anchors of those that are walls.
+    p_ML: (n, 2) its landmarks, p_MC: (n, 2) the anchors of the walls among them.
     """
     walls, y_AL, p_AC, y_AD, unit = measured
     n, scale = len(p_ML), scale_of(unit, shared)
@@ -351,7 +353,7 @@ def residual(
 
 @njit(cache=True)
 def with_errors(linear: Linear, errors: FloatArray) -> Linear:
-    """A keyframe's error with the tags' errors (2n,) among the parameters, behind the others."""
+    """Return a keyframe's error with the tags' errors (2n,) among the parameters, after the others."""
     error, on, by_landmark = linear
     m, k = len(error), len(errors)
     whole, wide = np.empty(m + k), np.zeros((m + k, on.shape[1] + k))
@@ -364,7 +366,7 @@ def with_errors(linear: Linear, errors: FloatArray) -> Linear:
 def gradient_of(
     linear: Linear, information: FloatArray, vector: FloatArray, parameters: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Gradient (u,) of a keyframe's cost, in the order of landmarks, D, A and parameters (p,), and twice the cost.
+    """Return the gradient (u,) of a keyframe's cost, in the order landmarks, D, A, parameters (p,), and twice the cost.
 
     vector: (p,) as of Keyframe.
     """
@@ -384,7 +386,7 @@ def gradient_of(
 
 @njit(cache=True)
 def hessian(linear: Linear, information: FloatArray) -> FloatArray:
-    """Hessian (u, u) of a keyframe's cost, as `gradient_of`."""
+    """Return the Hessian (u, u) of a keyframe's cost, in the order of `gradient_of`."""
     _, on, by_landmark = linear
     m, size = 2 * len(by_landmark) + 1, 2 * len(by_landmark) + 1 + on.shape[1]
     weighted_on = information @ on
@@ -416,7 +418,7 @@ def turned(into: FloatArray, i: int, j: int, a: float, b: float, L: FloatArray) 
 
 
 def rows_of(ids: IntArray, known: IntArray) -> tuple[IntArray, BoolArray]:
-    """Rows (m,) of some ids among the known ones (n,), ascending, and which of them are known (m,)."""
+    """Return rows (m,) of some ids among the known ones (n,), ascending, and a mask (m,) of those that are known."""
     if len(known) == 0:
         return np.zeros(len(ids), dtype=np.int64), np.zeros(len(ids), dtype=bool)
     row = np.minimum(np.searchsorted(known, ids), len(known) - 1)

@@ -1,10 +1,10 @@
-"""The keyframe graph: keyframes, where their poses and tags lie in the map, and the parameters that they share.
+"""The keyframe graph: keyframes, their poses and landmarks in the map, and the shared parameters.
 
 Unknowns are the poses (nodes) N_0 .. N_k, N_0 the map's origin, the landmarks L_i and the shared parameters. Keyframe j
-ties N_j, N_j+1, the landmarks in it and the parameters by one Gaussian. `solver` finds the values.
+ties N_j, N_j+1, its landmarks and the parameters by one Gaussian. `map_solver` finds the values.
 
-Keyframes that follow each other and share landmarks are fused: the pose between them is marginalised out. So the graph
-grows with the building, and little with the time that the robot drives about in it.
+Consecutive keyframes that share landmarks are fused: the pose between them is marginalised out. So the graph grows with
+the building, and hardly with the driving time.
 """
 
 from __future__ import annotations
@@ -37,17 +37,16 @@ UNFUSED = 4
 
 @message
 class KeyframeGraph:
-    """k keyframes, n landmarks, their current values, and how well the landmarks are known.
+    """k keyframes, n landmarks, their current values, and the uncertainty of the landmarks.
 
     keyframes: k. X_MN: (k + 1, 3) the poses between them. view_keyframe: (g,) the keyframe that each of g views lies
-    in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML, anchor, reach: (n, 2), as of
-    `messages.MapEstimate`. landmark_covariance: (n, 2, 2) of p_ML, where the landmark was not near at the last solve as
-    it was before. entropy:
-    of the landmarks, nats, entropy_beyond: what is to be added to that of the landmarks known jointly, of which it is
-    all in a small map. prior: of the shared parameters, by all but the keyframes. shared: the same by everything.
-    tag_error: (2,) standard deviation of the tags' constant errors, see `tag_error`. solver: what finds the values, one
-    of `config.SOLVERS`; no part of a saved map. unevenness: m, as of `scan_lines.unevenness_after`. sessions: (s,) the
-    recordings or missions that it is of, each by a digest of its first view.
+    in, X_AV: (g, 3) its arrival pose in that keyframe's frame. ids: (n,) ascending, p_ML, anchor, reach: (n, 2), see
+    `messages.MapEstimate`. landmark_covariance: (n, 2, 2) of p_ML; that of landmarks not near at the last solve is
+    older. entropy: of all landmarks, nats, entropy_beyond: the part to add to that of the jointly known landmarks; zero
+    if all are. prior: of the shared parameters, without the keyframes. shared: their estimate. tag_error: (2,) standard
+    deviations of the tags' constant errors, see `tag_error`. solver: one of `config.SOLVERS`; not part of a saved map.
+    unevenness: m, see `scan_lines.unevenness_after`. sessions: (s,) the recordings or missions in the graph, each by a
+    digest of its first view.
     """
 
     keyframes: Annotated[tuple[Keyframe, ...], "k"]
@@ -71,7 +70,7 @@ class KeyframeGraph:
 
     @property
     def X_MA(self) -> FloatArray:
-        """(g, 3) arrival poses of the views."""
+        """The arrival poses (g, 3) of the views."""
         return se2.compose(self.X_MN[self.view_keyframe], self.X_AV) if len(self.X_AV) else self.X_AV
 
 
@@ -81,21 +80,21 @@ def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
 
 
 def empty_map(prior: Shared | None = None) -> MapEstimate:
-    """The map of stage 0: no landmark, the robot at the origin, known exactly, the shared parameters by their prior;
-    without one the map tells of none."""
+    """Return the map of stage 0: no landmarks, the robot exactly at the origin, the shared parameters by their prior,
+    or omitted without one."""
     shared, covariance = (prior.mean, prior.covariance) if prior is not None else (np.zeros(0), np.zeros((0, 0)))
     return empty(MapEstimate, shared=shared, with_shared=np.vstack([np.zeros((3, len(shared))), covariance]))
 
 
 def no_observation() -> Observation:
-    """An observation of nothing."""
+    """Return an empty observation."""
     return empty(Observation)
 
 
 def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: bool) -> KeyframeGraph:
-    """The graph with one keyframe more, which ends at X_MD (3,). New landmarks lie where it saw them.
+    """Return the graph with one keyframe more, which ends at X_MD (3,), and with new landmarks where it saw them.
 
-    is_view: a turn or glance, whose arrival pose is looked up later; not a piece of the way.
+    is_view: True for a turn or glance, whose arrival pose is needed later; False for a piece of the way.
     """
     k, X_MA = len(graph.keyframes), graph.X_MN[-1]
     row, known = rows_of(one.ids, graph.ids)
@@ -122,24 +121,23 @@ def extended(graph: KeyframeGraph, one: Keyframe, X_MD: FloatArray, *, is_view: 
 
 
 def _session(first: Keyframe) -> IntArray:
-    """(1,) the digest of what a session saw first: no two see the same to the bit."""
+    """Return the digest (1,) of a session's first view; no two sessions see the same to the bit."""
     digest = hashlib.blake2b(first.y_AL.tobytes() + first.information.tobytes(), digest_size=8).digest()
     return np.frombuffer(digest, dtype=np.int64)
 
 
 def moved_part(graph: KeyframeGraph, landmarks: BoolArray, move: FloatArray) -> KeyframeGraph:
-    """The graph with some landmarks (n,) moved by a pose (3,) in M, but none of its poses."""
+    """Return the graph with some landmarks (n,) moved by a pose (3,) in M; its poses stay."""
     p_ML, anchor = graph.p_ML.copy(), graph.anchor.copy()
     p_ML[landmarks], anchor[landmarks] = placed(move, graph.ids[landmarks], p_ML[landmarks], anchor[landmarks])
     return replace(graph, p_ML=p_ML, anchor=anchor)
 
 
 def fused(graph: KeyframeGraph, tried: int = 0) -> KeyframeGraph:
-    """The graph with the poses marginalised out between recent keyframes that share landmarks.
+    """Return the graph with recent keyframes that share landmarks fused: the poses between them are marginalised out.
 
-    Two become one as long as it has no more than FULL landmarks; the newest UNFUSED stay. Fusing linearises only how
-    the two lie to each other, and that is known to millimetres and milliradians. tried: so many of its first keyframes
-    there were when this was last asked.
+    A fused keyframe has at most FULL landmarks; the newest UNFUSED keyframes stay. Fusing linearises only the relative
+    pose of the two, which is known to millimetres and milliradians. tried: number of keyframes at the last call.
     """
     keyframes, X_MN = list(graph.keyframes), graph.X_MN
     view_keyframe, X_AV = graph.view_keyframe.copy(), graph.X_AV.copy()
@@ -163,7 +161,7 @@ def fused(graph: KeyframeGraph, tried: int = 0) -> KeyframeGraph:
 
 
 def forget(graph: KeyframeGraph, ids: IntArray) -> KeyframeGraph:
-    """The graph without some landmarks, as if they had never been seen: they stand elsewhere now."""
+    """Return the graph without some landmarks, as if they had never been seen, as they have moved."""
     keep = ~np.isin(graph.ids, ids)
     lost = np.linalg.slogdet(2.0 * math.pi * math.e * graph.landmark_covariance[~keep])[1]
     keyframes = tuple(without_tags(one, ids) for one in graph.keyframes)
@@ -171,21 +169,21 @@ def forget(graph: KeyframeGraph, ids: IntArray) -> KeyframeGraph:
 
 
 def taken_back(graph: KeyframeGraph, tag: int, keyframe: int) -> KeyframeGraph:
-    """The graph as if one of its keyframes, by its index, had not seen a landmark that others have seen."""
+    """Return the graph as if the keyframe of an index had not seen a landmark, which others have seen."""
     one = without_tags(graph.keyframes[keyframe], np.array([tag]))
     return replace(graph, keyframes=(*graph.keyframes[:keyframe], one, *graph.keyframes[keyframe + 1 :]))
 
 
 def adrift(graph: KeyframeGraph) -> int:
-    """The last of the keyframes that is an unknown way, behind which the map is adrift: no landmark has been seen
-    before it and since; -1 for none."""
+    """Return the index of the last keyframe of unknown motion after which the map is adrift, that is no landmark was
+    seen both before and since; -1 for none."""
     j = max((j for j, one in enumerate(graph.keyframes) if is_unknown(one)), default=-1)
     tied = j >= 0 and (seen_by(graph, graph.keyframes[:j]) & seen_by(graph, graph.keyframes[j + 1 :])).any()
     return -1 if tied else j
 
 
 def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
-    """Which landmarks (n,) some keyframes have seen."""
+    """Return a mask (n,) of the landmarks that some keyframes have seen."""
     seen = np.zeros(len(graph.ids), dtype=bool)
     for one in keyframes:
         seen[rows_of(one.ids, graph.ids)[0]] = True
@@ -193,12 +191,12 @@ def seen_by(graph: KeyframeGraph, keyframes: tuple[Keyframe, ...]) -> BoolArray:
 
 
 def tied(graph: KeyframeGraph) -> BoolArray:
-    """The landmarks (n,) that anything ties to the newest pose: all, or where the newest part of the map is adrift,
-    those in it."""
+    """Return a mask (n,) of the landmarks tied to the newest pose: all, or only those of the newest part of the map if
+    that is adrift."""
     j = adrift(graph)
     return seen_by(graph, graph.keyframes[j + 1 :]) if j >= 0 else np.ones(len(graph.ids), dtype=np.bool_)
 
 
 def of_tied(estimate: MapEstimate, graph: KeyframeGraph) -> MapEstimate:
-    """The map of a graph with walls out of reach that nothing ties to the newest pose: they may be anywhere."""
+    """Return the map of a graph with walls not tied to the newest pose out of reach, as they may be anywhere."""
     return replace(estimate, reach=np.where(tied(graph)[:, None], estimate.reach, [np.inf, -np.inf]))

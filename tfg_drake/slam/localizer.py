@@ -1,11 +1,11 @@
-"""The pose between views: a filter beside landmarks and shared parameters that it considers and never updates.
+"""The localiser: a Schmidt filter of the pose between views, which considers landmarks and shared parameters.
 
 State: the pose in the frame of the last departure pose D, and tags met on the way, which enter at their first sighting.
-Considered (Schmidt): the landmarks of the map and the shared parameters, with their joint covariance. They inform the
-pose, with their uncertainty, and the map learns from views only. Instead of the cross covariance the filter keeps how
-an error of theirs moves the state, x = W c + what is independent of them, for those landmarks only that have been seen:
-so the map may be as large as it likes. It is linearised in D, where all that is near is known well: in M a filter takes
-the heading that it shares with the whole map for something that its sightings tell (the inconsistency of EKF SLAM).
+Considered, never updated: the landmarks of the map and the shared parameters, with their joint covariance. They inform
+the pose, with their uncertainty; the map is updated by views only. Instead of the cross covariance the filter keeps the
+sensitivity W of the state, x = W c + an independent part, for the landmarks seen since D only, so its cost does not
+depend on the size of the map. It is linearised in D, where everything near is known well: in M a filter would gain
+false information on the heading that it shares with the whole map (the inconsistency of EKF SLAM).
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ LEAST_FRAMES = 2
 class Localizer:
     """The filter's Gaussian in D.
 
-    map: what it considers, D is its X_MD. mean: (2k + 3,) pose and local tags, covariance: (2k + 3, 2k + 3). seen: (s,)
-    rows in map.local of the landmarks seen since D, p_DL: (s, 2) where they are. considered: (2s + 13, 2s + 13)
+    map: the considered map, D is its X_MD. mean: (2k + 3,) pose and local tags, covariance: (2k + 3, 2k + 3). seen:
+    (s,) rows in map.local of the landmarks seen since D, p_DL: (s, 2) their places. considered: (2s + 13, 2s + 13)
     covariance of the parameters and of these in D, with_D: (2s + 13, 3) with X_MD. sensitivity: (2k + 3, 2s + 13), W.
     local_ids, last_seen, local_frames: (k,) ids, stamps (s) and frames of the local tags. walls: of map.local, the
     first in it, in D. floor: as of `walls.Walls`.
@@ -71,12 +71,12 @@ class Localizer:
 
     @property
     def X_MB(self) -> FloatArray:
-        """(3,) the pose."""
+        """The pose (3,) in M."""
         return se2.compose(self.map.X_MD, self.mean[:POSE])
 
 
 def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Localizer:
-    """The localiser at the departure pose of the newest map, and its walls."""
+    """Return the localiser at the departure pose of the newest map, and its walls."""
     walls = walls or no_walls()
     of_walls = estimate.local[~is_tag(estimate.ids[estimate.local])]
     in_D = WallSet(*_in_departure(estimate, of_walls), estimate.reach[of_walls])
@@ -85,7 +85,7 @@ def start_localizer(estimate: MapEstimate, walls: Walls | None = None) -> Locali
 
 
 def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigma: FloatArray) -> Localizer:
-    """The localiser at a pose X_MB (3,) found among the walls, with deviations sigma (3,), m, m, rad."""
+    """Return the localiser at a pose X_MB (3,) found among the walls, with deviations sigma (3,), m, m, rad."""
     mean = se2.between(estimate.X_MD, X_MB)
     return replace(start_localizer(estimate, walls), mean=mean, covariance=np.diag(sigma) ** 2)
 
@@ -93,10 +93,10 @@ def placed_localizer(estimate: MapEstimate, walls: Walls, X_MB: FloatArray, sigm
 def step_localizer(
     localizer: Localizer, motion: Motion, detections: TagDetections, instant: Instant
 ) -> tuple[Localizer, int, int]:
-    """The localiser after a motion by odometry and the frame at its end; how many of the frame's sightings were of tags
-    it knows, and how many of those it ignored.
+    """Return the localiser after an odometry increment and the frame at its end, the number of sightings of known tags,
+    and the number of those ignored.
 
-    Known tags correct the pose, all at once, unknown ones join the state. A sighting outside its gate is ignored.
+    Known tags correct the pose, all at once; unknown ones join the state. A sighting outside its gate is ignored.
     """
     now, ids = localizer, detections.ids
     row, known = rows_of(ids, now.map.ids[now.map.local])
@@ -129,8 +129,8 @@ def step_localizer(
 
 
 def _places(these: IntArray, among: IntArray, first: int) -> IntArray:
-    """Where the two entries of each of these (m,) begin among those of others (k,), which begin at `first`; -1 where it
-    is none of them."""
+    """Return the index (m,) of the first of the two entries of each among `among` (k,), whose entries begin at `first`;
+    -1 if it is not among them."""
     places = np.full(len(these), -1)
     i, k = np.nonzero(these[:, None] == among)
     places[i] = first + 2 * k
@@ -140,9 +140,9 @@ def _places(these: IntArray, among: IntArray, first: int) -> IntArray:
 def corrected_by_walls(
     localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray
 ) -> tuple[Localizer, int, int]:
-    """The localiser corrected by the lines (k, 11) of a scan of its instant, see `scan_lines`, as far as they are walls
-    that it knows; how many of the lines tell whether it is where it seems to be, and how many say that it is not: those
-    behind such walls or off them by more than can be.
+    """Return the localiser corrected by the lines (k, 11) of a scan at its instant, see `scan_lines`, that are known
+    walls; the number of lines that test the pose, and the number that contradict it: those behind known walls or off
+    them by more than is possible.
 
     twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
     """
@@ -166,14 +166,14 @@ def corrected_by_walls(
 
 
 def without_local(localizer: Localizer) -> Localizer:
-    """The localiser without the tags met on the way."""
+    """Return the localiser without the tags met on the way."""
     return _keep_local(localizer, np.zeros(len(localizer.local_ids), dtype=bool))
 
 
 def localized_pose(
     localizer: Localizer, noise: FloatArray, increment: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MB (3,) and its covariance (3, 3), an odometry increment (3,) over dt seconds past the localiser's instant."""
+    """Return X_MB (3,) and its covariance (3, 3) after an odometry increment (3,) over dt seconds."""
     estimate, considered = localizer.map, (localizer.map.shared, localizer.considered)
     return pose_in_map(
         localizer.state, considered, (increment, dt, noise), estimate.X_MD, localizer.with_D, estimate.covariance
@@ -181,8 +181,8 @@ def localized_pose(
 
 
 def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]:
-    """The ids (u,) of the tags met on the way, in LEAST_FRAMES or more, that are not among some ids (n,), ascending,
-    and their p_MU (u, 2)."""
+    """Return the ids (u,) of tags met on the way in LEAST_FRAMES or more that are not among `ids` (n,), ascending, and
+    their p_MU (u, 2)."""
     some = (localizer.local_frames >= LEAST_FRAMES) & ~rows_of(localizer.local_ids, ids)[1]
     p_DU = localizer.mean[POSE:].reshape(-1, 2)[some]
     return localizer.local_ids[some], se2.transform(localizer.map.X_MD, p_DU)

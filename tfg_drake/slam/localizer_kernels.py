@@ -1,7 +1,4 @@
-"""The localiser's filter in plain arrays, called for each odometry message, frame and scan: see `localizer.Localizer`.
-
-Lines of a scan are matched to the map's walls first.
-"""
+"""Kernels of the localiser's filter, called for each odometry message, frame and scan, see `localizer.Localizer`."""
 
 from __future__ import annotations
 
