@@ -1,7 +1,7 @@
-"""Loops: places that the robot has come back to, found by how what it saw lately lies on what it saw long ago.
+"""Loop search: matches recent observations to old ones to find places that the robot has come back to.
 
-A search (`place_search`) over a window of what the pose is known to. What one search finds may be a look-alike: a loop
-is believed once others along the way agree with it.
+A search (`place_search`) covers a window given by the uncertainty of the pose. A single match may be a look-alike, so a
+loop is accepted once others along the way agree with it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 
 @message
 class Loop:
-    """A view, newest, that lies at X_AB (3,) of an old one, as it was found."""
+    """A match: the newest view lies at X_AB (3,) in the frame of an old one."""
 
     old: int
     newest: int
@@ -49,7 +49,7 @@ class Loop:
 
 @message
 class LoopSearch:
-    """The candidates of late, the loops that are closed, and the newest views of the last search and the last loop."""
+    """The recent candidates, the closed loops, and the newest views at the last search and at the last loop."""
 
     candidates: tuple[Loop, ...] = ()
     closed: tuple[Loop, ...] = ()
@@ -58,7 +58,7 @@ class LoopSearch:
 
 
 def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tuple[LoopSearch, tuple[Loop, ...]]:
-    """The search at a graph's newest view, and the loops that are believed with it. sigma: (2,) standard deviations of
+    """Return the search after a graph's newest view, and the loops that it confirms. sigma: (2,) standard deviations of
     the newest pose, m and rad."""
     X = graph.X_MA
     newest, way = len(X) - 1, _way(X)
@@ -97,8 +97,8 @@ def searched(search: LoopSearch, graph: KeyframeGraph, sigma: FloatArray) -> tup
 
 
 def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) -> KeyframeGraph:
-    """A graph whose way is bent, as little as may be, so that new loops close and those closed before stay so; its
-    landmarks are moved with the keyframes that saw them last."""
+    """Return a graph whose path is bent as little as possible so that new loops close and earlier ones stay closed; its
+    landmarks move with the keyframes that saw them last."""
     X_MN, X_MA = graph.X_MN, graph.X_MA
     step = se2.between(X_MN[:-1], X_MN[1:])
     length, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
@@ -126,8 +126,8 @@ def bent(graph: KeyframeGraph, closed: tuple[Loop, ...], new: tuple[Loop, ...]) 
 def with_loops_closed(
     search: LoopSearch, graph: KeyframeGraph, estimate: MapEstimate, observation: Observation
 ) -> tuple[LoopSearch, KeyframeGraph, MapEstimate]:
-    """The search at a graph's newest view, which the estimate is of, and both after the loops that it closes: those
-    with which the solved graph agrees. Where it does not, all stays."""
+    """Return the search after a graph's newest view, and graph and estimate after closing its loops, if the solved
+    graph agrees with them; otherwise both unchanged."""
     search, loops = searched(search, graph, deviation_of(estimate))
     known = {(loop.old, loop.newest) for loop in search.closed}
     new = tuple(loop for loop in loops if (loop.old, loop.newest) not in known)
@@ -145,18 +145,18 @@ def with_loops_closed(
 
 
 def _is_open(graph: KeyframeGraph, loop: Loop) -> bool:
-    """Whether a graph does not agree with a loop."""
+    """Return whether a graph disagrees with a loop."""
     X = graph.X_MA
     return not _within(se2.between(loop.X_AB, se2.between(X[loop.old], X[loop.newest])), AGREE)
 
 
 def _way(X: FloatArray) -> FloatArray:
-    """(n,) way, m, until each of some poses (n, 3)."""
+    """Return the path length (n,), m, up to each of some poses (n, 3)."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(X[:, :2], axis=0).T)))
 
 
 def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
-    """Whether two loops close: the way between the new ends, and that between the old ones."""
+    """Return whether two loops agree: the motion between their new ends equals that between their old ones."""
     between = way[one.newest] - way[other.newest]
     if between > ALONG:
         return False
@@ -166,5 +166,5 @@ def _agree(one: Loop, other: Loop, X: FloatArray, way: FloatArray) -> bool:
 
 
 def _within(X: FloatArray, most: FloatArray) -> bool:
-    """Whether a pose (3,) is no farther off than this (2,), m and rad."""
+    """Return whether a pose (3,) is within these bounds (2,), m and rad."""
     return bool(math.hypot(X[0], X[1]) <= most[0] and abs(X[2]) <= most[1])

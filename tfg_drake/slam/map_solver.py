@@ -1,7 +1,7 @@
-"""The map: values of the whole keyframe graph and the joint Gaussian round a place.
+"""The map: values of the whole keyframe graph and the joint Gaussian around a place.
 
 The values are the maximum a posteriori (the paper's Sec. II), to rounding, and the Gaussian is Laplace's approximation
-there (Sec. III-B). Nested dissection eliminates, or GTSAM does all of it.
+there (Sec. III-B), by nested dissection or by GTSAM.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ def solve(
     joint: int = JOINT,
     spread: int = 0,
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """The graph at its maximum a posteriori values, and the map with the joint Gaussian round a node.
+    """Return the graph at its maximum a posteriori values, and the map with the joint Gaussian around a node.
 
     Args:
         graph: k keyframes, at least one.
-        stamp: s, observation: the newest view's, with its trajectory; both go into the MapEstimate.
-        node: whose pose X_MD is, from 1 to k; the newest by default.
-        also: (r,) rows of landmarks that are to be known jointly however far away.
-        joint: how many landmarks next to the node are known jointly. spread: and how many of the others.
+        stamp: s, observation: of the newest view, with its trajectory; both go into the MapEstimate.
+        node: the node with the pose X_MD, from 1 to k; by default the newest.
+        also: (r,) rows of landmarks to be jointly known however far away.
+        joint: number of jointly known landmarks next to the node. spread: number of others, spread over the map.
     """
     node = len(graph.keyframes) if node < 0 else node
     by_distance = np.argsort(distance_to(graph, graph.X_MN[node]), kind="stable")
@@ -68,14 +68,14 @@ def solve(
 
 
 def known_jointly(graph: KeyframeGraph) -> int:
-    """How many landmarks are known jointly at the end of a mission."""
+    """Return the number of jointly known landmarks at the end of a mission."""
     return len(graph.ids) if len(graph.ids) <= MOST_JOINT else JOINT
 
 
 def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGraph, FloatArray]:
-    """The graph of one keyframe or more at its maximum a posteriori values, and a joint covariance (2m + 16, 2m + 16):
-    of the landmarks in rows local (m,), of the pose of a node, and of the parameters. What is adrift stays where it
-    begins: nothing says where that is, and rounding would move it about."""
+    """Return a graph of one keyframe or more at its maximum a posteriori values, and the joint covariance (2m + 16,
+    2m + 16) of the landmarks in rows local (m,), the pose of a node, and the parameters. A part that is adrift keeps
+    its start, which is unobservable and which rounding errors would move."""
     j = adrift(graph)
     if j >= 0:
         unknown = graph.keyframes[j]
@@ -111,14 +111,14 @@ def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGr
 
 
 def _with_way(graph: KeyframeGraph, j: int, one: Keyframe) -> KeyframeGraph:
-    """The graph with another keyframe of index j, a way that led to where the graph has it."""
+    """Return the graph with keyframe j replaced by a motion that agrees with the graph's poses."""
     one = replace(one, y_AD=se2.between(graph.X_MN[j], graph.X_MN[j + 1]))
     return replace(graph, keyframes=(*graph.keyframes[:j], one, *graph.keyframes[j + 1 :]))
 
 
 def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, FloatArray, float, FloatArray]:
-    """Values and joint covariance, as of `solved`, the logarithm of the determinant of the information on all landmarks
-    where local does not name them all, and the deviations of their constant errors, by nested dissection."""
+    """Return values and joint covariance, see `solved`, the log determinant of the information on all landmarks if
+    local does not name them all, and the deviations of the tags' constant errors, by nested dissection."""
     solver, nothing = DissectionSolver(graph), np.zeros(graph.p_ML.shape)
     values, system = _converged(solver, Values(graph.X_MN.copy(), graph.p_ML.copy(), graph.shared.mean, nothing))
     u, m, has_errors = solver.unknowns, 2 * len(local), solver.factors.has_errors
@@ -140,7 +140,7 @@ def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, 
 
 
 def _converged(solver: DissectionSolver, values: Values) -> tuple[Values, System]:
-    """Values at the maximum a posteriori, and the system linearised where the last step began."""
+    """Return the values at the maximum a posteriori, and the system linearised where the last step began."""
     moved_since = math.inf
     for number in range(MOST_STEPS):
         anew = moved_since >= solver.keeps_for or number == MOST_STEPS - 1
@@ -165,8 +165,8 @@ def _converged(solver: DissectionSolver, values: Values) -> tuple[Values, System
 
 
 def _linearised(solver: DissectionSolver, values: Values) -> System:
-    """The system at some values. Where some part of the map hangs on nothing that a double can tell, all is held by as
-    little as it takes."""
+    """Return the system at some values. If a part of the map is numerically unconstrained, the least sufficient damping
+    is added."""
     damping = 0.0
     while True:
         try:
@@ -178,7 +178,7 @@ def _linearised(solver: DissectionSolver, values: Values) -> System:
 
 
 def _lowered(solver: DissectionSolver, error: float, values: Values, step: FloatArray) -> tuple[Values, float]:
-    """Values moved by a step (u,), or by the share of it that lowers the error, and that share."""
+    """Return the values moved by a step (u,), or by the share of it that lowers the error, and that share."""
     share = 1.0
     for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
         there = moved(values, solver.unknowns, share * step)
@@ -189,10 +189,10 @@ def _lowered(solver: DissectionSolver, error: float, values: Values, step: Float
 
 
 def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How hard all keyframes pull at the errors (n, 2) of each tag where these are zero, and the variance (n, 2)
-    of that where only noise does.
+    """Return the gradient (n, 2) of all keyframes on the constant errors of each tag at zero, and its variance (n, 2)
+    by noise alone.
 
-    Of two keyframes that see a tag from the same side the place of the tag takes all; poses are taken to be known.
+    The place of a tag absorbs the errors of keyframes that see it from one side only. Poses count as known.
     """
     keyframe = np.repeat(np.arange(len(keyframes.y_AD)), np.diff(keyframes.offsets))
     row, n = keyframes.rows, len(values.p_ML)

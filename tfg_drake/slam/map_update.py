@@ -1,8 +1,8 @@
-"""The map between two solves: its joint Gaussian, updated by one keyframe more.
+"""The map between two solves: its joint Gaussian, updated by one more keyframe.
 
-What a keyframe says of the landmarks round the robot hardly moves them, so an iterated Kalman update takes it in as a
-solve of the whole graph would, in a tenth of the time. Each tag is first compared with what all others predict of it.
-`needs_solve` says when so much has moved that the graph is to be linearised anew.
+A keyframe hardly moves the landmarks around the robot, so an iterated Kalman update gives the result of a solve of the
+whole graph, in a tenth of the time. Each tag is first compared with its prediction from all others. `needs_solve`
+decides when the graph must be linearised again.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ Joint = tuple[FloatArray, FloatArray]
 
 @message
 class _Told:
-    """A keyframe in the terms of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and
-    of these u^T s = told within one, u: (13, r)."""
+    """A keyframe as measurements of an update: y ~ (mean + by_shared s, covariance) given the parameters s, and on
+    these u^T s = told with unit variance, u: (13, r)."""
 
     mean: FloatArray
     by_shared: FloatArray
@@ -57,9 +57,9 @@ class _Told:
 
 @message
 class _Update:
-    """An update by m tags, in these rows (m,) of the map's local, and what is told of the parameters, linearised at its
-    result. H: (2m + r, 2m + 16) by the tags, A and the parameters. root: lower Cholesky factor of the innovation's
-    covariance, nu: the innovation from the prior mean, in units of that root."""
+    """An update by m landmarks in rows (m,) of the map's local, and by measurements of the parameters, linearised at
+    its result. H: (2m + r, 2m + 16) on the landmarks, A and the parameters. root: lower Cholesky factor of the
+    innovation's covariance, nu: the innovation from the prior mean, in units of that root."""
 
     local_row: IntArray
     H: FloatArray
@@ -68,7 +68,7 @@ class _Update:
 
 
 def distance_to(known: MapEstimate | KeyframeGraph, X: FloatArray) -> FloatArray:
-    """Distances (n,), m, of landmarks from a pose X_MX (3,); of a wall that of what has been seen of it."""
+    """Return the distances (n,), m, of landmarks from a pose X_MX (3,); for a wall, of its seen part."""
     off = known.p_ML - X[:2]
     ends = wall_ends(known)
     along = ends[:, 1] - ends[:, 0]
@@ -80,15 +80,15 @@ def distance_to(known: MapEstimate | KeyframeGraph, X: FloatArray) -> FloatArray
 def updated(
     graph: KeyframeGraph, estimate: MapEstimate, one: Keyframe, *, is_view: bool = True
 ) -> tuple[KeyframeGraph, MapEstimate, IntArray]:
-    """Graph and map with one keyframe more, which begins where the map's newest pose is, and the ids of the known tags
-    left out of it because they contradict all others.
+    """Return graph and map with one keyframe more, which begins at the map's newest pose, and the ids of its known tags
+    that were rejected because they contradict all others.
 
     Args:
-        graph: with the values of its last solve. estimate: what has become of the landmarks and the newest pose since.
-        one: those of its tags that are known must be known jointly.
-        is_view: whether it is a turn or glance, not a piece of the way.
+        graph: with the values of its last solve. estimate: landmarks and newest pose, updated since.
+        one: the keyframe; its known tags must be jointly known.
+        is_view: True for a turn or glance, False for a piece of the way.
 
-    What `estimate` says of the stage is not brought up to date, see `finished`.
+    The stage in `estimate` is not updated, see `finished`.
     """
     told, before = _told(one, graph), _in_unit_of(one, estimate)
     row, known = rows_of(one.ids, estimate.ids)
@@ -108,8 +108,8 @@ def updated(
 
 
 def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> Joint:
-    """(p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of a keyframe: there it has
-    no scale in it, so that linearising one after the other tells nothing of it."""
+    """Return (p_ML[local] row by row, X_MD, shared) and their covariance with lengths in the unit of a keyframe, which
+    contains no scale, so that successive linearisations add no false information on it."""
     x = np.concatenate([estimate.local_p_ML.ravel(), estimate.X_MD, estimate.shared])
     if one.unit == METRES:
         return x, estimate.joint_covariance
@@ -119,16 +119,16 @@ def _in_unit_of(one: Keyframe, estimate: MapEstimate) -> Joint:
 
 
 def _is_length(ids: IntArray) -> BoolArray:
-    """Which of (landmarks with ids (m,), X_MD, shared) are lengths: not the angles of walls, the heading and what is
-    shared."""
+    """Return a mask of the lengths among (landmarks with ids (m,), X_MD, shared): all but the angles of walls, the
+    heading and the shared parameters."""
     tags = is_tag(ids)
     of_landmarks = np.column_stack([tags, np.ones_like(tags)]).ravel()
     return np.concatenate([of_landmarks, [True, True], np.zeros(1 + SHARED, dtype=bool)])
 
 
 def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> FloatArray:
-    """The covariance of x with all entries of x that have a lever (u,) by the scale, in the row of_scale, in another
-    unit: x' = scale * x, which the scale moves by the lever."""
+    """Return the covariance of x in another unit, x' = scale * x, where the scale in row of_scale moves x' by the lever
+    (u,)."""
     by = np.where(lever != 0.0, scale, 1.0)
     half = by * P[of_scale] + 0.5 * P[of_scale, of_scale] * lever
     other = by[:, None] * P * by + lever[:, None] * half + half[:, None] * lever
@@ -136,8 +136,8 @@ def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> F
 
 
 def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
-    """It is as uncertain as the constant errors of its tags make it, as if they were others in each keyframe: a solve
-    knows better."""
+    """Return a keyframe as measurements. The constant errors of tags count as noise, independent in each keyframe; a
+    solve treats them exactly."""
     covariance, by_shared = one.conditional()
     if graph.tag_error.any():
         root, n, i = one.on_error * graph.tag_error, len(one.ids), np.arange(len(one.ids))
@@ -154,13 +154,13 @@ def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
 
 
 def jointly_known(estimate: MapEstimate, ids: IntArray) -> BoolArray:
-    """Which of some tags (m,) are known jointly with the newest pose, or not known at all."""
+    """Return a mask of the tags (m,) that are jointly known with the newest pose, or not known at all."""
     row, known = rows_of(ids, estimate.ids)
     return ~known | np.isin(row, estimate.local)
 
 
 def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstimate) -> bool:
-    """Whether an updated graph and map are to be solved; solved: the graph at the last solve."""
+    """Return whether an updated graph and map must be solved; solved: the graph at the last solve."""
     if len(graph.keyframes) >= len(solved.keyframes) + min(max(len(solved.keyframes) // 2, 1), MANY_KEYFRAMES):
         return True
     if 0.5 * estimate.covariance[-1, -1] * (math.hypot(*estimate.X_MD[:2]) + BEYOND) > OFF_TANGENT:
@@ -177,13 +177,13 @@ def needs_solve(graph: KeyframeGraph, solved: KeyframeGraph, estimate: MapEstima
 
 
 def deviation_of(estimate: MapEstimate) -> FloatArray:
-    """(2,) standard deviation of the newest pose, m and rad."""
+    """Return the standard deviations (2,) of the newest pose, m and rad."""
     variance = np.diag(estimate.covariance)[-3:]
     return np.array([math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])])
 
 
 def is_looser(graph: KeyframeGraph, estimate: MapEstimate, before: FloatArray) -> bool:
-    """Whether the newest pose is less well known than (2,) at the last solve, by what scan points tell in the next."""
+    """Return whether the newest pose is less certain than (2,) at the last solve, and scan points can improve it."""
     looser = np.square(deviation_of(estimate)) - np.square(before)
     return bool(len(graph.keyframes[-1].points) and np.any(looser > LOOSER**2))
 
@@ -191,8 +191,8 @@ def is_looser(graph: KeyframeGraph, estimate: MapEstimate, before: FloatArray) -
 def estimate_of(
     graph: KeyframeGraph, stamp: float, observation: Observation, places: Pair, local: IntArray, joint: FloatArray
 ) -> MapEstimate:
-    """The message of a graph, at some places p_ML (n, 2) and X_MD (3,) of its landmarks and newest pose; joint: (2m +
-    16, 2m + 16) covariance of its local landmarks, that pose and the parameters."""
+    """Return the message of a graph with values p_ML (n, 2) and X_MD (3,) of its landmarks and newest pose; joint: (2m
+    + 16, 2m + 16) covariance of its local landmarks, that pose and the parameters."""
     return MapEstimate(
         stage=len(graph.view_keyframe),
         stamp=stamp,
@@ -216,7 +216,8 @@ def estimate_of(
 def finished(
     graph: KeyframeGraph, estimate: MapEstimate, stamp: float, observation: Observation
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map after all updates of a stage. stamp: s, observation: the newest view's, with its trajectory."""
+    """Return graph and map after all updates of a stage. stamp: s, observation: of the newest view, with its
+    trajectory."""
     m, each = np.arange(len(estimate.local)), graph.landmark_covariance.copy()
     each[estimate.local] = estimate.covariance[:-3, :-3].reshape(len(m), 2, len(m), 2)[m, :, m, :]
     entropy = graph.entropy_beyond + entropy_of(estimate.covariance[:-3, :-3])
@@ -226,7 +227,7 @@ def finished(
 
 
 def entropy_of(covariance: FloatArray) -> float:
-    """1/2 log|2 pi e Sigma|, nats, of a covariance (u, u)."""
+    """Return the entropy 1/2 log|2 pi e Sigma|, nats, of a covariance (u, u)."""
     if not len(covariance):
         return 0.0
     root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
@@ -272,7 +273,7 @@ def _iterated(
 
 
 def _distances(update: _Update) -> FloatArray:
-    """(m,) squared Mahalanobis distance of each tag from what all others predict of it."""
+    """Return the squared Mahalanobis distance (m,) of each tag from its prediction by all others."""
     m = len(update.local_row)
     if not m:
         return np.zeros(0)
@@ -285,7 +286,8 @@ def _distances(update: _Update) -> FloatArray:
 def _joined(
     graph: KeyframeGraph, estimate: MapEstimate, before: Joint, one: Keyframe, told: _Told, by: _Update, is_view: bool
 ) -> tuple[KeyframeGraph, MapEstimate]:
-    """Graph and map with a keyframe whose known tags are all believed. before: the map's joint, by: their update."""
+    """Return graph and map with a keyframe whose known tags are all accepted. before: the map's joint, by: their
+    update."""
     (mean, covariance), (_, known), local_row = before, rows_of(one.ids, estimate.ids), by.local_row
     # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
     beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=np.bool_))

@@ -1,9 +1,9 @@
-"""The measurement models, each stated and linearised once: a tag's bearing and range, a wall's direction and distance.
+"""The measurement models, each defined and linearised once: a tag's bearing and range, a wall's direction and distance.
 
-A measurement has two rows of 13: its Jacobian by the robot's pose X_FB (x, y, theta), by the sensor's mount (5) and by
-the landmark (2), its error, expected less measured, and its Jacobian by the robot's twist (2). F is any frame. The
-mount is, of the shared parameters, yaw (rad), ahead and left (m), the clock (s) and the last: the scale of a camera's
-ranges or the sweep (s/rad) of a scanner.
+A measurement has two rows of 13: its Jacobian with respect to the robot's pose X_FB (x, y, theta), the sensor's mount
+(5) and the landmark (2), its error, expected less measured, and its Jacobian with respect to the robot's twist (2). F
+is any frame. The mount consists of shared parameters: yaw (rad), ahead and left (m), clock offset (s), and the range
+scale of a camera or the sweep (s/rad) of a scanner.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LEAST_RANGE, LEAST_RANGE_PLANNED = 1e-3, 0.05
 
 @njit(cache=True)
 def sensor_pose(X_FB: FloatArray, mount: FloatArray, twist: FloatArray, earlier: float) -> tuple[float, float, float]:
-    """X_FS of a sensor so many seconds before the robot was at X_FB (3,), with a twist (2,), m/s and rad/s."""
+    """Return X_FS of a sensor `earlier` seconds before the robot was at X_FB (3,), with a twist (2,), m/s and rad/s."""
     c, s, ahead, left = math.cos(X_FB[2]), math.sin(X_FB[2]), mount[1] - earlier * twist[0], mount[2]
     theta = X_FB[2] + mount[0] - earlier * twist[1]
     return X_FB[0] + c * ahead - s * left, X_FB[1] + s * ahead + c * left, theta
@@ -34,8 +34,8 @@ def sensor_pose(X_FB: FloatArray, mount: FloatArray, twist: FloatArray, earlier:
 
 @njit(cache=True)
 def by_place(dx: float, dy: float, least: float) -> tuple[float, float, float, float, float]:
-    """Derivatives of the bearing (rad) and of the range (m) of a tag by its place (dx, dy), m, from the sensor, each by
-    x and y, and the range, which is at least so many metres."""
+    """Return the derivatives of a tag's bearing (rad) and range (m) with respect to its place (dx, dy), m, from the
+    sensor, each by x and y, and the range, m, at least `least`."""
     r = max(math.sqrt(dx * dx + dy * dy), least)
     return -dy / (r * r), dx / (r * r), dx / r, dy / r, r
 
@@ -53,7 +53,7 @@ def linearise_tag(
 ) -> None:
     """Set the rows of a sighting: bearing (rad) and range (m) of a tag at p_FL (2,).
 
-    The camera's clock was taken to be `offset` ahead, s, where the robot was at X_FB.
+    X_FB is the robot's pose for a camera clock that is `offset` ahead, s.
     """
     earlier, scale = mount[3] - offset, 1.0 + mount[4]
     x, y, theta = sensor_pose(X_FB, mount, twist, earlier)
@@ -84,8 +84,8 @@ def linearise_wall(
     wall: FloatArray,
     p_FC: FloatArray,
 ) -> None:
-    """Set the rows of a look (7,), see `look_of`: the direction (rad) of a wall, and how far the middle of what was
-    seen is off it (m).
+    """Set the rows of a look (7,), see `look_of`: the direction (rad) of a wall, and the distance (m) from it of the
+    middle of the seen line.
 
     wall: (2,) the angle of its normal in F, rad, and its distance along that from p_FC (2,), m.
     """
@@ -119,8 +119,8 @@ def linearise_wall(
 
 @njit(cache=True)
 def look_of(line: FloatArray, look: FloatArray) -> None:
-    """Set a look (7,) from a line (11,) of `scan_lines`: direction of its normal, rad, the middle of what was seen, m,
-    both from the scanner, and what a sweep moves, as there."""
+    """Set a look (7,) from a line (11,) of `scan_lines`: direction of its normal, rad, and its middle, m, both in the
+    scanner's frame, and the effects of a sweep, as there."""
     c, s = math.cos(line[0]), math.sin(line[0])
     look[0], look[1], look[2] = line[0], c * line[1] - s * line[4], s * line[1] + c * line[4]
     look[3:] = line[7:]
@@ -128,8 +128,8 @@ def look_of(line: FloatArray, look: FloatArray) -> None:
 
 @njit(cache=True)
 def whitened_tag(dx: float, dy: float, noise: FloatArray) -> tuple[float, float, float, float]:
-    """For planning: the Jacobian (2, 2), row by row, of range and bearing by the landmark at (dx, dy) from the robot,
-    m, over their deviations.
+    """Return, for planning, the Jacobian (2, 2), row by row, of range and bearing with respect to a landmark at
+    (dx, dy), m, from the robot, divided by their deviations.
 
     noise: (base range noise, range noise per metre, range floor, bearing deviation), for the whole turn.
     """

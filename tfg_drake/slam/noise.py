@@ -1,9 +1,9 @@
-"""The noise of odometry, tags and looks at walls, learnt while the mission goes on.
+"""The noise of odometry, tags and looks at walls, learnt during the mission.
 
-Data sheets say how far wheels and gyro wander and how far a sighting is off; floors, blur and detectors say otherwise.
-Levels and correlation are those that make the frames of the newest turns and pieces most likely, each with its poses,
-tags and parameters marginalised out (restricted maximum likelihood, Harville 1977), beside a prior round the data
-sheet: all together, for a gyro that wanders and noise that goes on from frame to frame look alike to either alone.
+Floors, blur and detectors change the noise of wheels, gyro and sightings from that of the data sheets. Levels and
+correlation maximise the likelihood of the frames of the newest turns and pieces, with poses, tags and parameters
+marginalised out (restricted maximum likelihood, Harville 1977), and a prior around the data sheet. They are estimated
+jointly, as gyro drift and noise correlated from frame to frame look alike.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ DIFFERENCE = 0.01
 
 @message
 class Noise:
-    """walks: (3,) of `random_walks`. tags: deviations of sightings are so many times those told. correlation: of a
-    tag's noise in one frame with that in the frame before. looks: deviations of looks at walls are so many times those
-    that their rays tell."""
+    """walks: (3,) of `random_walks`. tags: factor on the stated deviations of sightings. correlation: of a tag's noise
+    in one frame with that in the previous frame. looks: factor on the deviations of looks at walls computed from their
+    rays."""
 
     walks: FloatArray
     tags: float = 1.0
@@ -45,16 +45,16 @@ class Noise:
 
     @property
     def frame_worth(self) -> float:
-        """The share of an independent frame that one of many in a row tells, after the first."""
+        """The information of one of many consecutive frames, as a share of that of an independent frame."""
         return (1.0 - self.correlation) / (1.0 + self.correlation)
 
     @property
     def worth(self) -> float:
-        """The share that one frame of many in a row tells of what it does by the data sheet."""
+        """The information of one of many consecutive frames, as a share of that by the data sheet."""
         return self.frame_worth / self.tags**2
 
     def in_a_row(self, detections: TagDetections) -> TagDetections:
-        """One of many frames in a row, with the deviations that make it count as much as it tells."""
+        """Return one of many consecutive frames with deviations enlarged to its actual information."""
         share = self.worth**-0.5
         if share == 1.0 or not len(detections.ids):
             return detections
@@ -67,14 +67,14 @@ class Sample(Protocol):
     """Frames of one turn or piece."""
 
     def misfit(self, noise: Noise) -> float:
-        """The negative logarithm of their likelihood, but for a constant."""
+        """Return the negative log likelihood of the frames, up to a constant."""
 
 
 @message
 class LearntNoise:
-    """The noise as it is known, now: the most likely. sheet: (3,) walks of the data sheet. level, sigma: (5,) of what
-    is learnt and its standard deviations. samples: the newest, seen: how many there have been, due: how many there are
-    when it is learnt next."""
+    """The learnt noise. now: the most likely. sheet: (3,) walks of the data sheet. level, sigma: (5,) logarithmic
+    levels and their standard deviations. samples: the newest, seen: number of samples so far, due: their number at
+    which the noise is learnt next."""
 
     now: Noise
     sheet: FloatArray
@@ -86,20 +86,20 @@ class LearntNoise:
 
     @property
     def values(self) -> tuple[FloatArray, FloatArray]:
-        """(5,) the random walks of distance and heading, the tags' deviations over those told, the correlation and the
-        looks' deviations over those told, and their standard deviations."""
+        """Return (5,) the random walks of distance and heading, the factor on the tags' deviations, the correlation and
+        the factor on the looks' deviations, and their standard deviations."""
         values = np.array([*self.now.walks[:2], self.now.tags, self.now.correlation, self.now.looks])
         slopes = np.where(np.arange(len(values)) == CORRELATION, 1.0 - values**2, values)
         return values, slopes * self.sigma
 
     def with_sample(self, sample: Sample | None) -> LearntNoise:
-        """With one sample more, not yet learnt from."""
+        """Return it with one more sample, before learning from it."""
         if sample is None:
             return self
         return replace(self, samples=(*self.samples, sample)[-MOST_SAMPLES:], seen=self.seen + 1)
 
     def learnt(self) -> LearntNoise:
-        """By the samples at hand, where it is time."""
+        """Return it after learning from the samples, if that is due."""
         if self.seen < self.due:
             return self
         level, cost = self.level, self._cost(self.level)
@@ -141,7 +141,7 @@ class LearntNoise:
 
 
 def noise_by_data_sheet(walks: FloatArray) -> LearntNoise:
-    """As the data sheet says, walks (3,), before the first frame."""
+    """Return the noise of the data sheet, with walks (3,), before the first frame."""
     return LearntNoise(Noise(walks), walks, np.zeros(len(PRIOR)), PRIOR)
 
 

@@ -1,4 +1,4 @@
-"""Motion by odometry: the model of an increment, its Jacobian on the calibration and its covariance.
+"""The odometry model: the motion of an increment, its Jacobian on the calibration and its covariance.
 
 The measured distance is (1 + s) times the true one plus a random walk, the measured turn (1 + g) times the true one
 plus a bias b times the time plus a random walk. The calibration c = (s, b, g) is among the shared parameters.
@@ -24,7 +24,7 @@ BREAK, BREAK_RATE = np.array([0.02, 0.02, 0.02]), np.array([0.5, 0.5, 1.0])
 
 
 def random_walks(config: OdometryConfig) -> FloatArray:
-    """(3,) random walks of distance (m per root m), heading (rad per root s) and position (m per root s)."""
+    """Return random walks (3,) of distance (m per root m), heading (rad per root s) and position (m per root s)."""
     return np.array([config.distance_noise, max(config.gyro_noise, 1e-6), config.position_noise])
 
 
@@ -36,7 +36,8 @@ def wrap(angle: float) -> float:
 
 @njit(cache=True)
 def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
-    """The increment (u, v, dtheta) between two poses: chord (m) seen from half the turn dtheta (rad).
+    """Return the increment (u, v, dtheta) between two poses: the chord (m) in the direction at half the turn dtheta
+    (rad).
 
     On the arc of a differential drive v is zero.
     """
@@ -49,11 +50,10 @@ def arc(X_OB0: FloatArray, X_OB1: FloatArray) -> FloatArray:
 
 @message
 class DeadReckoning:
-    """Odometry as the estimator uses it: what the gyro says while no wheel turns is left out.
+    """Odometry as the estimator uses it: the gyro is ignored while no wheel turns.
 
-    stamp: s. clock: s since the first message, the time in which errors accrue: that of the robot's motion and a
-    little of the rest. X_OB: (3,)
-    and V_B: (2,) as in Odometry.
+    stamp: s. clock: s since the first message, the time in which errors accrue: that of motion and a little of the
+    rest. X_OB: (3,) and V_B: (2,) as in Odometry.
     """
 
     stamp: float
@@ -63,15 +63,15 @@ class DeadReckoning:
 
 
 def first_reckoning(odometry: Odometry) -> DeadReckoning:
-    """Dead reckoning from the first odometry message on.
+    """Return the dead reckoning at the first odometry message.
 
-    Its clock begins at 0: beside the seconds since 1970 a moment of rest would be lost in rounding.
+    Its clock begins at 0, as a moment of rest would be lost in rounding beside the seconds since 1970.
     """
     return DeadReckoning(stamp=odometry.stamp, clock=0.0, X_OB=odometry.X_OB, V_B=odometry.V_B)
 
 
 def reckon(last: DeadReckoning, before: Odometry, after: Odometry) -> DeadReckoning:
-    """Dead reckoning one message on: `before` is what `last` was made from, `after` the message that follows."""
+    """Return the dead reckoning after one more message: `last` was made from `before`, and `after` follows."""
     dt = after.stamp - before.stamp
     if after.at_rest:
         return DeadReckoning(after.stamp, last.clock + REST_SHARE * dt, last.X_OB, np.zeros(2))
@@ -110,11 +110,11 @@ def _along(X_OB0: FloatArray, X_OB1: FloatArray, share: float) -> FloatArray:
 def predict_increment(
     increment: FloatArray, dt: float, calibration: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The motion X_B0B1 (3,) that an arc stands for, its Jacobian on the calibration and its random covariance.
+    """Return the motion X_B0B1 (3,) of a measured arc, its Jacobian on the calibration and its random covariance.
 
     increment: (3,) of `arc`. dt: s. calibration: (3,) s, b, g. noise: (3,) of `random_walks`. Returns X_B0B1, (3, 3)
-    Jacobian on (s, b, g), and the (3, 3) covariance of (x, y) in B0 and theta. The heading wanders during the
-    increment, so its noise also moves the end sideways.
+    Jacobian on (s, b, g), and the (3, 3) covariance of (x, y) in B0 and theta. The heading drifts during the increment,
+    so its noise also moves the end sideways.
     """
     scale = 1.0 / (1.0 + calibration[0])
     gyro = 1.0 / (1.0 + calibration[2])

@@ -1,8 +1,9 @@
-"""Rules of motion: what of wheel odometry can be believed, live and recorded, message by message.
+"""Plausibility rules for wheel odometry, live and recorded, message by message.
 
-A base drives and turns at most so fast, and leaps no farther than its stamps and its lost messages explain. Where a
-message breaks that, the base was started anew, its wheels slipped or messages are missing: the odometry goes on where
-it was, by its last velocity, and its way there is unknown. Plain numbers: who drives a robot must not wait for kernels.
+Speeds are limited, and the pose jumps no farther than stamps and lost messages explain. A message that violates this
+means that the base was restarted, its wheels slipped or messages are missing: the odometry then continues from the last
+pose with the last velocity, and the motion in between is unknown. The code uses plain numbers, as a robot's driver must
+not wait for kernels.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ SILENCE, HELD = 2.0, 1.0
 
 @message
 class WatchedOdometry:
-    """The newest odometry as it was told and as it was passed on; X_OR (3,): the pose in the odometry frame of the
-    frame in which it is told. beyond: (2,) m and rad, how far the robot is ahead of what the speed limits explain."""
+    """The newest odometry as received and as passed on; X_OR (3,): pose, in the odometry frame, of the frame of the
+    received odometry. beyond: (2,) m and rad, the motion in excess of the speed limits."""
 
     told: Odometry | None = None
     believed: Odometry | None = None
@@ -41,8 +42,8 @@ class WatchedOdometry:
 def watch(
     state: WatchedOdometry, told: Odometry, silence: float = SILENCE
 ) -> tuple[WatchedOdometry, Odometry | None, Note | None]:
-    """The state after a message; the message as far as it is believed, itself where all of it is, None where it is not
-    newer than the last or not finite; and a note of what is not believed.
+    """Return the state after a message; the corrected message, itself if it is plausible, None if it is not newer than
+    the last or not finite; and a note on what was corrected.
 
     silence: s without a message, after which the way between is unknown if the robot has moved.
     """
@@ -87,7 +88,7 @@ def watch(
 
 
 def velocity(step: FloatArray, dt: float) -> FloatArray:
-    """V_B (2,), within what is plausible, of a step (3,) in the frame where it began, dt s long."""
+    """Return V_B (2,), limited to plausible values, of a step (3,) in the frame where it began, dt s long."""
     middle = 0.5 * step[2]
     ahead = math.copysign(math.hypot(step[0], step[1]), math.cos(middle) * step[0] + math.sin(middle) * step[1])
     most = np.array([FASTEST, FASTEST_TURN])
