@@ -1,12 +1,12 @@
-"""Search for the place of a look among the surfaces of a map: correlative, then a fit of the best places, and the odds.
+"""Place search: finds the places of observed surfaces in a map by correlation and fit, and computes their odds.
 
-What is seen is slid over the map in steps of place and heading, and judged by the share of its points that lie on the
-map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted. How likely each is then
-follows from what either has seen: each metre of surface that is seen lies on the map's, or where the map's views have
-looked through, or where they have not looked; and some of the map's are looked through. What the views of one of the
-two have looked through themselves was a person or a thing that is gone, and what is not straight may be: it says
-little. In a building of equal rooms several places are as likely, and where nothing of the map explains what is seen
-none is.
+The observed points are correlated with the map in steps of position and heading; the score is the share of points that
+lie on the map's (Olson, "Real-time correlative scan matching", ICRA 2009). The best places are fitted. The odds of each
+then follow from what both sides have seen: each metre of observed surface lies on the map's, or where the map's views
+have looked through, or where they have not looked; and some of the map's surface is looked through. Surface that a side
+has looked through itself was a person or a removed object and does not count; surface that is not straight may be one
+and counts little. In a building of equal rooms several places are equally likely; if the map explains nothing, none is
+likely.
 """
 
 from __future__ import annotations
@@ -58,37 +58,37 @@ WRONG = 1e-4
 
 
 class Seen(NamedTuple):
-    """Points with normals (q, 4) in a frame A, eyes (e, 2) in A that have seen them, and how far each of these has
-    seen: depth (e, BEARINGS), as of `nearest`."""
+    """Points with normals (q, 4) in a frame A, the places eyes (e, 2) in A from which they were seen, and the range
+    seen from each: depth (e, BEARINGS), see `nearest`."""
 
     points: FloatArray
     eyes: FloatArray
     depth: FloatArray
 
     def with_look(self, points: FloatArray, X_AE: FloatArray) -> Seen:
-        """With points (q, 4) in the frame E (3,) of an eye more."""
+        """Return it with points (q, 4) in the frame E (3,) of one more eye."""
         # One that may be written to, as others are: the kernel is compiled once.
         moved, eye = moved_points(X_AE, points), np.array(X_AE[:2])
         depth = np.vstack([self.depth, nearest(eye, moved)])
         return Seen(np.vstack([self.points, moved]), np.vstack([self.eyes, eye]), depth)
 
     def staying(self) -> FloatArray:
-        """Cells (n, 4) of surface that none of the eyes has looked through."""
+        """The cells (n, 4) of surface that none of the eyes has looked through."""
         return thinned(self.points[~looked_through(self.points, self.eyes, self.depth)])
 
 
 def nothing_seen() -> Seen:
-    """From nowhere."""
+    """Return an empty observation."""
     return Seen(np.empty((0, 4)), np.empty((0, 2)), np.empty((0, BEARINGS)))
 
 
 def seen_from(eyes: FloatArray, points: FloatArray) -> Seen:
-    """Points with normals (q, 4) as eyes (e, 2) among them see them."""
+    """Return points with normals (q, 4) as seen by eyes (e, 2)."""
     return Seen(points, eyes, np.array([nearest(eye, points) for eye in eyes]).reshape(-1, BEARINGS))
 
 
 def seen_by_keyframes(graph: KeyframeGraph, which: Iterable[int] | None = None) -> Seen:
-    """All that some keyframes of a graph have seen, in M, all of them if none are named; eyes are those of views."""
+    """Return the surfaces that some keyframes of a graph, by default all, have seen, in M; the eyes are the views."""
     keyframes, view = np.unique(graph.view_keyframe, return_index=True)
     eye = dict(zip(keyframes.tolist(), graph.X_MA[view, :2], strict=True))
     points, eyes, depth = [np.empty((0, 4))], [np.empty((0, 2))], [np.empty((0, BEARINGS))]
@@ -101,9 +101,9 @@ def seen_by_keyframes(graph: KeyframeGraph, which: Iterable[int] | None = None) 
 
 
 class Prior(NamedTuple):
-    """X: (3,) the pose where something is thought to be, sigma: (3,) its deviations, m, m, rad. elsewhere: logarithm of
-    how much less likely it is beyond three of these, in the map or not; farther: and of a metre there, 1/m. at: (3,)
-    something's pose in its frame, the identity where that is its own."""
+    """The prior of a body's pose. X: (3,) the expected pose, sigma: (3,) its deviations, m, m, rad. elsewhere: log
+    probability ratio beyond three deviations, in the map or not; farther: the same per metre there, 1/m. at: (3,) pose
+    of the body in the searched frame, the identity if that is its own."""
 
     X: FloatArray
     sigma: FloatArray
@@ -113,11 +113,11 @@ class Prior(NamedTuple):
 
     @property
     def of_frame(self) -> FloatArray:
-        """(3,) the pose of its frame where it is at X."""
+        """The pose (3,) of the searched frame if the body is at X."""
         return se2.compose(self.X, se2.inverse(self.at))
 
     def log(self, poses: FloatArray) -> FloatArray:
-        """Its logarithm (k,) where its frame is at poses (k, 3), 0 near X."""
+        """Return the log prior (k,) of poses (k, 3) of the searched frame, 0 near X."""
         off = se2.compose(poses, self.at) - self.X
         off[:, 2] = se2.wrap_angle(off[:, 2])
         near = np.all(np.abs(off) < 3.0 * self.sigma, axis=1)
@@ -133,19 +133,19 @@ class Places(NamedTuple):
     tells: BoolArray
 
     def found(self) -> FloatArray | None:
-        """The pose that is wrong with no greater probability than WRONG, None for none."""
+        """Return the pose whose error probability is at most WRONG, None without one."""
         sure = len(self.X) > 0 and self.tells[0] and self.probability[0] > 1.0 - WRONG
         return self.X[0] if sure else None
 
     def near(self, X: FloatArray, within: FloatArray = SAME_PLACE) -> float:
-        """The probability of a pose (3,), to within so much, m, m and rad."""
+        """Return the probability of a pose (3,) within tolerances, m, m and rad."""
         off = np.abs(self.X - X)
         off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
         return float(self.probability[np.all(off < within, axis=1)].sum())
 
 
 def no_places() -> Places:
-    """None that is likelier than others."""
+    """Return an empty set of places."""
     return Places(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.bool_))
 
 
@@ -157,9 +157,9 @@ def find_places(
     *,
     is_growing: bool = False,
 ) -> Places:
-    """The poses in M from which things were seen, by what a map's views have seen, in M. prior: where that is thought
-    to be; None: anywhere in the map. before: (k, 3) poses that were likely before, when less was seen. is_growing: the
-    map is not finished, and more of the right place than of a wrong one may be missing in it."""
+    """Find the poses in M of an observation among the surfaces `known` that a map's views have seen. prior: of the
+    pose; None: anywhere in the map. before: (k, 3) poses that were likely with fewer observations. is_growing: the map
+    is unfinished, and more of the right place than of a wrong one may be missing in it."""
     points = known.points
     if not len(points) or not tells_place(seen.points):
         return no_places()
@@ -202,19 +202,19 @@ def find_places(
 
 
 def log_odds(known: Seen, seen: Seen) -> float:
-    """Logarithm of the odds that things were seen from where they seem to be, in M, by what both have looked at: where
-    the map has not says nothing of it."""
+    """Return the log odds that an observation has the pose that it seems to have in M, from what both sides have looked
+    at; places where the map has not looked do not count."""
     return float(_agreement(known, Surfaces(known.points), seen, np.zeros((1, 3)))[0, 0])
 
 
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
-    """Logarithm of the odds (k,) of so much surface (k,), m, where the map has not looked."""
+    """Return the log odds (k,) of lengths of surface (k,), m, where the map has not looked."""
     return np.maximum(BEYOND * length, GROWING if is_growing else MOST_BEYOND)
 
 
 def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
-    """(3, k) logarithm of the odds of each pose X (k, 3) by what either has looked at, and how much surface, m, is seen
-    on the map's, surfaces, and where the map has not looked."""
+    """Return (3, k): the log odds of each pose X (k, 3) from what both sides have looked at, and the lengths of
+    observed surface, m, on the map's surfaces and where the map has not looked."""
     cells, there, told = seen.staying(), known.staying(), np.empty((3, len(X)))
     against, against_there = (np.where(is_straight(one), AGAINST, MOVABLE) for one in (cells, there))
     mine, others = cKDTree(cells[:, :2]), cKDTree(there[:, :2])
@@ -231,7 +231,7 @@ def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> Fl
 
 
 def is_straight(cells: FloatArray) -> BoolArray:
-    """Which cells (n, 4) are of something straight, as walls are and people are not."""
+    """Return a mask of the cells (n, 4) of straight surface, as of walls but not of people."""
     i, j = cKDTree(cells[:, :2]).query_pairs(STRAIGHT, output_type="ndarray").T
     off = np.abs(np.sum((cells[j, :2] - cells[i, :2]) * cells[i, 2:], axis=1))
     along = (off < ACROSS) & (np.sum(cells[i, 2:] * cells[j, 2:], axis=1) > SAME_NORMAL)
@@ -240,8 +240,8 @@ def is_straight(cells: FloatArray) -> BoolArray:
 
 @njit(cache=True)
 def nearest(eye: FloatArray, points: FloatArray) -> FloatArray:
-    """Distance (BEARINGS,), m, of the nearest of points (p, 4) with normals that face an eye (2,) by bearing from -pi
-    on, inf where there is none."""
+    """Return the distance (BEARINGS,), m, of the nearest of points (p, 4) with normals that face an eye (2,), by
+    bearing from -pi on, inf without one."""
     found, step = np.full(BEARINGS, np.inf), 2.0 * math.pi / BEARINGS
     for p in points:
         x, y = p[0] - eye[0], p[1] - eye[1]
@@ -256,8 +256,8 @@ def nearest(eye: FloatArray, points: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def looked_through(cells: FloatArray, eyes: FloatArray, seen: FloatArray) -> BoolArray:
-    """Which of some cells (n, 4) of surface some of the eyes (e, 2) must have looked through, for they saw what is
-    farther off there: seen (e, BEARINGS), as of `nearest`."""
+    """Return a mask of the cells (n, 4) of surface that some of the eyes (e, 2) have looked through, as they saw
+    farther there: seen (e, BEARINGS), see `nearest`."""
     through, step = np.zeros(len(cells), dtype=np.bool_), 2.0 * math.pi / BEARINGS
     for i in range(len(cells)):
         for e in range(len(eyes)):
@@ -274,14 +274,14 @@ def looked_through(cells: FloatArray, eyes: FloatArray, seen: FloatArray) -> Boo
 
 
 def tells_place(query: FloatArray) -> bool:
-    """Whether points with normals (q, 4) are enough to tell where they are, in both directions."""
+    """Return whether points with normals (q, 4) determine their place in both directions."""
     seen = thinned(query)
     across = np.linalg.eigvalsh(seen[:, 2:].T @ seen[:, 2:])
     return CELL * len(seen) >= LEAST_LENGTH and bool(across[0] > LEAST_ACROSS * across[1])
 
 
 def is_elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
-    """Which poses (k, 3) are farther than SAME_PLACE from another (3,)."""
+    """Return a mask of the poses (k, 3) that are farther than SAME_PLACE from another (3,)."""
     off = poses - X
     within, turned = SAME_PLACE[1:]
     return np.asarray((np.hypot(off[:, 0], off[:, 1]) > within) | (np.abs(se2.wrap_angle(off[:, 2])) > turned))
@@ -290,8 +290,8 @@ def is_elsewhere(poses: FloatArray, X: FloatArray) -> BoolArray:
 def peaks(
     before: FloatArray, query: FloatArray, X: FloatArray, window: FloatArray, side: float = SIDE
 ) -> tuple[FloatArray, FloatArray]:
-    """Scores (k,) and poses (k, 3) in M from which a query (q, 2) lies best on points (p, 2), best first, APART or
-    TURNED from each other, within a window (3,) of x, y (m) and heading (rad) round X (3,). side: of a cell, m."""
+    """Return scores (k,) and poses (k, 3) in M at which a query (q, 2) fits points (p, 2) best, best first, APART or
+    TURNED from each other, within a window (3,) of x, y (m) and heading (rad) around X (3,). side: of a cell, m."""
     step, turn = STEP * side, STEP * side / AT
     low = before.min(axis=0) - 1.0
     cells = np.ceil((before.max(axis=0) + 1.0 - low) / side).astype(np.int64)
@@ -314,7 +314,8 @@ def peaks(
 
 @njit(cache=True)
 def _field(points: FloatArray, low: FloatArray, cells: IntArray, side: float) -> FloatArray:
-    """How near a place is to one of some points (p, 2), 1 at it, in cells of a side, m, from the corner low (2,) on."""
+    """Return the closeness to the nearest of points (p, 2), 1 at a point, in cells of a side, m, from the corner low
+    (2,) on."""
     field, reach = np.zeros((cells[1], cells[0])), math.ceil(3.0 * BLUR)
     for p in points:
         u, v = (p[0] - low[0]) / side, (p[1] - low[1]) / side
@@ -329,8 +330,8 @@ def _field(points: FloatArray, low: FloatArray, cells: IntArray, side: float) ->
 def _scores(
     field: FloatArray, low: FloatArray, side: float, query: FloatArray, X: FloatArray, steps: IntArray, turn: float
 ) -> FloatArray:
-    """(2a + 1, 2i + 1, 2j + 1) mean of the field at a query's points (p, 2), by turns of so many rad and STEP cells in
-    y and x round X (3,); steps: (3,) j, i, a."""
+    """Return the mean (2a + 1, 2i + 1, 2j + 1) of the field at a query's points (p, 2), for steps of `turn` rad and of
+    STEP cells in y and x around X (3,); steps: (3,) j, i, a."""
     scores = np.zeros((2 * steps[2] + 1, 2 * steps[1] + 1, 2 * steps[0] + 1))
     rows, columns = field.shape
     for a in range(len(scores)):

@@ -1,14 +1,14 @@
-"""Finds where a robot is: a session in the map that it began with, or a robot in its own that is suddenly elsewhere.
+"""The relocaliser: finds the pose of a session in its known map, or of a kidnapped robot in its own map.
 
-Hypotheses are the poses from which the tags of both, or the surfaces seen lately, fit the map (`tag_search`,
-`place_search`); one is believed when the odds that it is wrong are small.
+Hypotheses are the poses at which common tags, or the surfaces seen recently, fit the map (`tag_search`,
+`place_search`); one is accepted when its error probability is small.
 
-A session maps apart, in a frame of its own, until it is found; then both maps become one (`joining`), and apart again
-if what follows contradicts that. A robot that may be elsewhere in its own map is looked for by what it has seen since
-the first frame that contradicts its pose: it is where it seemed to be, or elsewhere, by a motion that is not known, or
-lost. A lost one maps on. All that follows is known to metres for ever then, however long it looks: walls are recognised
-where it is known where they must be. So as long as the newest part of the map is adrift each view is asked where it is,
-and that part is moved there as a whole, farther than a linearisation reaches.
+A session maps apart, in its own frame, until it is found; then both maps become one (`joining`), and are separated
+again if later views contradict that. For a robot that may be elsewhere in its own map, everything seen since the first
+frame that contradicts its pose is searched: it is where it seemed to be, or elsewhere after an unknown motion, or lost.
+A lost robot continues to map, but its new part of the map would stay uncertain by metres, as walls are associated only
+where their place is known. So as long as the newest part of the map is adrift each view is searched, and that part is
+moved as a whole, farther than a linearisation is valid.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ _log, _operator = logging.getLogger("tfg_drake.slam"), logging.getLogger("tfg_dr
 
 
 def said_to_be(state: EstimatorState, said: SaidPose, X_MB: FloatArray) -> EstimatorState:
-    """The state of a session when somebody says where the robot is, which counts as long as it maps apart. X_MB: (3,)
-    its pose in the session's frame now."""
+    """Return the state of a session after a person has stated the robot's pose, which is used while it maps apart.
+    X_MB: (3,) its current pose in the session's frame."""
     known = state.known
     if known is None or state.at is not None:
         _operator.warning("%.2f s: where the robot is said to be does not count: it does not map apart", state.stamp)
@@ -114,7 +114,7 @@ def said_to_be(state: EstimatorState, said: SaidPose, X_MB: FloatArray) -> Estim
 
 
 def looked_for(state: EstimatorState) -> EstimatorState:
-    """The state of a session in its first turn, which may have seen by now where it is."""
+    """Return the state of a session in its first turn after a search for its place."""
     known, turn = state.known, state.turn
     if known is None or turn is None or state.map is not None:
         return state
@@ -127,8 +127,7 @@ def looked_for(state: EstimatorState) -> EstimatorState:
 
 
 def joined(state: EstimatorState) -> EstimatorState:
-    """The state of a session after a view: one with the map that it began with as long as it knows where in that it
-    is."""
+    """Return the state of a session after a view: joined with its known map while its place there is known."""
     known, estimate = state.known, state.map
     if known is None or estimate is None or adrift(state.graph) >= 0:
         return state
@@ -149,7 +148,7 @@ def joined(state: EstimatorState) -> EstimatorState:
 def in_known(
     at: Placed, X_MB: FloatArray, covariance: FloatArray, p_MU: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A session's pose (3,), its covariance (3, 3) and places (u, 2) in the frame of the map that it began with."""
+    """Return a session's pose (3,), its covariance (3, 3) and places (u, 2) in the frame of its known map."""
     X_KB, J = se2.compose(at.X, X_MB), np.eye(3)
     J[:2, 2] = (X_KB[:2] - at.X[:2])[::-1] * [-1.0, 1.0]
     turned = np.eye(3)
@@ -159,7 +158,7 @@ def in_known(
 
 
 def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetections) -> int:
-    """The number of a frame's tags that are mapped too far away for the localiser and seen far from there."""
+    """Return the number of a frame's tags that are mapped beyond the localiser's reach and were seen far from there."""
     row, mapped = rows_of(seen.ids, state.graph.ids)
     estimate = localizer.map
     mapped &= ~rows_of(seen.ids, estimate.ids[estimate.local])[1]
@@ -173,11 +172,11 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
 
 
 def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
-    """The state after a search for the pose in the map: the robot is lost or too many frames contradict its pose. By
-    tags it is looked for with each frame of them, by surfaces once a second and at last.
+    """Return the state after a search for the pose in the map, as the robot is lost or too many frames contradict its
+    pose. Tags are searched at each frame with tags, surfaces once a second and at last.
 
-    at_last: what has been seen is about to be mapped, as if the robot were where it seems to be, unless it is found
-    elsewhere or is known to be.
+    at_last: the observations are about to be mapped at the current pose, unless the robot is found or known to be
+    elsewhere.
     """
     estimate, suspect, stamp = state.map, state.seen_in_doubt, state.stamp
     if estimate is None or suspect is None or not suspect.frames:
@@ -227,8 +226,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
 
 
 def doubted(state: EstimatorState) -> EstimatorState:
-    """The state at the end of a turn, which sees more than a scan: where the map contradicts it, for one has looked
-    through what the other sees, the robot may be elsewhere."""
+    """Return the state at the end of a turn. If the map contradicts the turn, as one has looked through what the other
+    sees, the robot may be elsewhere."""
     turn, graph = state.turn, state.graph
     if turn is None or state.is_kidnapped or not state.may_be_moved or adrift(graph) >= 0:
         return state
@@ -244,7 +243,7 @@ def doubted(state: EstimatorState) -> EstimatorState:
 
 
 def begun_elsewhere(state: EstimatorState, begun: Stretch) -> EstimatorState:
-    """The state of a kidnapped robot: the motion from the last view to the stretch that has begun is unknown."""
+    """Return the state of a kidnapped robot: the motion from the last view to the stretch `begun` is unknown."""
     turn = state.turn
     if turn is not None and begun.begin.stamp < turn.begin.stamp:
         begun = replace(opened(state), sigma=begun.sigma)
@@ -259,8 +258,8 @@ def begun_elsewhere(state: EstimatorState, begun: Stretch) -> EstimatorState:
 def found_again(
     state: EstimatorState, way: tuple[Sighted, ...], view: Keyframe
 ) -> tuple[KeyframeGraph, MapEstimate, tuple[Sighted, ...], Hypotheses]:
-    """Graph and map before a view, and the way to it, known where they were not but what the view sees tells where it
-    is. Else the poses in M, as hypotheses, at which what is adrift may begin."""
+    """Return graph and map before a view, and the motion to it, with an unknown motion replaced if the view determines
+    its place. Otherwise returns the hypotheses: poses in M where the adrift part may begin."""
     graph, estimate = state.graph, state.map or state.localizer.map
     j, lost = adrift(graph), any(is_unknown(one.keyframe) for one in way)
     if not lost and j < 0:
@@ -295,13 +294,13 @@ def found_again(
 
 
 def _until_now(state: EstimatorState, seen: Stretch) -> Keyframe:
-    """A stretch as a keyframe that ends at the filters' instant."""
+    """Return a stretch as a keyframe that ends at the time of the filters."""
     return reduced_now(state, (seen.begin, seen.frames, state.instant)).keyframe
 
 
 def _seen_of(one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen | None = None) -> Look:
-    """The tags and surfaces that a keyframe sees, which begins at a pose (3,) of some frame, in that; and what was seen
-    before."""
+    """Return the tags and surfaces that a keyframe with a start pose (3,) in some frame sees, in that frame, together
+    with those seen before."""
     w, shared = one.walls, state.graph.shared.mean
     y_AL, _, R = one.given(shared)
     rows = 2 * np.arange(w, len(one.ids))[:, None] + [0, 1]
@@ -313,8 +312,8 @@ def _seen_of(one: Keyframe, state: EstimatorState, X: FloatArray, before: Seen |
 def _where(
     known: Look, seen: Look, prior: Prior | None, before: FloatArray | None = None, *, is_growing: bool = False
 ) -> tuple[Placed | None, Places]:
-    """How the frame in which something was seen lies in a map, by the tags of both or by its surfaces, None where that
-    is not known; the places that it may be. before, is_growing: as of `find_places`."""
+    """Return the pose of an observation's frame in a map, by common tags or by surfaces, None if unknown; and the
+    possible places. before, is_growing: see `find_places`."""
     try:
         found = by_tags(known[0], seen[0])
     except BadInput:  # Ids that hang elsewhere: in another building they do.
@@ -328,7 +327,7 @@ def _where(
 
 
 def _with_place(state: EstimatorState, known: KnownMap, seen: Look) -> EstimatorState:
-    """The state of a session that has seen these, in its frame, with where it is in the map that it began with."""
+    """Return the state of a session with these observations, in its frame, and its place in the known map."""
     said = None if known.since else known.said
     prior = None if said is None else Prior(said.X, np.sqrt(np.diag(said.covariance)), SAID)
     of_map, earlier = known.estimate.of_tags, state.hypotheses.X_KM

@@ -1,4 +1,4 @@
-"""The straight pieces of wall that one laser scan sees, each as a line with its covariance."""
+"""Scan lines: the straight pieces of wall in one laser scan, each with its covariance."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ ON_LINE = 0.1
 
 
 def scan_lines(scan: LaserScan) -> FloatArray:
-    """The straight pieces (n, 11) that the scan sees, at least LENGTH long and of RAYS rays, in the scanner's frame.
+    """Return the straight pieces (n, 11) in a scan, at least LENGTH long and of RAYS rays, in the scanner's frame.
 
-    Angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m); where along
-    the line, m from the foot of the perpendicular along the normal turned left by 90 degrees, the seen piece begins and
-    ends, and its middle, where the errors of angle and of distance normal to the line are uncorrelated; standard
-    deviations of the angle (rad) and of that distance (m), by the noise of the rays alone. And what a scanner that
-    sweeps while it turns, so that bearings are larger by a share of themselves, makes of the angle and of the distance
-    in the middle beside what its bearing does, over that share; and what one that moves along the normal, so that
-    ranges are longer by a length a radian of bearing, makes of both, over that length. Chords of curves are none: what
-    is seen of a curve from elsewhere looks another way.
+    The columns: angle (rad) of the normal, which points away from the scanner, so that n . p = offset > 0; offset (m);
+    start and end of the seen piece, and its middle, m along the line from the foot of the perpendicular in the
+    direction of the normal turned left by 90 degrees; the errors of angle and of distance normal to the line are
+    uncorrelated at the middle; standard deviations of the angle (rad) and of that distance (m) by the noise of the rays
+    alone; the derivatives of angle and middle distance on the sweep of a turning scanner, which enlarges bearings by a
+    share of themselves, beyond the effect of the bearing of the middle; and their derivatives on the motion of a
+    scanner along the normal, which lengthens ranges by a length per radian of bearing. Chords of curves are excluded,
+    as a curve looks different from elsewhere.
     """
     # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
@@ -58,10 +58,10 @@ def scan_lines(scan: LaserScan) -> FloatArray:
 
 
 def on_uneven(lines: FloatArray, unevenness: float) -> FloatArray:
-    """Lines (n, 11) of `scan_lines` with the deviations that those of uneven walls have besides.
+    """Return lines (n, 11) of `scan_lines` with deviations enlarged for uneven walls.
 
-    unevenness: m, as of `unevenness_after`, by which neighbouring half metres are off a plane independently: single
-    looks, each at other stretches of one, agree no better.
+    unevenness: m, see `unevenness_after`, the independent deviation of neighbouring half metres from a plane: single
+    looks, each at other stretches of a wall, agree no better.
     """
     lines = lines.copy()
     # The mean, and the slope, of n such stretches.
@@ -73,11 +73,11 @@ def on_uneven(lines: FloatArray, unevenness: float) -> FloatArray:
 
 
 def unevenness_after(scan: LaserScan, lines: FloatArray, unevenness: float) -> float:
-    """How far, m, walls and the errors that rays beside each other have in common are off a plane over STRETCH, the
-    median of all scans so far, from what it was before this one, in which there are these lines (n, 11).
+    """Update the unevenness, m, with one scan and its lines (n, 11): the deviation from a plane over STRETCH of walls
+    and of errors that neighbouring rays share, as the median of all scans so far.
 
-    The middle of a stretch is off what its ends say by more than a ray is off the two beside it. What is less than half
-    of the variance of these is noise.
+    It is the excess of the deviation of a stretch's middle from its ends over that of a ray from its two neighbours. An
+    excess below half the variance of the latter is noise.
     """
     with np.errstate(invalid="ignore"):
         x, y = scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)
@@ -96,8 +96,8 @@ def unevenness_after(scan: LaserScan, lines: FloatArray, unevenness: float) -> f
 
 @njit(cache=True)
 def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[float, float]:
-    """Variance of a ray, m^2, by those beside it and by those at the ends of a STRETCH round it, all of one line, of
-    (m,) which, 0 for none; nan where these are few. What is between them may have met nothing."""
+    """Return the variance of a ray, m^2, from its neighbours, and from the ends of a STRETCH around it, all on one
+    line; of: (m,) the line of each ray, 0 for none. nan if there are few. Rays in between may lack a return."""
     ray = np.flatnonzero(of[1:-1]) + 1
     half = np.round(0.5 * STRETCH / (ranges[ray] * (angles[ray + 1] - angles[ray])))
     half = np.maximum(2, np.minimum(half, MOST_RAYS)).astype(np.int64)
@@ -117,7 +117,7 @@ def _off_planes(angles: FloatArray, ranges: FloatArray, of: IntArray) -> tuple[f
 
 
 def surface_seen(scan: LaserScan) -> float:
-    """Length, m, of the surfaces that a scan sees, straight or not, as far as LENGTH of it or more hangs together."""
+    """Return the length, m, of connected surfaces in a scan, straight or not, of at least LENGTH each."""
     rays = np.flatnonzero((scan.ranges > 0.0) & (scan.ranges < scan.range_max - 3.0 * scan.sigma))
     r, angle = scan.ranges[rays], scan.angles[rays]
     most = np.minimum(r[1:], r[:-1]) * np.diff(angle) / SLANT + 4.0 * scan.sigma + STEP
@@ -132,14 +132,15 @@ def surface_seen(scan: LaserScan) -> float:
 
 @njit(cache=True)
 def bearing_of(line: FloatArray) -> float:
-    """The bearing (rad) of a line's middle, in (-pi, pi] as those of rays: a scanner that sweeps was there then."""
+    """Return the bearing (rad) of a line's middle, in (-pi, pi] like those of rays; it determines the time of a
+    sweep."""
     c, s = math.cos(line[0]), math.sin(line[0])
     return math.atan2(s * line[1] + c * line[4], c * line[1] - s * line[4])
 
 
 @njit(cache=True)
 def _bend(ranges: FloatArray) -> float:
-    """Median, m, of the second differences of ranges from ray to ray, 0 where there are few."""
+    """Return the median, m, of the second differences of ranges from ray to ray, 0 for few rays."""
     r = ranges[np.isfinite(ranges)]
     return float(np.median(np.abs((r[2:] - r[1:-1]) - (r[1:-1] - r[:-2])))) if len(r) > RAYS else 0.0
 
@@ -192,7 +193,7 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
 
 @njit(cache=True)
 def _apart(i: int, j: int, rays: IntArray, angles: FloatArray, r: FloatArray, sigma: float) -> bool:
-    """Whether ray j, which follows ray i, is on another surface."""
+    """Return whether ray j, which follows ray i, is on another surface."""
     if rays[j] - rays[i] > 3:
         return True
     step = angles[rays[j]] - angles[rays[i]]
@@ -201,7 +202,8 @@ def _apart(i: int, j: int, rays: IntArray, angles: FloatArray, r: FloatArray, si
 
 @njit(cache=True)
 def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
-    """Set the line (11,) of maximum likelihood through rays, but for TRIM at either end; whether it is one."""
+    """Set the maximum likelihood line (11,) through rays without TRIM at either end; returns whether they are a
+    line."""
     x, y, r = x[TRIM : len(x) - TRIM], y[TRIM : len(y) - TRIM], r[TRIM : len(r) - TRIM]
     m = len(x)
     if m < RAYS - 2 * TRIM:
@@ -262,7 +264,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
 
 @njit(cache=True)
 def _is_chord(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: FloatArray) -> bool:
-    """Whether a line (11,) is a chord of what these rays see: a parabola is fitted to them."""
+    """Return whether a line (11,) is a chord of a curve: a parabola fitted to these rays bends."""
     c, s, length = math.cos(line[0]), math.sin(line[0]), line[3] - line[2]
     x, y, r = x[TRIM : len(x) - TRIM], y[TRIM : len(y) - TRIM], r[TRIM : len(r) - TRIM]
     normal, t = (c * x + s * y) / r, (-s * x + c * y - 0.5 * (line[2] + line[3])) / length

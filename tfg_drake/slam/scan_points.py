@@ -1,4 +1,4 @@
-"""The points of one laser scan with the normals of the surfaces that they lie on, straight or not, large or small."""
+"""Scan points: points of one laser scan with the normals of their surfaces, straight or not, large or small."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ EDGE, APART = 0.2, 0.14
 
 
 def scan_points(scan: LaserScan) -> FloatArray:
-    """Points with normals (p, 4) of the surfaces that the scan sees: x, y (m), n_x, n_y, in the scanner's frame.
+    """Return points with normals (p, 4) of the surfaces in a scan: x, y (m), n_x, n_y, in the scanner's frame.
 
-    They are in the order of their rays. Normals are of unit length and point towards the scanner. The normal is (0, 0)
-    of an edge: a ray whose surface has none, EDGE or more before what is seen beside it, as legs and corners are. All
-    other rays are left out, above all those of walls seen aslant: such points slide along their wall.
+    They are in the order of their rays. Normals have unit length and point towards the scanner. The normal of an edge
+    is (0, 0): a ray without a normal that is EDGE or more in front of its neighbours, such as on legs and corners. All
+    other rays are dropped, above all those of walls seen obliquely, whose points slide along the wall.
     """
     return np.asarray(_points(scan.angles, scan.ranges, scan.range_max, max(scan.sigma, LEAST_SIGMA)))
 
@@ -77,10 +77,10 @@ def _points(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: flo
 def _normals(
     x: FloatArray, y: FloatArray, r: FloatArray, bearings: FloatArray, rays: IntArray, n: int, sigma: float
 ) -> FloatArray:
-    """Normals (n, 2) of the first n rays, (0, 0) where there is none: each that with the least variance.
+    """Return normals (n, 2) of the first n rays, (0, 0) if there is none: of several estimates that of least variance.
 
-    Every few rays side by side that look straight tell one, the direction that they vary least in. Its variance is that
-    of their line, and what a curve would turn on the way from the middle of them.
+    Each window of neighbouring rays that look straight gives an estimate, the direction of least variation. Its
+    variance is that of the window's line plus the turn of a curve between the ray and the window's middle.
     """
     normals, variance = np.zeros((n, 2)), np.full(n, WORST**2)
     for i in range(n):
@@ -128,9 +128,10 @@ def _normals(
 
 @njit(cache=True)
 def _is_edge(k: int, r: FloatArray, bearings: FloatArray, rays: IntArray, n: int, m: int) -> bool:
-    """Whether the k-th of n rays is EDGE before a ray beside it, and before where its own surface would meet that ray.
+    """Return whether the k-th of n rays is EDGE in front of a neighbour, and of its own surface extended to that ray.
 
-    A surface goes on straight from the ray on the other side: that of a wall seen aslant meets the next, however far.
+    The surface is extended straight from the ray on the other side: a wall seen obliquely meets the next ray, however
+    far.
     """
     for side in (1, -1):
         far, other = (k + side) % n, (k - side) % n

@@ -1,10 +1,10 @@
-"""The tags' ranges and the camera's mount as the laser scan tells them: tags stand on the surfaces that it meets.
+"""Comparison of tag ranges with the laser scan, which calibrates the camera's range scale and mount.
 
-A range scale error is invisible to a map of bearings and ranges alone, scales all of it and dominates every other
-error; a few turns beside a scan tell it to a part in a thousand. The comparison of one sighting with the scan is off by
-what all of them share: tags stand an unknown distance before their surfaces, and the scan is read at a bearing, from a
-place, that the mounts of camera and scanner make uncertain. Each tag has an error of its own beside, the same in all
-frames. All these are eliminated, so what is left is a measurement of the parameters with the covariance that it has.
+Tags hang on the surfaces that the scan hits. A range scale error is unobservable in a map of bearings and ranges,
+scales all of it and dominates every other error; with a scan a few turns determine it to a part in a thousand. All
+comparisons share errors: tags hang an unknown distance in front of their surfaces, and the scan is read at a bearing
+and from a place that depend on the mounts of camera and scanner. Each tag also has its own error, the same in all
+frames. All these are eliminated, which leaves a measurement of the parameters with its covariance.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ STRAIGHT = 3.0
 
 @message
 class ScanRanges:
-    """All pairs of a sighting and the scan, sums over those that agree of w (J, d, 1) (J, d, 1)^T. J: (5,) how the pair
-    differs by the parameters compared and the distance before the surface, d: its difference, m, where these are zero,
-    w: its weight, 1/m^2.
+    """Pairs of a sighting and the scan: sums of w (J, d, 1) (J, d, 1)^T over those that agree. J: (5,) derivative of
+    the pair's difference on the compared parameters and the distance in front of the surface, d: the difference, m, at
+    zero, w: its weight, 1/m^2.
 
     ids: (t,), ascending, of the tags compared. of_tag: (t, 7) the last row of the sum over each tag's pairs. total:
-    (6, 6) the other rows and columns of the sum over all pairs. apart: (b,) how many of the pairs that do not agree
-    have ranges whose logarithm is greater than that of the range to the surface by -MOST to -MOST + BIN, ... pairs: how
-    many agree. reported: whether somebody was told of a `great_error`.
+    (6, 6) the other rows and columns of the sum over all pairs. apart: (b,) histogram of the pairs that do not agree,
+    by the logarithm of the tag's range over that of the surface, in bins of BIN from -MOST on. pairs: number that
+    agree. reported: True once a `great_error` was reported.
     """
 
     ids: IntArray
@@ -77,13 +77,13 @@ class ScanRanges:
 
 
 def none_compared() -> ScanRanges:
-    """Before the first pair."""
+    """Return the state before the first pair."""
     apart = np.zeros(round(2.0 * MOST / BIN), dtype=np.int64)
     return ScanRanges(np.zeros(0, dtype=np.int64), np.zeros((0, 7)), np.zeros((6, 6)), apart, 0)
 
 
 def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, shared: Shared) -> ScanRanges:
-    """The pairs with those of one frame of tags and the scan of the same instant; shared: what is known of the
+    """Return the pairs with those of one frame of tags and the scan of the same instant; shared: the estimate of the
     parameters."""
     ids = np.union1d(before.ids, detections.ids)
     of_tag = np.zeros((len(ids), 7))
@@ -96,8 +96,8 @@ def compared(before: ScanRanges, detections: TagDetections, scan: LaserScan, sha
 
 
 def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, FloatArray]:
-    """Information (13, 13) of all pairs on the shared parameters, and gradient (13,) where these are zero. worth: the
-    share of what it tells by the data sheet that one frame of many tells."""
+    """Return the information (13, 13) of all pairs on the shared parameters, and the gradient (13,) at zero. worth: the
+    information of one of many frames, as a share of that by the data sheet."""
     of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
     # Each tag's own error eliminated.
     M = worth * ranges.total - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
@@ -113,12 +113,12 @@ def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, Floa
 
 @njit(cache=True)
 def surface(bearing: float, angles: FloatArray, ranges: FloatArray, sigma: float) -> tuple[float, float]:
-    """Distance (m) to the surface at a bearing (rad), and the tangent of how much farther to the left it is looked at
-    straight, the incidence; nan without a surface.
+    """Return the distance (m) to the surface at a bearing (rad), and the tangent of the incidence, the angle farther to
+    the left at which the surface is seen head-on; nan without a surface.
 
-    One over the range is a sinusoid of the angle along a line, straight but for its mean over a few rays, whose angles
-    are evenly spaced or nearly so: those of a depth image are the closer together the farther from its middle. sigma:
-    the scan's, m; rays that bend more than it explains have none.
+    Along a line one over the range is a sinusoid of the angle, nearly linear over a few rays with evenly spaced angles,
+    or nearly so: those of a depth image are denser away from its middle. sigma: the scan's, m; rays that bend more than
+    it explains have no surface.
     """
     first = np.searchsorted(angles, bearing) - RAYS
     if not (first >= 0 and first + 2 * RAYS <= len(ranges)):
@@ -147,8 +147,8 @@ def _with_pairs(
     scan: tuple[FloatArray, FloatArray, float],
     known: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray, IntArray, int]:
-    """of_tag, total and apart as before, with the sightings (n,) of a frame, of the tags in the rows tag (n,), and how
-    many of these agree with the scan. known: mean and covariance of the parameters."""
+    """Return of_tag, total and apart with the sightings (n,) of a frame added, of the tags in rows tag (n,), and the
+    number of these that agree with the scan. known: mean and covariance of the parameters."""
     of_tag, total, apart, pairs = before[0].copy(), before[1].copy(), before[2].copy(), 0
     (range_, bearing, sigma_range, sigma_bearing), (angles, ranges, sigma_scan) = frame, scan
     (shared, covariance), mean, sigma, row = known, np.zeros(5), np.full(5, BEFORE_SURFACE), np.ones(7)
@@ -185,8 +185,8 @@ def _with_pairs(
 
 
 def great_error(ranges: ScanRanges, shared: Shared) -> float:
-    """The share by which the tags' ranges are longer than the scan's where that is more than REPORTED and beyond doubt,
-    else 0: one that is known, where most pairs agree, or one so great that most do not, and nearly alike."""
+    """Return the relative excess of the tags' ranges over the scan's if it is significant and more than REPORTED, else
+    0: the estimated one if most pairs agree, or one so great that most pairs disagree by nearly the same ratio."""
     r, sigma = float(shared.mean[RANGE_SCALE]), float(shared.sigma[RANGE_SCALE])
     apart = int(ranges.apart.sum())
     if ranges.pairs > apart and abs(r) > REPORTED + SIGNIFICANT * sigma:

@@ -1,7 +1,7 @@
-"""The parameters that all keyframes share: constant errors of odometry and camera, unknowns of the keyframe graph.
+"""The shared parameters: constant errors of odometry, camera and scanner, unknowns of the keyframe graph.
 
-What a data sheet says of them is their prior. Every keyframe tells something of them and depends on all of them, so
-they are estimated with the map, jointly; the published pose is as uncertain as they make it.
+The data sheets are their prior. Every keyframe depends on them and informs them, so they are estimated jointly with the
+map; the published pose includes their uncertainty.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ class Shared:
 
     @property
     def sigma(self) -> FloatArray:
-        """(13,) standard deviations."""
+        """The standard deviations (13,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def with_information(self, information: FloatArray, gradient: FloatArray) -> Shared:
-        """The Gaussian once something else tells of the parameters, too: information (13, 13) and gradient (13,) where
-        they are zero."""
+        """Return the Gaussian after adding a measurement: information (13, 13) and gradient (13,) at zero
+        parameters."""
         before = np.linalg.inv(self.covariance)
         covariance = np.linalg.inv(before + information)
         return Shared(covariance @ (before @ self.mean - gradient), 0.5 * (covariance + covariance.T))
 
 
 def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig, scanner: ScanConfig | None = None) -> Shared:
-    """The parameters before the first frame: none is expected to be off, as surely as the data sheets say."""
+    """Return the parameters before the first frame: zero, with the deviations of the data sheets."""
     scanner, mount = scanner or ScanConfig(), sensor.mount_deviation
     camera = [sensor.yaw_deviation, mount, mount, sensor.clock_deviation, sensor.range_scale_deviation]
     mount = scanner.mount_deviation
@@ -60,24 +60,24 @@ def by_data_sheet(odometry: OdometryConfig, sensor: TagSensorConfig, scanner: Sc
 
 @njit(cache=True)
 def scale_of(unit: int, shared: FloatArray) -> float:
-    """How many of a unit a metre has where the parameters are `shared` (13,)."""
+    """Return the length of a metre in a keyframe's unit for the parameters `shared` (13,)."""
     return 1.0 if unit == METRES else 1.0 + shared[unit]
 
 
 def calibration_sigma(odometry: OdometryConfig) -> FloatArray:
-    """(3,) standard deviations of the odometry's parameters by the data sheet."""
+    """Return the standard deviations (3,) of the odometry's parameters by the data sheet."""
     return np.array([odometry.distance_scale, odometry.gyro_bias, odometry.gyro_scale])
 
 
 def exactly_known(sigma: FloatArray | None = None) -> Shared:
-    """Parameters that are all zero, with these standard deviations (13,), or known before."""
+    """Return zero parameters with standard deviations sigma (13,), by default exactly known."""
     sigma = np.zeros(SHARED) if sigma is None else sigma
     return Shared(np.zeros(SHARED), np.diag(np.maximum(sigma, LEAST_SIGMA) ** 2))
 
 
 def seen_from_body(detections: TagDetections, shared: Shared) -> TagDetections:
-    """Detections with the expected scale of ranges and camera's yaw taken out: as a camera that looks ahead sees
-    them."""
+    """Return detections corrected for the expected range scale and camera's yaw, as seen by a camera that looks
+    ahead."""
     return replace(
         detections,
         range=detections.range / (1.0 + shared.mean[RANGE_SCALE]),

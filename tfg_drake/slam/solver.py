@@ -1,4 +1,4 @@
-"""Keyframe graphs as solvers take them: all keyframes in flat arrays, linearised in compiled loops."""
+"""Keyframe graphs for the solvers: all keyframes in flat arrays, linearised by compiled kernels."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Values(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Which unknown the first of a landmark (n,), of a node (k + 1,), of the parameters and of a tag's errors (n,) is;
-    NONE for the origin, and for errors where tags have none."""
+    """Index of the first unknown of each landmark (n,), of each node (k + 1,), of the parameters and of each tag's
+    errors (n,); NONE for the origin, and for errors if tags have none."""
 
     landmark_at: IntArray
     node_at: IntArray
@@ -67,7 +67,7 @@ class Unknowns(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Factors:
     """All keyframes in flat arrays, the prior of the parameters, mean (13,) and information (13, 13), and the
-    information (2,) on the errors of each tag, infinite where tags have none."""
+    information (2,) on the errors of each tag, infinite if tags have none."""
 
     keyframes: Keyframes
     mean: FloatArray
@@ -78,11 +78,11 @@ class Factors:
 
     @property
     def has_errors(self) -> bool:
-        """Whether tags have errors."""
+        """Whether tags have constant errors."""
         return bool(np.isfinite(self.of_errors).all())
 
     def priors(self, values: Values, unknowns: Unknowns, gradient: FloatArray) -> float:
-        """Add the gradient of the priors' cost; twice that cost."""
+        """Add the gradient of the priors' cost; returns twice that cost."""
         off = values.shared - self.mean
         force = self.information @ off
         gradient[unknowns.shared_at : unknowns.shared_at + SHARED] += force
@@ -94,7 +94,7 @@ class Factors:
 
 
 def factors_of(graph: KeyframeGraph) -> Factors:
-    """The factors of a graph of one keyframe or more."""
+    """Return the factors of a graph of one keyframe or more."""
     counts = np.array([len(one.ids) for one in graph.keyframes])
     has_errors = graph.tag_error.any()
     information = [one.with_errors() if has_errors else one.without_errors for one in graph.keyframes]

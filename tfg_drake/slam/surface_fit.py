@@ -1,4 +1,4 @@
-"""Fit of a look, or of a scan, to the surfaces of the map: each of its points lies on those that look the same way."""
+"""Fits points with normals, of a look or a scan, to the map's surfaces with similar normals."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BETWEEN, GATES, QUERY = np.array([0.03, 0.03, 0.01]), (0.3, 0.2, 0.15, 0.1), 200
 
 
 class Surfaces:
-    """Surfaces by points with normals, (p, 4), in M."""
+    """Surfaces as points with normals, (p, 4), in M."""
 
     def __init__(self, points: FloatArray) -> None:
         self.points = np.vstack([thinned(points), thinned(points, 0.5 * CELL)])
@@ -44,10 +44,10 @@ class Surfaces:
     def fitted(
         self, query: FloatArray, X: FloatArray, information: FloatArray, gates: Sequence[float]
     ) -> tuple[FloatArray, FloatArray, float]:
-        """Pose (3,) in M of the frame of a query (q, 4), fitted to the surfaces, its information (3, 3), and the share
-        of the query's points that are on them: Gauss and Newton, each point to planes near it, Cauchy's weights.
+        """Fit the frame of a query (q, 4) to the surfaces; returns its pose (3,) in M, its information (3, 3), and the
+        share of the query's points on them. Gauss-Newton, point to plane, with Cauchy weights.
 
-        X: (3,) where it is thought to lie, by information (3, 3). gates: m, a step each.
+        X: (3,) the prior pose, with information (3, 3). gates: m, one per step.
         """
         there, total, share = X, information, 0.0
         for gate in gates if len(self.points) else ():
@@ -65,13 +65,13 @@ class Surfaces:
         return there, total, share
 
     def on(self, points: FloatArray, within: float) -> BoolArray:
-        """Which of some points (n, 4) in M lie on the surfaces, within so much, m."""
+        """Return a mask of the points (n, 4) in M that lie on the surfaces within a distance, m."""
         _, off, met = self._beside(points, NEAR)
         return np.asarray(np.any(met & (np.abs(off) < within), axis=1))
 
     def _beside(self, points: FloatArray, reach: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Of points (q, 4) in M the normals (q, k, 2) of the surfaces beside each, how far it is off these (q, k), m,
-        and which of them are there, within this reach, m, and look the same way."""
+        """Return, for points (q, 4) in M, the normals (q, k, 2) of surfaces near each, its distances (q, k), m, from
+        them, and a mask of those that exist within this reach, m, with similar normals."""
         _, row = self.tree.query(points[:, :2], k=MOST, distance_upper_bound=reach)
         met = row < len(self.points)
         of = self.points[np.where(met, row, 0)]
@@ -81,7 +81,7 @@ class Surfaces:
 
 
 def thinned(points: FloatArray, offset: float = 0.0) -> FloatArray:
-    """(m, 4) the mean of points (p, 4) of each cell that look the same way. offset: m, of the cells."""
+    """Return the means (m, 4) of points (p, 4) of a cell with similar normals. offset: m, of the cells."""
     if not len(points):
         return points
     turned = np.arctan2(points[:, 3], points[:, 2]) * (DIRECTIONS / (2.0 * math.pi)) + offset / CELL
@@ -97,12 +97,12 @@ def thinned(points: FloatArray, offset: float = 0.0) -> FloatArray:
 
 
 def surface_points(one: Keyframe, shared: FloatArray) -> FloatArray:
-    """(p, 4) points with normals of all that a keyframe sees in A, its walls by points along them."""
+    """Return points with normals (p, 4), in A, of all surfaces that a keyframe sees, with points along its walls."""
     return np.vstack([one.points[one.points[:, 2:].any(axis=1)], points_along(ends_seen(one, shared))])
 
 
 def points_along(walls: FloatArray) -> FloatArray:
-    """(p, 4) points with normals, to the left, of walls (s, 2, 2)."""
+    """Return points (p, 4) along walls (s, 2, 2), with normals to the left."""
     length = np.array([math.dist(first, last) for first, last in walls])
     walls, length = walls[length > 0.0], length[length > 0.0]
     along, count = (walls[:, 1] - walls[:, 0]) / length[:, None], np.ceil(length / SPACING).astype(np.int64)
@@ -113,7 +113,7 @@ def points_along(walls: FloatArray) -> FloatArray:
 
 
 def map_points(graph: KeyframeGraph, keyframes: Iterable[int] | None = None) -> FloatArray:
-    """(p, 4) the same in M of some keyframes of a graph, of all if none are named."""
+    """Return `surface_points` (p, 4), in M, of some keyframes of a graph, by default of all."""
     shared, which = graph.shared.mean, range(len(graph.keyframes)) if keyframes is None else keyframes
     parts = [moved_points(graph.X_MN[k], surface_points(graph.keyframes[k], shared)) for k in which]
     return np.vstack([np.empty((0, 4)), *parts])
@@ -122,8 +122,8 @@ def map_points(graph: KeyframeGraph, keyframes: Iterable[int] | None = None) -> 
 def poses_by_surfaces(
     graph: KeyframeGraph, scans: Sequence[LaserScan], X_MB: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) poses of the body at n scans, known by keyframes before and after, X_MB (n, 3), as the surfaces that the
-    keyframes have seen have them, and the covariances (n, 3, 3) that they have given these."""
+    """Return poses (n, 3) of the body at n scans, X_MB (n, 3) from the keyframes, fitted to the surfaces that the
+    keyframes have seen, and their covariances (n, 3, 3) given these surfaces."""
     shared = graph.shared.mean
     X_BS = shared[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
     surfaces = Surfaces(map_points(graph))

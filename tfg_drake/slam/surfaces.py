@@ -1,10 +1,9 @@
-"""Pieces of surface tie the poses from which they are seen.
+"""Pieces of surface, which tie the poses from which they are seen.
 
-The scan points of all keyframes that are in no wall are put into cells of the map and, within one, together with those
-that look the same way. What is in one cell is taken for a straight piece of surface, and each point to lie on it: its
-offset and slope are eliminated at once, so they are no unknowns, and leave ties between the poses of the keyframes that
-see it. Which points are together, and how much each counts, follows from the values that a solve begins with; the
-cells' origin is another in each, so that no surface lies on a border for good.
+The scan points of all keyframes that lie on no wall are sorted into cells of the map and, within a cell, grouped by
+normal. Each group is taken as a straight piece of surface. Its offset and slope are eliminated at once, which leaves
+ties between the poses of the keyframes that see it. Groups and weights follow from the initial values of a solve; the
+origin of the cells varies from solve to solve, so that no surface lies on a border permanently.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ STEPS = 2
 
 class Points(NamedTuple):
     """p scan points of k keyframes. keyframe: (p,) ascending. p_AP: (p, 4) place, m, and unit normal, in its A. part:
-    (k,) ascending numbers of the parts of the map between which the way is not known. scatter: (k, 3, 3) as of
+    (k,) ascending numbers of the map's parts, which are separated by unknown motions. scatter: (k, 3, 3) see
     `Keyframe`."""
 
     keyframe: IntArray
@@ -50,8 +49,8 @@ class Points(NamedTuple):
 
 class Pieces(NamedTuple):
     """g pieces of surface. Piece i has the looks looks[i]:looks[i + 1], each of one keyframe, keyframe (l,). frame:
-    (g, 4) the place in M, m, from which and the unit normal along which its offset counts. moments: (l, 6) sums of the
-    weights, 1/m^2, of a look's points, times 1, x, y, x^2, xy and y^2 in A.
+    (g, 4) origin in M, m, and unit normal of its offset. moments: (l, 6) sums of the weights, 1/m^2, of a look's
+    points, times 1, x, y, x^2, xy and y^2 in A.
     """
 
     frame: FloatArray
@@ -61,13 +60,13 @@ class Pieces(NamedTuple):
 
     @property
     def piece(self) -> IntArray:
-        """(l,) of each look."""
+        """The piece (l,) of each look."""
         return np.repeat(np.arange(len(self.frame)), np.diff(self.looks))
 
 
 def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0.0) -> Pieces:
-    """The pieces of surface that two keyframes of a part or more see, with these at X_MN (k, 3). unevenness: m, as of
-    `scan_lines.unevenness_after`: by which all that one keyframe sees of a piece is off besides."""
+    """Return the pieces of surface that two or more keyframes of a part see, with poses X_MN (k, 3). unevenness: m, see
+    `scan_lines.unevenness_after`: an error common to all points of one look."""
     if not len(points.keyframe):
         none = np.zeros(0, dtype=np.int64)
         return Pieces(np.zeros((0, 4)), np.zeros(1, dtype=np.int64), none, np.zeros((0, 6)))
@@ -111,8 +110,9 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
 def _worth(
     keyframe: IntArray, normal: FloatArray, moments: FloatArray, X_MN: FloatArray, scatter: FloatArray
 ) -> FloatArray:
-    """The share (l,) of its weight that a look at a piece with a normal (l, 2) in M is worth, as the scans of its
-    keyframe lie off each other: all n looks of that are off together, so each has n times that variance."""
+    """Return the share (l,) of its weight with which a look at a piece with a normal (l, 2) in M counts, given the
+    scatter of its keyframe's scans: it shifts all n looks of the keyframe together, so each gets n times that
+    variance."""
     c, s, (n_x, n_y) = np.cos(X_MN[keyframe, 2]), np.sin(X_MN[keyframe, 2]), normal.T
     a_x, a_y, M, Q = c * n_x + s * n_y, c * n_y - s * n_x, moments.T, scatter[keyframe]
     # The points' sums of weights, times how far they go along the normal with a turn of A, and times its square.
@@ -123,8 +123,8 @@ def _worth(
 
 
 def _order(keys: IntArray) -> IntArray:
-    """(n,) rows of integers (n,) in their order, equal ones as they come: of numbers that all differ any sort will do,
-    and the fastest is five times as fast as a stable one."""
+    """Return the stable order (n,) of integers (n,): the keys are made distinct, as the fastest sort is five times as
+    fast as a stable one."""
     return np.asarray(np.argsort(keys * len(keys) + np.arange(len(keys))))
 
 
@@ -142,15 +142,15 @@ class Ties(NamedTuple):
 
 
 def no_ties() -> Ties:
-    """None."""
+    """Return no ties."""
     none = np.zeros(0, dtype=np.int64)
     return Ties(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
 
 @njit(cache=True)
 def scatter(H: FloatArray, g: FloatArray, at: IntArray, block: FloatArray, gradient: FloatArray) -> None:
-    """Add a Hessian (k, k) to the block, if it has rows, and a gradient (k,), each unknown where it is, at (k,),
-    negative for none."""
+    """Add a Hessian (k, k) to the block, if it has rows, and a gradient (k,) to the gradient, at the unknowns `at`
+    (k,), negative for none."""
     for i in range(len(at)):
         if at[i] >= 0:
             gradient[at[i]] += g[i]
@@ -163,7 +163,7 @@ def scatter(H: FloatArray, g: FloatArray, at: IntArray, block: FloatArray, gradi
 def add_ties(
     which: IntArray, ties: Ties, X_MN: FloatArray, node_at: IntArray, block: FloatArray, gradient: FloatArray
 ) -> float:
-    """As add_pieces, of some ties, which (q,)."""
+    """As add_pieces, for some ties, which (q,)."""
     total, J, e, at = 0.0, np.zeros((3, 6)), np.empty(3), np.empty(6, dtype=np.int64)
     for t in which:
         first, second, X_AB, information = ties.first[t], ties.second[t], ties.X_AB[t], ties.information[t]
@@ -187,8 +187,8 @@ def add_ties(
 def _weighed(
     which: IntArray, frame: FloatArray, looks: IntArray, begin: IntArray, placed: PlacedPoints, floor: float
 ) -> FloatArray:
-    """Moments (l, 6) of the looks, at some pieces. Look j has the points begin[j]:begin[j + 1]. floor: m^2, the
-    variance that they have in common."""
+    """Return the moments (l, 6) of the looks at some pieces. Look j has the points begin[j]:begin[j + 1]. floor: m^2,
+    the variance that they have in common."""
     moments, (p_MP, p_AP, worth) = np.zeros((looks[-1], 6)), placed
     for g in which:
         first, last = begin[looks[g]], begin[looks[g + 1]]
@@ -221,8 +221,7 @@ def add_pieces(
     which: IntArray, pieces: Pieces, X_MN: FloatArray, node_at: IntArray, block: FloatArray, gradient: FloatArray
 ) -> float:
     """Add Hessian and gradient of some pieces of surface, which (q,), to a block (u, u), if it has rows, and gradient
-    (u,) of unknowns, of which those of the pose of keyframe k are the first at node_at[k], negative for none. Returns
-    twice the cost.
+    (u,) of unknowns; the pose of keyframe k begins at node_at[k], negative for none. Returns twice the cost.
     """
     total, own, (frame, looks, keyframe, moments) = 0.0, np.empty((3, 3)), pieces
     for g in which:
@@ -293,9 +292,9 @@ def add_pieces(
 def put_together(
     seen: Sequence[FloatArray], X_AB: FloatArray, ties: Ties, unevenness: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (p, 4) in A of m scans, by how the surfaces that they saw (p_i, 4) in B fit each other and by ties between
-    neighbours, and the `Keyframe.scatter` that is left. X_AB: (m, 3) where they are thought to be; the first stays.
-    unevenness: as of `pieces_of`."""
+    """Align the points (p_i, 4), in B, of m scans by their common surfaces and by ties between neighbours; returns the
+    points (p, 4) in A and the remaining `Keyframe.scatter`. X_AB: (m, 3) initial poses; the first is fixed.
+    unevenness: see `pieces_of`."""
     m, X, scatter = len(seen), X_AB.copy(), np.zeros((3, 3))
     keyframe, p_BP = np.repeat(np.arange(m), [len(some) for some in seen]), np.vstack([np.empty((0, 4)), *seen])
     if m > 1:

@@ -1,9 +1,9 @@
-"""Constant errors of tags: each tag's range and bearing are off by the same amounts in all frames that see it.
+"""Constant errors of tags: each tag's range and bearing have the same errors in all frames that see it.
 
-A print of another size, a mounting that leans, a lens not quite calibrated: no number of frames tells such an error
-from a tag that stands elsewhere; only other points of view do. The errors are unknowns of the keyframe graph, of a
-deviation that all tags share. It is zero until the keyframes fit together worse than their noise lets them, by how hard
-they pull at the errors, and found from then on by what the errors come to (MacKay 1992, "Bayesian interpolation").
+They come from a wrong print size, a tilted mounting or an imperfect calibration. From one point of view such an error
+looks like a displaced tag, whatever the number of frames; only other points of view reveal it. The errors are unknowns
+of the keyframe graph, with a deviation common to all tags. It is zero until the gradients of the keyframes on the
+errors exceed their noise, and is estimated from the errors from then on (MacKay 1992, "Bayesian interpolation").
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ LEAST = (4e-3, 1e-3)
 
 
 def in_place(p: FloatArray, tag_error: FloatArray) -> FloatArray:
-    """(n, 2, 2) covariance of the places p (n, 2) of tags seen from the origin, by errors of these deviations (2,)."""
+    """Return the covariances (n, 2, 2) of the places p (n, 2) of tags seen from the origin, for errors of these
+    deviations (2,)."""
     ahead = p / np.maximum(np.hypot(*p.T), 1e-6)[:, None]
     along, across = tag_error[0] * ahead, tag_error[1] * np.stack([-p[:, 1], p[:, 0]], axis=1)
     return np.asarray(along[:, :, None] * along[:, None, :] + across[:, :, None] * across[:, None, :])
 
 
 def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
-    """The deviations (2,) to look for errors with, zero where nothing speaks for any.
+    """Return initial deviations (2,) of the errors, zero if there is no evidence for any.
 
-    pull: (n, 2) gradient of half the squared error on each tag's errors where they are taken to be zero, information:
-    (n, 2) its variance by noise.
+    pull: (n, 2) gradient of half the squared error on each tag's errors at zero, information: (n, 2) its variance by
+    noise.
     """
     if np.count_nonzero(information) < 2 * LEAST_TAGS:
         return np.zeros(2)
@@ -48,8 +49,8 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
 
 
 def learnt(tag_error: FloatArray, errors: FloatArray, variance: FloatArray) -> FloatArray:
-    """The deviations (2,) by what the errors (n, 2) of tags are found to be, and with which variance (n, 2), where
-    `tag_error` was taken for them."""
+    """Return the deviations (2,) estimated from the tags' errors (n, 2) and their variances (n, 2), which were computed
+    with the deviations `tag_error`."""
     known = (1.0 - variance / tag_error**2).sum(axis=0)
     squares = (errors**2).sum(axis=0) + FIRST_WORTH * np.square(FIRST)
     found = np.sqrt(squares / (known + FIRST_WORTH))

@@ -1,4 +1,4 @@
-"""Search for the place of some tags among those of a map: robustly, by the poses that any two of them give."""
+"""Tag search: finds the pose of one set of tags in another robustly, from the poses that pairs of tags give."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ KNOWN, AHEAD = np.array([0.3, 0.3, 0.1]), 6.0
 
 
 def by_tags(of_A: MapEstimate | KeyframeGraph, of_B: MapEstimate | KeyframeGraph) -> Placed | None:
-    """How B lies in A by the tags of both, robustly; None where these are too few or do not tell it.
+    """Return the pose of B in A from common tags, robustly; None if these are too few or ambiguous.
 
     Raises:
-        BadInput: there are enough, and they stand differently.
+        BadInput: there are enough common tags, but their arrangements differ.
     """
     common, in_A, in_B = np.intersect1d(of_A.ids, of_B.ids, return_indices=True)
     in_both = of_A.landmark_covariance[in_A], of_B.landmark_covariance[in_B]
@@ -73,7 +73,7 @@ def by_tags(of_A: MapEstimate | KeyframeGraph, of_B: MapEstimate | KeyframeGraph
 
 
 def _aligned(p_A: FloatArray, p_B: FloatArray, weight: FloatArray) -> FloatArray:
-    """Poses (k, 3) that bring points of B (n, 2) closest to those of A (n, 2), by weights (k, n)."""
+    """Return the poses (k, 3) that bring points of B (n, 2) closest to those of A (n, 2), by weights (k, n)."""
     share = weight / np.maximum(weight.sum(axis=1), 1e-9)[:, None]
     mean_A, mean_B = share @ p_A, share @ p_B
     cross = np.einsum("kn,ni,nj->kij", share, p_B, p_A) - mean_B[:, :, None] * mean_A[:, None]
@@ -83,7 +83,7 @@ def _aligned(p_A: FloatArray, p_B: FloatArray, weight: FloatArray) -> FloatArray
 
 
 def _squared(p_A: FloatArray, p_B: FloatArray, weight: FloatArray, X: FloatArray) -> FloatArray:
-    """(k, n) squared deviations of the tags of B (n, 2) from those of A (n, 2), where B lies at poses X (k, 3)."""
+    """Return squared deviations (k, n) of the tags of B (n, 2) from those of A (n, 2), with B at poses X (k, 3)."""
     c, s = np.cos(X[:, 2, None]), np.sin(X[:, 2, None])
     x, y = p_B.T
     off = X[:, 0, None] + c * x - s * y - p_A[:, 0], X[:, 1, None] + s * x + c * y - p_A[:, 1]
