@@ -1,8 +1,8 @@
-"""Scans matched with each other, and odometry held against that: whether it turns and travels as the scans do.
+"""Scan matching: motion between scans, and its comparison with odometry.
 
-Two scans tell by themselves how the robot came from one to the other: the points of one lie on the surfaces that the
-other saw. Wheels tell so, too. Where the two differ by a factor, a lag of the clocks or the angle of the mount all
-along, that can be corrected; where one turns against the other, nobody can tell which is right.
+Two scans determine the robot's motion between them, as the points of one lie on the surfaces that the other saw; so
+does odometry. Where the two differ by a constant factor, clock lag or mount angle, that can be corrected; where they
+turn in opposite directions, either may be right.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ EVERY, LONG, KEPT = 2.0, 4, 128
 
 @message
 class Matched:
-    """X: (3,) the pose of the body at the second scan in the body at the first. covariance: (3, 3) of it, wide in
-    directions that the scans do not tell. share: of the rays in view of both, those that fit."""
+    """A match of two scans. X: (3,) the pose of the body at the second scan in the body at the first. covariance: (3,
+    3) of X, large in directions that the scans do not determine. share: of the rays in view of both, those that fit."""
 
     X: FloatArray
     covariance: FloatArray
@@ -75,13 +75,14 @@ class Matched:
 
 
 def match(before: LaserScan, after: LaserScan, X_guess: FloatArray | None = None) -> Matched | None:
-    """How the body came from one scan to the other: the points of `after` on the surfaces of `before`, from the guess
-    (3,), which may be off by half a metre and a radian. None where too few rays fit, or as many do elsewhere."""
+    """Return the motion of the body between two scans: the points of `after` are fitted to the surfaces of `before`,
+    from the guess (3,), which may be off by half a metre and a radian. None if too few rays fit, or as many
+    elsewhere."""
     return _matched(surface(before), surface(after), np.zeros(3) if X_guess is None else X_guess)
 
 
 def surface(scan: LaserScan) -> FloatArray:
-    """The rays (n, 6) of a scan that met a surface, see `tfg_drake.slam.scan_matching_kernels`."""
+    """Return the rays (n, 6) of a scan that hit a surface, see `tfg_drake.slam.scan_matching_kernels`."""
     met = (scan.ranges > 0.0) & (scan.ranges < np.inf)
     r = scan.ranges[met]
     bend = float(np.median(np.abs(np.diff(r, 2)))) / 1.65 if len(r) > FEWEST else 0.0
@@ -105,14 +106,14 @@ def _matched(before: FloatArray, after: FloatArray, X_guess: FloatArray) -> Matc
 
 @message
 class Comparison:
-    """Odometry held against scans, over n pairs of scans one after the other.
+    """Comparison of odometry with scans, over n pairs of consecutive scans.
 
-    begun: s, when the first begins, by the scans' clock. turn, travel: how many times as far the scans turn and travel
-    as odometry says. lag: s, how far the scans' clock is ahead of the odometry's. yaw: rad, how far to the left of
-    where its bearings say the scanner looks. deviations: (4,) of turn, travel, lag and yaw, inf where they are not
-    told. contradicts: (k, 2) stretches of time, s by the scans' clock, in which the odometry contradicts the scans
-    nevertheless. turning, travelling: (2,) each, how many pairs turn or travel, by either, and how many of these are
-    explained. stands: whether the odometry does, all along.
+    begun: s, start of the first pair by the scans' clock. turn, travel: ratio of the scans' turns and distances to the
+    odometry's. lag: s, offset of the scans' clock ahead of the odometry's. yaw: rad, yaw of the scanner to the left of
+    its stated one. deviations: (4,) of turn, travel, lag and yaw, inf if undetermined. contradicts: (k, 2) intervals,
+    s by the scans' clock, in which the odometry contradicts the scans even so. turning, travelling: (2,) each, number
+    of pairs with a turn or motion by either, and number of these that are explained. stands: True if the odometry never
+    moves.
     """
 
     mount_known: bool
@@ -131,8 +132,8 @@ class Comparison:
 @message
 class Verdict:
     """Corrections: the odometry's increments by the factors turn and travel, the scans' stamps by lag, s, and their
-    bearings by yaw, rad. notes: one of each of these. refusal: why nothing can be made of both, one line, or "".
-    against: it is that the scans turn the other way."""
+    bearings by yaw, rad. notes: one for each of these. refusal: the reason why odometry and scans are unusable
+    together, one line, or "". against: True if the reason is that the scans turn the other way."""
 
     turn: float = 1.0
     travel: float = 1.0
@@ -144,12 +145,12 @@ class Verdict:
 
     @property
     def lines(self) -> list[str]:
-        """A line for each thing that somebody can mend."""
+        """Return one line for each fault that the user can fix."""
         return [self.refusal] if self.refusal else [note.text for note in self.notes]
 
 
 class _Way:
-    """Odometry as a way to read at any time."""
+    """Odometry, interpolated at any time."""
 
     def __init__(self, odometry: Sequence[Odometry]) -> None:
         self.stamps = np.array([one.stamp for one in odometry])
@@ -159,13 +160,13 @@ class _Way:
         self._lost, self._found = self.stamps[unknown], self.stamps[unknown + 1]
 
     def tells(self, begin: FloatArray, end: FloatArray) -> BoolArray:
-        """Mask (n,) of the intervals from begin to end (n,), s, in which the way is known."""
+        """Return a mask (n,) of the intervals from begin to end (n,), s, in which the motion is known."""
         lost = np.searchsorted(self._lost, end) > np.searchsorted(self._found, begin, "right")
         return np.asarray((self.stamps[0] <= begin) & (end <= self.stamps[-1]) & ~lost)
 
     def moved(self, begin: FloatArray, end: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
-        """How far it comes from begin to end, each (n,), s: chord (n,), m, ahead and i times to the left as seen from
-        half the turn, and turn (n,), rad."""
+        """Return the motion from begin to end, each (n,), s: chord (n,), m, as complex numbers, ahead and i times to
+        the left in the heading at half the turn, and turn (n,), rad."""
         p, q = (np.interp(at, self.stamps, self._p) for at in (begin, end))
         before, after = (np.interp(at, self.stamps, self._heading) for at in (begin, end))
         return (q - p) * np.exp(-0.5j * (before + after)), np.asarray(after - before, dtype=float)
@@ -182,7 +183,8 @@ class _Robust:
 
 
 def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
-    """Robust least squares A x = y of A (n, d, k), y (n, d), whitened, with prior information (k,) about x = 0."""
+    """Solve robust least squares A x = y of A (n, d, k), y (n, d), whitened, with prior information (k,) about x =
+    0."""
     weight = np.ones(len(y))
     for bound in (8.0, 4.0, ROBUST, ROBUST, ROBUST, ROBUST):
         information = np.einsum("n,nda,ndb->ab", weight, A, A) + np.diag(prior)
@@ -194,8 +196,8 @@ def _robust(A: FloatArray, y: FloatArray, prior: FloatArray) -> _Robust:
 
 @message
 class Pairs:
-    """n pairs of scans, or of frames of tags, ready to be held against a way of odometry. begin, end: (n,) s, of their
-    clock. X: (n, 3) the way from one to the other by these, and covariance: (n, 3, 3), nan where they do not match."""
+    """n pairs of scans, or of frames of tags, to be compared with odometry. begin, end: (n,) s, of their clock. X: (n,
+    3) motion between them, and covariance: (n, 3, 3), nan if they do not match."""
 
     begin: FloatArray
     end: FloatArray
@@ -203,13 +205,13 @@ class Pairs:
     covariance: FloatArray
 
     def of(self, which: NDArray[np.integer]) -> Pairs:
-        """Some of them."""
+        """Return some of the pairs."""
         return Pairs(self.begin[which], self.end[which], self.X[which], self.covariance[which])
 
     def fits(self, way: _Way, lag: float) -> tuple[_Robust, _Robust, FloatArray]:
-        """How turns, and how ways are explained if the scans' clock is ahead by the lag, s: x is the factor (1,) of the
-        turn; and (4,) real and imaginary part of the way's factor and of the lever by which the scanner sits off, m.
-        And X (n, 3) as it should be by that."""
+        """Fit turns and distances for a lag, s, of the scans' clock: x is the factor (1,) of the turn; and (4,) real
+        and imaginary part of the distance's factor and of the scanner's lever arm, m. Returns also the motions X (n, 3)
+        predicted by these."""
         chord, turned = way.moved(self.begin - lag, self.end - lag)
         turn = self.X[:, 2]
         scale = 1.0 / np.sqrt(self.covariance[:, 2, 2] + TURN_ERROR**2 + (SHARE_ERROR * turn) ** 2)
@@ -223,11 +225,11 @@ class Pairs:
         return of_turn, of_way, np.column_stack([A @ of_way.x, turned * of_turn.x[0]])
 
     def cost(self, way: _Way, lag: float) -> float:
-        """Robust cost of all pairs at a lag, s."""
+        """Return the robust cost of all pairs at a lag, s."""
         return sum(fit.cost for fit in self.fits(way, lag)[:2])
 
     def lag(self, way: _Way) -> tuple[float, float]:
-        """The lag that explains them best, 0 where that does as well, and its deviation, s."""
+        """Return the best lag, 0 if that fits as well, and its deviation, s."""
         lag, step = 0.0, LAG_STEP
         for reach in (round(MOST_LAG / LAG_STEP), 4, 4):
             lags = lag + step * np.arange(-reach, reach + 1)
@@ -242,14 +244,14 @@ class Pairs:
 
 
 def compare(odometry: Sequence[Odometry], scans: Sequence[LaserScan], mount_known: bool) -> Comparison:
-    """Hold odometry against scans, both in the order of their stamps. mount_known: whether the bearings of the scans
-    are those in the body frame; else they may be the scanner's own."""
+    """Compare odometry with scans, both in the order of their stamps. mount_known: True if the bearings of the scans
+    are in the body frame; otherwise they may be in the scanner's."""
     chosen = apart(scans)
     return compared(odometry, _ways(chosen), mount_known, chosen)
 
 
 def apart(views: Sequence[View]) -> list[View]:
-    """Every view, in the order of their stamps, that is APART from the one before."""
+    """Return the views, in the order of their stamps, that are APART from the previous one."""
     chosen = list(views[:1])
     for view in views[1:]:
         if view.stamp - chosen[-1].stamp >= APART:
@@ -260,7 +262,7 @@ def apart(views: Sequence[View]) -> list[View]:
 def compared(
     odometry: Sequence[Odometry], every: Pairs, mount_known: bool, scans: Sequence[LaserScan] = ()
 ) -> Comparison:
-    """Odometry held against pairs. scans: one more than pairs, that these are of; without them none contradicts."""
+    """Compare odometry with pairs. scans: those of the pairs, one more; without them no contradictions are found."""
     nothing = Comparison(mount_known, float(every.begin[0]) if len(every.begin) else 0.0)
     matched = every.covariance[:, 2, 2] < MOST_DEVIATION**2
     if len(odometry) < 2 or matched.sum() < PAIRS:
@@ -304,14 +306,14 @@ def compared(
 
 
 def _scatter(of_turn: _Robust, of_way: _Robust) -> float:
-    """How much larger errors are than they are taken to be, by the medians of one and of two normal numbers."""
+    """Return the ratio of actual to assumed errors, from the medians of one and of two normal numbers."""
     return max(1.0, float(np.median(of_turn.off)) / 0.6745, float(np.median(of_way.off)) / 1.177)
 
 
 def _contradicted(
     before: LaserScan, after: LaserScan, X: FloatArray, covariance: FloatArray, predicted: FloatArray
 ) -> bool:
-    """Whether the scans, which match at X (3,), cannot be so far apart as was predicted (3,)."""
+    """Return whether the scans, which match at X (3,), contradict the predicted motion (3,)."""
     off = X - predicted
     off[2] = se2.wrap_angle(off[2])
     way, turn = math.hypot(off[0], off[1]), abs(off[2])
@@ -326,7 +328,7 @@ def _contradicted(
 
 
 def _ways(scans: Sequence[LaserScan]) -> Pairs:
-    """Each of the scans matched with the next, without any odometry; nan where they do not match."""
+    """Match each scan with the next, without odometry; nan if they do not match."""
     n = max(len(scans) - 1, 0)
     stamps = np.array([one.stamp for one in scans])
     X, covariance, speed = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(3)
@@ -370,7 +372,7 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
 
 
 def _refusal(found: Comparison) -> str:
-    """Why nothing can be made of odometry and scans, "" where something can."""
+    """Return the reason why odometry and scans are unusable together, "" if they are usable."""
     (turning, turns), (travelling, travels) = found.turning, found.travelling
     sure = SURELY * found.deviations
     if max(turning, travelling) >= PAIRS and found.stands:
@@ -409,7 +411,7 @@ def _refusal(found: Comparison) -> str:
 def corrected(
     odometry: Sequence[Odometry], scans: Sequence[LaserScan], verdict: Verdict
 ) -> tuple[tuple[Odometry, ...], tuple[LaserScan, ...]]:
-    """Both with what a verdict corrects; the same objects where it corrects nothing of them."""
+    """Return odometry and scans with a verdict's corrections; the same objects if there are none."""
     odometry, scans = tuple(odometry), tuple(scans)
     if (verdict.turn, verdict.travel) != (1.0, 1.0) and odometry:
         X = np.array([one.X_OB for one in odometry])
@@ -434,7 +436,7 @@ def _turned(scan: LaserScan, yaw: float) -> LaserScan:
 
 
 def _stretches(begin: FloatArray, end: FloatArray) -> FloatArray:
-    """Intervals (n,), s, as stretches (k, 2) of time: those that follow each other soon are one."""
+    """Return intervals (n,), s, as stretches (k, 2) of time; those that follow each other closely are joined."""
     if not len(begin):
         return np.zeros((0, 2))
     apart = begin[1:] > end[:-1] + ONE_STRETCH
@@ -444,9 +446,9 @@ def _stretches(begin: FloatArray, end: FloatArray) -> FloatArray:
 def bridged(
     scans: Sequence[LaserScan], begin: float, end: float, X_guess: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """The way from begin to end, s, by scans one after the other: stamps (k,) from begin to end, poses (k, 3) in that
-    at begin, and the covariance (3, 3) of the last. X_guess: (3,) what the whole way is guessed to be. None where the
-    scans do not tell it."""
+    """Return the motion from begin to end, s, by consecutive scans: stamps (k,) from begin to end, poses (k, 3) in that
+    at begin, and the covariance (3, 3) of the last. X_guess: (3,) guess of the whole motion. None if the scans do not
+    determine it."""
     stamps = [one.stamp for one in scans]
     first, last = bisect.bisect_right(stamps, begin) - 1, bisect.bisect_left(stamps, end)
     if first < 0 or last >= len(scans) or end <= begin:
@@ -477,7 +479,7 @@ def bridged(
 
 
 def _composed(X: FloatArray, covariance: FloatArray, step: Matched) -> FloatArray:
-    """The covariance (3, 3) of X composed with a step."""
+    """Return the covariance (3, 3) of X composed with a step."""
     c, s = math.cos(X[2]), math.sin(X[2])
     on_X = np.eye(3)
     on_X[:2, 2] = -s * step.X[0] - c * step.X[1], c * step.X[0] - s * step.X[1]
@@ -487,8 +489,8 @@ def _composed(X: FloatArray, covariance: FloatArray, step: Matched) -> FloatArra
 
 @message
 class Watch:
-    """The scans of a robot that drives, held against its odometry now and then. way: the newest odometry. before: the
-    scan that the next match begins with, done: whether that was made. doubts: how many in a row contradict."""
+    """Compares scans of a driving robot with its odometry from time to time. way: the newest odometry. before: the
+    first scan of the next match, done: whether that was made. doubts: number of consecutive contradictions."""
 
     way: tuple[Odometry, ...] = ()
     before: LaserScan | None = None
@@ -497,8 +499,8 @@ class Watch:
 
 
 def watched(watch: Watch, odometry: Odometry, scan: LaserScan) -> tuple[Watch, bool]:
-    """The watch with the newest messages, and whether the two have contradicted each other for long: that is told once,
-    and anew when they have agreed."""
+    """Return the watch after the newest messages, and whether scans and odometry have contradicted each other for long:
+    True once, and again only after they have agreed."""
     way, before, doubts = watch.way, watch.before, watch.doubts
     if not way or odometry.stamp > way[-1].stamp:
         way = (*way, odometry)[-KEPT:]

@@ -1,7 +1,7 @@
-"""Kernels of scan matching: normals of a scan's rays, and rays of one scan laid on the surfaces of another.
+"""Kernels of scan matching: normals of a scan's rays, and the fit of one scan's rays to the surfaces of another.
 
-A surface is an array (n, 6), a row a ray: x, y, m, its normal (towards the scanner), the variance of that, rad^2, and
-the ray's bearing, rad, ascending.
+A surface is an array (n, 6), one row per ray: x, y, m, its normal (towards the scanner), the normal's variance, rad^2,
+and the ray's bearing, rad, ascending.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ VIEW, UNLIKELY = 0.6, 0.1
 
 @njit(cache=True)
 def normals(angles: FloatArray, ranges: FloatArray, sigma: float, stride: int) -> FloatArray:
-    """The surface (n, 6) of rays (m,), rad and m, that all met something: of every so many-th that has a normal, by the
-    rays' noise, m."""
+    """Return the surface (n, 6) of rays (m,), rad and m, which all hit something: of every stride-th ray that has a
+    normal, given the rays' noise, m."""
     n = len(angles)
     x, y = ranges * np.cos(angles), ranges * np.sin(angles)
     joined = np.zeros(n, dtype=np.bool_)
@@ -72,7 +72,8 @@ def _apart(x: FloatArray, y: FloatArray, i: int, j: int) -> float:
 
 @njit(cache=True)
 def _nearest(M: FloatArray, x: float, y: float, nx: float, ny: float, gate: float) -> int:
-    """The ray of M nearest to a point with such a normal, -1 if none is nearer than the gate, m: no other bearings."""
+    """Return the ray of M nearest to a point with a normal, among similar bearings; -1 if none is nearer than the gate,
+    m."""
     best, at = gate * gate, -1
     r, bearing = math.hypot(x, y), math.atan2(y, x)
     half = math.asin(gate / r) if r > gate else math.pi
@@ -94,8 +95,8 @@ def _nearest(M: FloatArray, x: float, y: float, nx: float, ny: float, gate: floa
 def _pulled(
     M: FloatArray, B: FloatArray, X: FloatArray, gate: float, stride: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-    """One step of point-to-line: the next X (3,), the information H (3, 3) and what of it is only noise of normals, F;
-    and how many rays fit, each by how well, of how many that could."""
+    """Make one point-to-line step: returns the next X (3,), the information H (3, 3), its part F that is only noise of
+    normals, the weighted number of rays that fit, and the number that could."""
     c, s = math.cos(X[2]), math.sin(X[2])
     scale = max(gate / 3.0, 0.03)
     H, F, g = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
@@ -136,7 +137,7 @@ def _pulled(
 
 @njit(cache=True)
 def fitting(M: FloatArray, B: FloatArray, X: FloatArray) -> float:
-    """The share of the rays of B in view of M that fit it at the pose X (3,), or a step from it."""
+    """Return the share of the rays of B in view of M that fit it at the pose X (3,), or one step from it."""
     X, _, _, _, _ = _pulled(M, B, X, FIT, 1)
     _, _, _, fit, could = _pulled(M, B, X, FIT, 1)
     return fit / could
@@ -146,7 +147,8 @@ def fitting(M: FloatArray, B: FloatArray, X: FloatArray) -> float:
 def searched(
     M: FloatArray, B: FloatArray, X_guess: FloatArray
 ) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray, float, float]:
-    """The best X (3,), its score, H, F, as of `_pulled`; the next best elsewhere and its score; the share that fits."""
+    """Return the best X (3,), its score, H and F, see `_pulled`; the second best elsewhere and its score; the share of
+    rays that fit."""
     starts, scores = np.empty((2 * TURNS + 1, 3)), np.zeros(2 * TURNS + 1)
     stride = max(1, len(B) // 50)
     for k in range(2 * TURNS + 1):

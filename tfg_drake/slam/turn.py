@@ -1,9 +1,9 @@
-"""The frames of a turn or of a piece of the way, solved and reduced to one Gaussian: a keyframe.
+"""The frame smoother: solves the frames of a turn or piece of the way and reduces them to one Gaussian, a keyframe.
 
-Damped Gauss-Newton steps on the poses in A, a chain, and on what all of them touch, parameters and tags, its border:
-the chain is eliminated pose by pose, as the paper's Sec. III-C marginalises poses out; what is left is dense and small.
-Where scans saw walls, lengths are true; else they are in the unit of the tags' ranges, or of odometry, so that only
-the ratio of the odometry's scale to theirs is a parameter here.
+It makes damped Gauss-Newton steps on the poses in A, a chain, and on the variables that all poses share, parameters and
+landmarks, the border. The chain is eliminated pose by pose, as the paper's Sec. III-C marginalises poses out; the rest
+is dense and small. If scans saw walls, lengths are metres; otherwise they are in the unit of the tags' ranges, or of
+odometry, so that only the ratio of the odometry's scale to theirs is a parameter here.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ Pair = tuple[FloatArray, FloatArray]
 
 
 class _Problem(NamedTuple):
-    """Noise and parameters as they are known, clock (t,) and odometry (t, 3) of the poses; pose, id and measurement
-    (m, 8) of each of the sightings (m,)."""
+    """Noise and parameters as currently estimated, clock (t,) and odometry (t, 3) of the poses; pose, id and
+    measurement (m, 8) of each of the sightings (m,)."""
 
     noise: Noise
     shared: Shared
@@ -94,13 +94,13 @@ class _Problem(NamedTuple):
 
 
 class _Ties(NamedTuple):
-    """Ties between t poses, m sightings and the parameters, by some noise.
+    """Ties between t poses, m sightings and the parameters, for given noise.
 
     X_OB: (t, 3) odometry, dt: (t - 1,) s between the poses, walks: (3,) of `random_walks`. prior, of_prior: (13,) and
     information (13, 13) of the parameters. node, tag: (m,) pose and tag of each sighting, z: (m, 8) its bearing, range,
-    their sigmas, the robot's twist then, the clock's offset that its stamp was taken with, s, and the frame's number.
-    before: (m,) the sighting before that each one's noise is correlated with, or -1, left: (m,) by how much. looks: at
-    walls.
+    their sigmas, the robot's twist then, the clock offset with which its stamp was interpreted, s, and the frame's
+    number. before: (m,) the earlier sighting with which each one's noise is correlated, or -1, left: (m,) the
+    correlation. looks: at walls.
     """
 
     X_OB: FloatArray
@@ -119,8 +119,8 @@ class _Ties(NamedTuple):
 @message
 class TurnFrame:
     """The sightings of one instant of a turn. stamp: s. clock (s), X_OB: (3,): dead reckoning then. detections: the
-    frame's tags. offset: s, the camera's clock was taken to be so much ahead: the frame's own stamp is later by that.
-    lines: (k, 11) of a scan of that instant, see `scan_lines`, points: (p, 4), see `scan_points`. only_scan: the camera
+    frame's tags. offset: s, assumed offset of the camera's clock, by which the frame's own stamp is later. lines: (k,
+    11) of a scan of that instant, see `scan_lines`, points: (p, 4), see `scan_points`. only_scan: True if the camera
     took no frame then."""
 
     stamp: float
@@ -140,10 +140,10 @@ Piece = tuple[TurnFrame, tuple[TurnFrame, ...], TurnFrame]
 
 @message
 class Source:
-    """Frames and parameters that a keyframe was reduced by, to reduce it anew.
+    """Frames and parameters from which a keyframe was reduced, to reduce it again.
 
-    piece: its first instant, frames and last instant. shared: the parameters as they were known. level: (5,) of the
-    noise, floor: of looks at walls, as they were then. names: of its walls, None where it has none.
+    piece: its first instant, frames and last instant. shared: the parameters then. level: (5,) of the noise, floor: of
+    looks at walls, both then. names: of its walls, None without walls.
     """
 
     piece: Piece
@@ -154,15 +154,15 @@ class Source:
 
 
 def no_detections(stamp: float) -> TagDetections:
-    """A frame in which nothing was seen."""
+    """Return a frame without tags."""
     return empty(TagDetections, stamp=stamp)
 
 
 @message
 class Reduced:
-    """A turn or piece reduced. sightings: (n,) detections or looks behind each of its landmarks; walls have provisional
-    ids, see `walls`. stamps: (t,) s and X_AB: (t, 3) its poses in
-    A. sample: what its noise is learnt from, None where nothing was seen or the wheels slipped."""
+    """A reduced turn or piece. sightings: (n,) number of detections or looks of each of its landmarks; walls have
+    provisional ids, see `walls`. stamps: (t,) s and X_AB: (t, 3) its poses in A. sample: for learning the noise, None
+    if nothing was seen or the wheels slipped."""
 
     keyframe: Keyframe
     sightings: IntArray
@@ -173,9 +173,8 @@ class Reduced:
 
 @message
 class Sample:
-    """A turn or piece at its solution by some noise: `misfit` says how well others explain it. clock (t,), X_OB and
-    X_AB (t, 3), border (13 + 2n + 2w,). node, tag, z, prior, of_prior, looks: as of `_Ties`, z with the
-    sensor's sigmas."""
+    """A turn or piece at its solution for some noise; `misfit` evaluates other noise. clock (t,), X_OB and X_AB (t, 3),
+    border (13 + 2n + 2w,). node, tag, z, prior, of_prior, looks: see `_Ties`, z with the sensor's sigmas."""
 
     clock: FloatArray
     X_OB: FloatArray
@@ -189,7 +188,7 @@ class Sample:
     looks: Looks
 
     def misfit(self, noise: Noise) -> float:
-        """The negative logarithm of the likelihood of its frames, but for a constant, all poses, tags and parameters
+        """Return the negative log likelihood of its frames, up to a constant, with all poses, landmarks and parameters
         marginalised out."""
         ties = _ties(noise, self)
         own = float(np.sum(np.log(ties.z[:, 2] * ties.z[:, 3] * (1.0 - ties.left**2))))
@@ -198,7 +197,7 @@ class Sample:
 
 
 class _Solution(NamedTuple):
-    """ids (n,) of the tags, how often each was seen, where all is, information (16 + 2n + 2w, 16 + 2n + 2w) and
+    """ids (n,) of the tags, number of sightings of each, all values, information (16 + 2n + 2w, 16 + 2n + 2w) and
     gradient (16 + 2n + 2w,) of (D, parameters, tags, walls), the squared error of each sighting and of each look at a
     wall, in sigmas, and the unit of lengths."""
 
@@ -212,27 +211,27 @@ class _Solution(NamedTuple):
 
     @property
     def parameters(self) -> FloatArray:
-        """(13,)."""
+        """The parameters (13,)."""
         return self.at.border[:SHARED]
 
     @property
     def y_AL(self) -> FloatArray:
-        """(n, 2) places of the tags."""
+        """The places (n, 2) of the tags."""
         return self.at.border[SHARED : SHARED + 2 * len(self.ids)].reshape(-1, 2)
 
     @property
     def walls(self) -> FloatArray:
-        """(w, 2) angle of the normal and distance from the anchor of each wall."""
+        """The angle of the normal and the distance from the anchor (w, 2) of each wall."""
         return self.at.border[SHARED + 2 * len(self.ids) :].reshape(-1, 2)
 
 
 def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unevenness: float = 0.0) -> Reduced:
-    """The tags seen during a turn and the departure pose D at its end, in the arrival frame A at its beginning.
+    """Reduce a turn or piece to the landmarks seen and the departure pose D at its end, in the arrival frame A at its
+    beginning.
 
-    shared: what is known
-    of the parameters, which the solution is linearised at. floor: of looks at walls, see `walls.Walls`, unevenness: m,
-    of what the frames' lines are of, as it is known by now and not as it was when each was seen. Where the
-    sightings agree with each other but not with the odometry, the wheels have slipped: then the sightings are believed.
+    shared: the estimate of the parameters, at which the solution is linearised. floor: of looks at walls, see
+    `walls.Walls`, unevenness: m, of the walls of the frames' lines, by the current estimate. If the sightings agree
+    with each other but not with the odometry, the wheels have slipped and the sightings are used.
     """
     stamps, clock, X_OB, node = _nodes(piece)
     every = (*piece[1], piece[2])
@@ -280,8 +279,8 @@ def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unev
 
 
 def in_body(points: FloatArray, parameters: FloatArray, twist: FloatArray) -> FloatArray:
-    """Points (p, 4) of a scan, in B at its stamp, each from where the scanner was when its ray met it. parameters:
-    (13,), twist: (2,) of the robot, m/s and rad/s."""
+    """Return points (p, 4) of a scan in B at its stamp, with each ray's origin corrected for the motion during the
+    scan. parameters: (13,), twist: (2,) of the robot, m/s and rad/s."""
     yaw, ahead, left, clock, sweep = parameters[SCANNER : SCANNER + OF_SENSOR]
     earlier = clock + sweep * np.arctan2(points[:, 1], points[:, 0])
     X_BB = -earlier[:, None] * [twist[0], 0.0, twist[1]]
@@ -289,7 +288,7 @@ def in_body(points: FloatArray, parameters: FloatArray, twist: FloatArray) -> Fl
 
 
 def _ways(problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
-    """Ties between neighbours of some of the poses X_AB (t, 3), at (m,), by odometry's noise and scales."""
+    """Return ties between consecutive poses among X_AB (t, 3), at (m,), by the odometry's noise and scales."""
     information, heading = np.empty((max(len(at) - 1, 0), 3, 3)), np.unwrap(problem.X_OB[:, 2])
     shared = problem.shared
     for i, (k, later) in enumerate(itertools.pairwise(at)):
@@ -303,10 +302,10 @@ def _ways(problem: _Problem, X_AB: FloatArray, at: IntArray) -> Ties:
 
 
 def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArray:
-    """(t, 2) forward speed (m/s) and turn rate (rad/s) at each of odometry's poses (t, 3), in the mean of TWIST_SPAN to
-    either side, if the parameters are `shared` (13,).
+    """Return forward speed (m/s) and turn rate (rad/s) (t, 2) at each of the odometry's poses (t, 3), averaged over
+    TWIST_SPAN to either side, for the parameters `shared` (13,).
 
-    Those of a single step have its noise, which a clock would explain.
+    The noise of single steps would bias the clock offset.
     """
     first = np.searchsorted(stamps, stamps - TWIST_SPAN)
     last = np.searchsorted(stamps, stamps + TWIST_SPAN, "right") - 1
@@ -317,7 +316,7 @@ def twists(stamps: FloatArray, X_AB: FloatArray, shared: FloatArray) -> FloatArr
 
 
 def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
-    """A chain's parameters (13,) where the shared ones are `mean` (13,), and their derivative (13, 13) on these."""
+    """Return a chain's parameters (13,) for the shared ones `mean` (13,), and their derivative (13, 13) on these."""
     parameters, on, scale = mean.copy(), np.eye(SHARED), scale_of(unit, mean)
     parameters[SCALES] = (1.0 + mean[SCALES]) / scale - 1.0
     on[SCALES, SCALES] = 1.0 / scale
@@ -327,7 +326,7 @@ def _by_shared(mean: FloatArray, unit: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _keyframe(solution: _Solution, shared: Shared, level: float) -> tuple[Keyframe, IntArray]:
-    """The keyframe, and how many looks there are at each of its walls (w,)."""
+    """Return the keyframe, and the number of looks (w,) at each of its walls."""
     n, unit = len(solution.ids), solution.unit
     seen = seen_walls(solution.at.looks, solution.walls, solution.at.X_AB)
     w, at = len(seen.ids), TAGS + 2 * (n + seen.order)
@@ -350,8 +349,8 @@ def _keyframe(solution: _Solution, shared: Shared, level: float) -> tuple[Keyfra
 
 
 def _on_error(solution: _Solution) -> FloatArray:
-    """(n, 2, 2) derivative of each tag's place on its constant errors of range and bearing: along the line of sight and
-    across it, in the mean of the frames that saw it."""
+    """Return the derivatives (n, 2, 2) of each tag's place on its constant errors of range and bearing: along the line
+    of sight and across it, averaged over the frames that saw it."""
     tag, X = solution.at.tag, solution.at.X_AB[solution.at.node]
     d = solution.y_AL[tag] - X[:, :2]
     ahead = d / np.maximum(np.hypot(*d.T), 1e-6)[:, None]
@@ -361,7 +360,7 @@ def _on_error(solution: _Solution) -> FloatArray:
 
 
 def _ties(noise: Noise, frames: Sample) -> _Ties:
-    """Ties between the poses of some frames, by some noise."""
+    """Return the ties between the poses of some frames, for some noise."""
     node, tag, frame = frames.node, frames.tag, frames.z[:, 7]
     before, left = np.full(len(node), -1), np.zeros(len(node))
     if noise.correlation != 0.0:
@@ -378,8 +377,8 @@ def _ties(noise: Noise, frames: Sample) -> _Ties:
 
 
 def _without_outliers(problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, int]:
-    """The solution without the sightings and looks that lie too far from a robust one, and how many sightings these
-    are."""
+    """Return the solution without the sightings and looks that lie too far from a robust one, and the number of these
+    sightings."""
     robust = _solved(problem, X_AB, huber=HUBER_SIGMAS)
     tags, looks = np.split(~(robust.squared > OUTLIER_SIGMAS**2), [len(problem.ids)])
     ids, node, z = problem.ids[tags], problem.node[tags], problem.z[tags]
@@ -388,8 +387,8 @@ def _without_outliers(problem: _Problem, X_AB: FloatArray) -> tuple[_Solution, i
 
 
 def _solved(problem: _Problem, X_AB: FloatArray, huber: float = math.inf) -> _Solution:
-    """The solution from poses X_AB (t, 3) on. huber: the threshold of a robust one, in sigmas, for which all noise is
-    white."""
+    """Return the solution from initial poses X_AB (t, 3). huber: threshold of a robust solution, in sigmas, for which
+    all noise is white."""
     noise, shared, node, z, looks = problem.noise, problem.shared, problem.node, problem.z, problem.looks
     ids, tag, sightings = np.unique(problem.ids, return_inverse=True, return_counts=True)
     unit = METRES if len(looks.node) else RANGE_SCALE if len(ids) else DISTANCE_SCALE
@@ -412,8 +411,8 @@ def _solved(problem: _Problem, X_AB: FloatArray, huber: float = math.inf) -> _So
 
 
 def _nodes(piece: Piece) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
-    """Stamps and clock (t,) and odometry (t, 3) of the poses, and the pose of each frame and of the end; coinciding
-    stamps share one."""
+    """Return stamps and clock (t,) and odometry (t, 3) of the poses, and the pose index of each frame and of the end;
+    coinciding stamps share a pose."""
     begin, frames, end = piece
     poses, node = [begin], []
     for frame in (*frames, end):
@@ -430,9 +429,9 @@ def _nodes(piece: Piece) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]
 def solved_chain(
     ties: _Ties, X: FloatArray, border: FloatArray, huber: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Bring the poses X (t, 3), the first of which is fixed, and the border (13 + 2n + 2w,), parameters, tags and
-    walls, to the least squares, in place. huber: threshold of a robust solution, in sigmas, for which no noise may be
-    correlated.
+    """Move the poses X (t, 3), the first of which is fixed, and the border (13 + 2n + 2w,), parameters, tags and walls,
+    to the least squares solution, in place. huber: threshold of a robust solution, in sigmas, which requires
+    uncorrelated noise.
 
     Returns the information (16 + 2n + 2w, 16 + 2n + 2w) of the frames alone on (D, parameters, tags, walls), the
     gradient there, and the squared errors of the sightings and of the looks, in sigmas.
@@ -473,8 +472,8 @@ def solved_chain(
 
 @njit(cache=True)
 def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
-    """The negative logarithm of the likelihood of odometry and sightings, linearised at X and border, of which it is
-    the marginal; without what only the sightings' own deviations say. Arguments: as of `solved_chain`."""
+    """Return the negative log likelihood of odometry and sightings, linearised at X and border, which are marginalised
+    out; without terms of the sightings' own deviations only. Arguments: see `solved_chain`."""
     motions, prior, of_prior = _motions(ties), ties.prior, ties.of_prior
     size = 3 + len(border)
     chain, rest = equations = np.zeros((len(X), 3, 4 + size)), np.zeros((size, size + 1))
@@ -499,7 +498,8 @@ def misfit_of_chain(ties: _Ties, X: FloatArray, border: FloatArray) -> float:
 
 @njit(cache=True)
 def _motions(ties: _Ties) -> Pair:
-    """Increments (t - 1, 3) of `arc` between odometry's poses, and the covariance (t - 1, 3, 3) of each."""
+    """Return the increments (t - 1, 3) of `arc` between the odometry's poses, and the covariance (t - 1, 3, 3) of
+    each."""
     X_OB, dt = ties.X_OB, ties.dt
     increments, covariance = np.empty((len(dt), 3)), np.empty((len(dt), 3, 3))
     for i in range(len(dt)):

@@ -1,12 +1,12 @@
-"""Walls as landmarks: the lines that single scans see, tracked through a turn, and found again in the map.
+"""Walls as landmarks: lines of single scans, tracked through a turn and associated with the map.
 
-A wall is one landmark of two numbers: the angle of its normal, and its distance along that from an anchor, which is
-fixed where it was first seen; each keyframe has an anchor of its own, in the middle of what it saw, where the errors of
-both are independent. How far a wall reaches is known beside, and is no landmark: what a scan does not tell, as its way
-along a corridor, stays open.
+A wall is a landmark of two numbers: the angle of its normal, and its distance along the normal from an anchor, which is
+fixed where the wall was first seen. Each keyframe has its own anchor in the middle of what it saw, where the errors of
+angle and distance are independent. The reach of a wall is stored but not estimated: directions that scans do not
+determine, such as that along a corridor, stay undetermined.
 
-Wall w has the id WALLS_BELOW - w - 1; in a turn, before it is known which walls they are, ids are below PROVISIONAL. A
-normal points away from where the wall was seen from, so the two faces of one differ by pi.
+Wall w has the id WALLS_BELOW - w - 1; in a turn, before association, ids are below PROVISIONAL. A normal points away
+from where the wall was seen from, so the two faces of a wall differ by pi.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _NONE = np.empty((0, 2))
 
 
 class WallSet(NamedTuple):
-    """w walls as they lie in some frame: angle and distance (w, 2), anchors (w, 2), m, and reaches (w, 2), m."""
+    """w walls in some frame: angle and distance (w, 2), anchors (w, 2), m, and reaches (w, 2), m."""
 
     wall: FloatArray = _NONE
     anchor: FloatArray = _NONE
@@ -70,8 +70,8 @@ class Looks(NamedTuple):
     """q looks of a turn at w walls.
 
     node, wall: (q,) pose and wall of each. seen: (q, 11) the look (7,) of `measurement.look_of`, the deviations of its
-    direction and of its distance, and the robot's twist then. ends: (q, 2) along the wall, from the middle of what was
-    seen. anchor: (w, 2) in A. name: (w,) of each wall.
+    direction and of its distance, and the robot's twist then. ends: (q, 2) along the wall, from the middle of the seen
+    line. anchor: (w, 2) in A. name: (w,) of each wall.
     """
 
     node: IntArray
@@ -82,12 +82,12 @@ class Looks(NamedTuple):
     name: IntArray
 
     def kept(self, keep: BoolArray) -> Looks:
-        """Some of the looks (q,)."""
+        """Return some of the looks (q,)."""
         walls, wall = np.unique(self.wall[keep], return_inverse=True)
         return Looks(self.node[keep], wall, self.seen[keep], self.ends[keep], self.anchor[walls], self.name[walls])
 
     def first(self, X_AB: FloatArray) -> FloatArray:
-        """(w, 2) the walls by the best look at each, from poses (t, 3)."""
+        """Return the walls (w, 2) by the best look at each, from poses (t, 3)."""
         X, walls = X_AB[self.node], np.empty((len(self.anchor), 2))
         order = np.argsort(-self.seen[:, 7], kind="stable")
         angle = X[:, 2] + self.seen[:, 0]
@@ -99,16 +99,16 @@ class Looks(NamedTuple):
 
 @message
 class Walls:
-    """How well walls agree. by_floor: (7,) logarithm of the likelihood of what was seen again by each of FLOORS, floor:
-    of these the most likely, between them. least_looks: that a new wall needs."""
+    """The straightness of walls, learnt from repeated looks. by_floor: (7,) log likelihood of repeated looks for each
+    of FLOORS, floor: the most likely one, interpolated. least_looks: number of looks that a new wall needs."""
 
     by_floor: Annotated[FloatArray, 7]
     floor: float = 1.0
     least_looks: int = LEAST_LOOKS
 
     def seen_again(self, off: FloatArray, S: FloatArray, level: float) -> Walls:
-        """With q walls that were seen off, (2q,) angle and distance, by these covariances (2q, 2q), in which there is
-        their floor at this level."""
+        """Return it after q walls were seen again with errors off (2q,) of angle and distance and covariances S (2q,
+        2q), which include the floor at a level."""
         floor = np.diag(np.tile(np.square(FLOOR), len(off) // 2))
         by_floor = self.by_floor.copy()
         for i, other in enumerate(FLOORS):
@@ -120,18 +120,18 @@ class Walls:
 
 
 def no_walls(least_looks: int = LEAST_LOOKS) -> Walls:
-    """None yet."""
+    """Return the statistics before any wall."""
     return Walls(np.zeros(len(FLOORS)), least_looks=least_looks)
 
 
 def no_lines() -> FloatArray:
-    """(0, 11) of a scan that saw none."""
+    """Return the lines (0, 11) of a scan without any."""
     return np.empty((0, 11))
 
 
 def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The walls among some landmarks: ids (w,), `wall_ends` (w, 2, 2), m in M, and the deviations normal to the wall
-    there (w, 2), m."""
+    """Return the walls among some landmarks: ids (w,), `wall_ends` (w, 2, 2), m in M, and the deviations normal to the
+    wall there (w, 2), m."""
     walls = ~is_tag(known.ids)
     reach, covariance = known.reach[walls], known.landmark_covariance[walls]
     by = np.stack([-reach, np.ones_like(reach)], axis=2)
@@ -140,21 +140,21 @@ def known_walls(known: MapEstimate | KeyframeGraph) -> tuple[IntArray, FloatArra
 
 
 def wall_ends(known: MapEstimate | KeyframeGraph) -> FloatArray:
-    """Both ends (w, 2, 2), m in M, of the walls among some landmarks, as far as they have been seen."""
+    """Return both ends (w, 2, 2), m in M, of the walls among some landmarks, as far as they have been seen."""
     walls = ~is_tag(known.ids)
     return ends_of(known.p_ML[walls], known.anchor[walls], known.reach[walls])
 
 
 def ends_of(wall: FloatArray, anchor: FloatArray, reach: FloatArray) -> FloatArray:
-    """Both ends (w, 2, 2) of walls (w, 2) that reach so far, (w, 2), from their anchors (w, 2)."""
+    """Return both ends (w, 2, 2) of walls (w, 2) with a reach (w, 2) from their anchors (w, 2)."""
     along = along_walls(wall)
     normal = np.column_stack([along[:, 1], -along[:, 0]])
     return np.asarray((anchor + wall[:, 1:] * normal)[:, None] + reach[:, :, None] * along[:, None])
 
 
 def least_known(known: MapEstimate | KeyframeGraph) -> tuple[float, FloatArray] | None:
-    """The greatest standard deviation of a landmark's place, m, of a wall's normal to it, and the place (2,) in M, m;
-    None without landmarks."""
+    """Return the greatest standard deviation of a landmark's place, m, for a wall normal to it, and the place (2,) in
+    M, m; None without landmarks."""
     tags = is_tag(known.ids)
     _, of_walls, by_walls = known_walls(known)
     by_tags = np.sqrt(np.linalg.eigvalsh(known.landmark_covariance[tags])[:, -1])
@@ -166,8 +166,8 @@ def least_known(known: MapEstimate | KeyframeGraph) -> tuple[float, FloatArray] 
 
 
 def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit vectors (q, 2) along and normal to the walls through pairs of points (q, 2, 2), and the points' distances
-    (q,), m."""
+    """Return unit vectors (q, 2) along and normal to the walls through pairs of points (q, 2, 2), and the points'
+    distances (q,), m."""
     along = pairs[:, 1] - pairs[:, 0]
     length = np.hypot(*along.T)
     along = along / np.maximum(length, 1e-9)[:, None]
@@ -175,7 +175,7 @@ def directions(pairs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArray) -> Looks:
-    """The lines (q, 11) of scans at some poses, see `scan_lines`, as looks at walls. twist: (q, 2) of the
+    """Group the lines (q, 11) of scans at some poses, see `scan_lines`, to looks at walls. twist: (q, 2) of the
     robot."""
     angle, (offset, begin, end, middle, deviation) = lines[:, 0], lines[:, [1, 2, 3, 4, 6]].T
     c, s = np.cos(angle), np.sin(angle)
@@ -191,7 +191,7 @@ def grouped(node: IntArray, lines: FloatArray, twist: FloatArray, X_AB: FloatArr
 def _grouped(
     angle: FloatArray, p_AM: FloatArray, ends: FloatArray, sigma_angle: FloatArray, sigma: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """The wall (q,) of each look in A, and the newest look (w,) at each wall."""
+    """Return the wall (q,) of each look in A, and the newest look (w,) at each wall."""
     q = len(angle)
     wall, newest, reach, walls = np.empty(q, dtype=np.int64), np.empty(q, dtype=np.int64), np.empty((q, 2)), 0
     for j in range(q):
@@ -223,13 +223,13 @@ def _grouped(
 
 
 def ends_seen(one: Keyframe, shared: FloatArray) -> FloatArray:
-    """Both ends (w, 2, 2), m in A, of the walls of a keyframe, given the parameters (13,)."""
+    """Return both ends (w, 2, 2), m in A, of the walls of a keyframe, given the parameters (13,)."""
     w = one.walls
     return ends_of(one.given(shared)[0][:w], one.anchor[:w], one.reach[:w])
 
 
 def same_walls(one: Keyframe, other: Keyframe) -> bool:
-    """Whether two keyframes of the same walls have each within SAME_WALL, m and rad, of where the other has it."""
+    """Return whether two keyframes with the same walls agree on each within SAME_WALL, m and rad."""
     apart = (one.y_AL - other.y_AL)[: one.walls]
     along = along_walls(one.y_AL[: one.walls])
     moved = (one.anchor - other.anchor)[: one.walls]
@@ -239,8 +239,8 @@ def same_walls(one: Keyframe, other: Keyframe) -> bool:
 
 class SeenWalls(NamedTuple):
     """The walls of a turn as landmarks of its keyframe. order: (w,) of them among those of its looks, ids ascending.
-    anchor: (w, 2) in A, reach: (w, 2) m. shift: (w,) m, how far along the wall its anchor is from that of its looks.
-    looks: (w,) how many there are."""
+    anchor: (w, 2) in A, reach: (w, 2) m. shift: (w,) m, displacement of the anchor along the wall from that of its
+    looks. looks: (w,) number of looks."""
 
     order: IntArray
     ids: IntArray
@@ -251,7 +251,7 @@ class SeenWalls(NamedTuple):
 
 
 def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> SeenWalls:
-    """The walls (w, 2) of a solution, each by an anchor on it in the middle of what was seen."""
+    """Return the walls (w, 2) of a solution, each with an anchor on it in the middle of what was seen."""
     w, along = len(walls), along_walls(walls)
     middle = se2.transform(X_AB[looks.node], looks.seen[:, 1:3]) - looks.anchor[looks.wall]
     s = np.einsum("qi,qi->q", middle, along[looks.wall])
@@ -266,7 +266,7 @@ def seen_walls(looks: Looks, walls: FloatArray, X_AB: FloatArray) -> SeenWalls:
 
 
 def with_floor(W: FloatArray, g: FloatArray, walls: int, level: float) -> tuple[FloatArray, FloatArray]:
-    """Information (u, u) and gradient (u,), of which so many walls are the first unknowns, with their floor."""
+    """Return information (u, u) and gradient (u,) with the floor of the walls, which are the first unknowns."""
     if not walls:
         return W, g
     of_walls = slice(0, 2 * walls)
@@ -278,21 +278,21 @@ def with_floor(W: FloatArray, g: FloatArray, walls: int, level: float) -> tuple[
 
 @message
 class Names:
-    """Which walls of the map those of a turn are: provisional (v,) their ids in the turn, ids (v,) the map's."""
+    """The association of a turn's walls with the map's: provisional (v,) ids in the turn, ids (v,) in the map."""
 
     provisional: Annotated[IntArray, "v"]
     ids: Annotated[IntArray, "v"]
 
 
 def named(one: Keyframe, names: Names) -> Keyframe:
-    """A keyframe with its walls by their names; those without a name are marginalised out."""
+    """Return a keyframe with the map's ids for its walls; unassociated walls are marginalised out."""
     order = np.argsort(names.ids)
     rows = np.append(np.searchsorted(one.ids, names.provisional[order]), np.arange(one.walls, len(one.ids)))
     return replace(of_landmarks(one, rows), ids=np.append(names.ids[order], one.ids[one.walls :]))
 
 
 def beside_walls(one: Keyframe) -> Keyframe:
-    """A keyframe without those of its points that are on its walls: no ray tells twice."""
+    """Return a keyframe without the points on its walls, so that no ray counts twice."""
     w, free = one.walls, np.ones(len(one.points), dtype=bool)
     for (angle, distance), anchor, reach in zip(one.y_AL[:w], one.anchor[:w], one.reach[:w], strict=True):
         n = np.array([math.cos(angle), math.sin(angle)])
@@ -306,10 +306,10 @@ def beside_walls(one: Keyframe) -> Keyframe:
 def identified(
     one: Keyframe, counts: IntArray, walls: Walls, estimate: MapEstimate, floor: float = 1.0
 ) -> tuple[Names, Walls]:
-    """Which walls of the map those of a keyframe are that begins at its newest pose, and which are new; the walls then.
+    """Associate the walls of a keyframe that begins at the map's newest pose with the map's, or accept them as new;
+    returns the names and the updated statistics.
 
-    counts: (n,) looks behind each landmark of the keyframe. floor: that it was reduced with. What is unclear has no
-    name.
+    counts: (n,) looks at each landmark of the keyframe. floor: with which it was reduced. Ambiguous walls get no name.
     """
     y_AL, _, R = one.given(estimate.shared)
     w, known = one.walls, np.flatnonzero(~is_tag(estimate.ids) & estimate.is_local)
@@ -345,8 +345,8 @@ def identified(
 def renamed(
     one: Keyframe, walls: Walls, estimate: MapEstimate, X_MA: FloatArray, covariance: FloatArray
 ) -> tuple[Names, Walls]:
-    """The names of a keyframe's walls, in their order, where it begins at X_MA (3,) of another map, known with this
-    covariance (3, 3): those of the map's walls where they agree, new ones where that is not clear; the walls then."""
+    """Return the names of a keyframe's walls, in their order, with its start at X_MA (3,) of another map, known with
+    this covariance (3, 3): those of the map's walls that agree, otherwise new ones; and the updated statistics."""
     joint = estimate.covariance.copy()
     joint[-3:], joint[:, -3:] = 0.0, 0.0
     joint[-3:, -3:] = covariance
@@ -363,10 +363,10 @@ def renamed(
 def compared(
     from_A: WallSet, R: FloatArray, mapped: WallSet, entry: IntArray, X_MD: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Squared errors (s, k) in deviations, distances (s, k) m, both infinite where walls look another way or hardly
+    """Return squared errors (s, k) in deviations, distances (s, k) m, both infinite if walls face another way or hardly
     overlap, and overlaps (s, k) m, of s walls seen from the newest pose and k walls of the map.
 
-    R: covariance of those seen, which come first in it. entry: (k,) among the landmarks known jointly.
+    R: covariance of those seen, which come first in it. entry: (k,) among the jointly known landmarks.
     """
     (seen, p_AC, seen_reach), (wall, p_MC, reach) = from_A, mapped
     s, k, D = len(seen), len(wall), len(covariance) - 3
@@ -408,8 +408,8 @@ def compared(
 def _off(
     seen: FloatArray, p_AC: FloatArray, R: FloatArray, row: IntArray, entry: IntArray, estimate: MapEstimate
 ) -> tuple[FloatArray, FloatArray]:
-    """How far off (2q,), angle and distance, walls (q, 2), seen from the newest pose with covariance R (2q, 2q), are
-    from walls of the map, in rows (q,), entry (q,) among those known jointly; and the covariance (2q, 2q) of that."""
+    """Return the errors (2q,), angle and distance, of walls (q, 2), seen from the newest pose with covariance R (2q,
+    2q), against walls of the map, in rows (q,), entry (q,) among those jointly known; and their covariance (2q, 2q)."""
     q = len(row)
     J, off = np.zeros((2 * q, 2 * q + 3)), np.empty(2 * q)
     for k in range(q):
