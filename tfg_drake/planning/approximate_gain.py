@@ -1,8 +1,8 @@
-"""Kernels of the published approximations to the information gain, to be compared with the exact one.
+"""Kernels of the published approximations to the information gain, for comparison with the exact one.
 
 In the notation of the paper's Sec. III-C: A = G^T G, H = G^T K and B = K^T K are the blocks of the measurements'
 information, of old (o) and new (u) landmarks, Sigma_o the marginal covariance of the known landmarks in view, and Pi
-the information about the arrival pose that is there before the turn. With C = I + G Sigma_o G^T,
+the information about the arrival pose before the turn. With C = I + G Sigma_o G^T,
 
     |I + Sigma_o A_o - Sigma_o H_o (B_o + Pi)^-1 H_o^T| = |C| |Pi + K_o^T C^-1 K_o| / |Pi + B_o|
 """
@@ -30,8 +30,8 @@ def limit_gain(points: FloatArray, arrival: Arrival, known: Known, new: New, noi
             - 1/2 log(|Bo' + B_u| / |Bo'|)
 
     with Bo' = B_o + Pi, Pi the information about the pose given the landmarks: the paper's equation with the factor of
-    one half, the Sigma_o lost in its proof, and the price of localising by tags that are new themselves. The arrival
-    pose is taken to be independent of the landmarks.
+    one half, the Sigma_o lost in its proof, and the price of localising by new tags. The arrival pose counts as
+    independent of the landmarks.
     """
     F = to_arrival(arrival.X_MD, points)
     log, T, B = terms(points, F, known, new, noise)
@@ -68,10 +68,10 @@ def authors_gain(points: FloatArray, known: Known, new: New, normal: FloatArray)
 
         log|I + Sigma_o A|,   A = w (I - 1 1^T / m),   and   5 density log 100 times the angle of frontier in view, rad
 
-    It knows neither range nor bearing: every landmark is as good, and only a common shift of all brings nothing.
-    Places that see fewer than three known landmarks are not considered. Theirs has a heading in each landmark, and for
-    frontier the angle between landmarks next to each other by bearing that are not connected there. normal: (u, 2) of
-    the frontier at new.p_MU.
+    It ignores range and bearing: every landmark counts alike, and only a common shift of all adds nothing. Places that
+    see fewer than three known landmarks are not considered. The original has a heading in each landmark, and takes as
+    frontier the angle between unconnected landmarks with consecutive bearings. normal: (u, 2) of the frontier at
+    new.p_MU.
     """
     out = np.zeros((len(points), 3))
     for c, point in enumerate(points):

@@ -1,4 +1,4 @@
-"""Time and distance left of a mission's budget, and what they allow (the paper's q(u) <= c)."""
+"""The budget of time and distance, and the goals that it allows (the paper's q(u) <= c)."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ THERE = 0.3
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """The rest: until when the mission may last, s, how much time, s, and how far the robot may drive, m; inf where
-    there is no budget. stay: s that a goal costs besides the way to it. recalled: none of it may be spent on a goal."""
+    """The remaining budget: end of the mission, s, time left, s, and distance left, m; inf without a budget. stay:
+    duration of the observation at a goal, s. recalled: no budget may be spent on goals."""
 
     end: float
     time: float
@@ -30,7 +30,7 @@ class Budget:
     recalled: bool = False
 
     def affords(self, roadmap: Roadmap, nodes: IntArray) -> BoolArray:
-        """Whether the robot could go to each of the nodes (c,) of the roadmap, observe, and come home if it must."""
+        """Return a mask of the nodes (c,) of the roadmap from which the robot could observe and still return home."""
         if self.recalled:
             return np.zeros(len(nodes), dtype=np.bool_)
         home_time, home_length = _home(roadmap)
@@ -39,13 +39,13 @@ class Budget:
         return np.asarray(in_time & (MARGIN * length + RESERVE_DISTANCE <= self.distance))
 
     def latest_arrival(self, roadmap: Roadmap, node: int) -> float:
-        """When the robot must be at a node at the latest, s, to observe there and be home in time."""
+        """Return the latest time, s, to arrive at a node, observe there and be home in time."""
         if not self.limited:
             return math.inf
         return self.end - MARGIN * float(_home(roadmap)[0][node]) - self.stay - RESERVE_TIME
 
     def longest_way(self, roadmap: Roadmap, node: int) -> float:
-        """How long the way to a node may be at the most, m, for the robot to come home from there."""
+        """Return the longest way to a node, m, from which the robot can return home."""
         if not self.limited:
             return math.inf
         return self.distance - MARGIN * float(_home(roadmap)[1][node]) - RESERVE_DISTANCE
@@ -56,7 +56,7 @@ class Budget:
         return math.isfinite(self.time) or math.isfinite(self.distance)
 
     def spent(self) -> str:
-        """Why there is no other goal where there is more worth going to than it allows."""
+        """The reason for the end of a mission whose budget does not allow any worthwhile goal."""
         if self.recalled:
             return "The battery is low: the robot was called back before all was explored."
         return f"{self} of the budget were too little for another goal."
@@ -68,10 +68,10 @@ class Budget:
 
 
 def _home(roadmap: Roadmap) -> tuple[FloatArray, FloatArray]:
-    """Time, s, and length, m, of the way home from each node, both (n,).
+    """Return time, s, and length, m, of the way home from each node, both (n,).
 
-    Nothing where the robot need not come home, nor while no way leads there from any place that it can reach: then what
-    is left is for finding one.
+    Both are 0 if the robot need not return home, or while no reachable place leads home, as the budget then serves to
+    find a way.
     """
     if leads_home(roadmap):
         return roadmap.home_time, roadmap.home_length
@@ -79,20 +79,20 @@ def _home(roadmap: Roadmap) -> tuple[FloatArray, FloatArray]:
 
 
 def leads_home(roadmap: Roadmap) -> bool:
-    """Whether a way home is known from any place that the robot can reach."""
+    """Return whether a way home is known from any reachable place."""
     return len(roadmap.home_time) > 0 and bool(np.isfinite(roadmap.home_time[roadmap.reachable]).any())
 
 
 def budget_left(
     explorer: ExplorerConfig, stamp: float, driven: float, stay: float, *, recalled: bool = False
 ) -> Budget:
-    """The budget at a time stamp (s) after driven (m). recalled: the robot was called back."""
+    """Return the budget at a time stamp (s) after driven (m). recalled: the robot was called back."""
     end = explorer.budget_time or math.inf
     return Budget(end, end - stamp, (explorer.budget_distance or math.inf) - driven, stay, recalled)
 
 
 def way_home(roadmap: Roadmap, p_MH: FloatArray, p_MB: FloatArray) -> int:
-    """The node at home (2,), m in M, -1 where the robot (2,) is there already."""
+    """Return the node at home (2,), m in M, -1 if the robot (2,) is there already."""
     node = int(np.argmin(np.hypot(*(roadmap.points - p_MH).T)))
     there = np.hypot(*(p_MB - p_MH)) <= max(float(np.hypot(*(roadmap.points[node] - p_MH))), THERE)
     return -1 if there else node

@@ -42,9 +42,9 @@ class GoalParameters:
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """The input of a choice at one stage: map, TFG and roadmap of that stage, or what is near of them, and the
-    parameters. landmarks: the map with or without its walls. is_large: not all tags of the map are known jointly.
-    hypotheses: in which places of a map that it began with the robot may be."""
+    """The input of a choice at one stage: map, TFG and roadmap of that stage, or their part nearby, and the parameters.
+    landmarks: the map with or without its walls. is_large: not all tags of the map are jointly known. hypotheses: the
+    places of a known map where the robot may be."""
 
     landmarks: MapEstimate
     tfg: TfgMap
@@ -67,12 +67,12 @@ class Situation:
 
 @dataclasses.dataclass(frozen=True)
 class Candidates:
-    """Places to go to next.
+    """Candidates for the next goal.
 
-    nodes: (c,) of the roadmap, ascending, node_ids: (c,) theirs. points: (c, 2) m in M, time: (c,) s to get there.
-    gains: (c,) of a full turn at each, paid: (c,) nats, of these what goals are preferred by: with the pose's price, or
-    without it. tags: (c,) known landmarks in view, -1 where they were not looked up. open_ahead: (c, f) m that each
-    sees of each live frontier point.
+    nodes: (c,) of the roadmap, ascending, node_ids: (c,) their ids. points: (c, 2) m in M, time: (c,) travel time, s.
+    gains: (c,) of a full turn at each, paid: (c,) nats, the gain used by the rules, with or without the pose price.
+    tags: (c,) number of known landmarks in view, -1 if not computed. open_ahead: (c, f) m that each sees of each live
+    frontier point.
     """
 
     nodes: IntArray
@@ -86,32 +86,34 @@ class Candidates:
 
     @property
     def sees_enough(self) -> BoolArray:
-        """Which (c,) see enough live frontier to be worth a visit, whatever their gain."""
+        """A mask (c,) of the candidates that see enough live frontier to be worth a visit, whatever their gain."""
         return np.asarray(self.open_ahead.sum(axis=1) >= ENOUGH_FRONTIER)
 
     def worth(self, stop_gain: float, asked: BoolArray) -> BoolArray:
-        """Which (c,) are worth a visit: they see enough live frontier, or have a gain above stop_gain, nats. The
-        gain counts only where it is asked for (c,)."""
+        """Return a mask (c,) of the candidates worth a visit: they see enough live frontier, or have a gain above
+        stop_gain, nats. The gain counts only for those asked for (c,)."""
         return np.asarray(self.sees_enough | (asked & (self.gains.gain > stop_gain)))
 
 
 def time_at_goal(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
-    """s. The robot arrives facing some of what it came for, and turns half round for the rest, on average."""
+    """Return the expected time at a goal, s: the robot arrives facing part of the frontier and turns half around for
+    the rest, on average."""
     return 0.5 * (time_all_round(sensor, explorer) - OVERHEAD) + OVERHEAD
 
 
 def time_to_go_on(robot: RobotConfig) -> float:
-    """s, from a goal: a quarter of a turn to the next way, on average, and the start on it."""
+    """Return the expected time to leave a goal, s: a quarter of a turn to the next way, on average, and the start."""
     return 0.5 * math.pi / (PLANNED_SHARE * robot.max_turn_rate) + robot.max_speed / robot.max_acceleration
 
 
 def time_all_round(sensor: TagSensorConfig, explorer: ExplorerConfig) -> float:
-    """s, at a goal where the robot looks all round."""
+    """Return the time at a goal where the robot looks all around, s."""
     return max(0.0, 2.0 * math.pi - sensor.field_of_view) / explorer.turn_rate + OVERHEAD
 
 
 def judged(now: Situation) -> Candidates:
-    """The roadmap's reachable nodes, but for those next to past views, at most explorer.samples of them."""
+    """Return the candidates with their gains: reachable nodes that are not next to past views, at most
+    explorer.samples."""
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
     sees = Visibility(roadmap.frontier_offsets, roadmap.frontier_index)
@@ -131,19 +133,19 @@ def judged(now: Situation) -> Candidates:
 
 
 def turn_gains(nodes: IntArray, now: Situation) -> Gains:
-    """The gains (c,) of a full turn at each of the nodes (c,) of the roadmap."""
+    """Return the gains (c,) of a full turn at each of the nodes (c,) of the roadmap."""
     roadmap = now.roadmap
     frontiers = Visibility(roadmap.frontier_offsets, roadmap.frontier_index).of(nodes)
     return now.turns.at(roadmap.points[nodes], roadmap.travel_length[nodes], roadmap.travel_time[nodes], frontiers)
 
 
 def places(roadmap: Roadmap, tfg: TfgMap, p_MD: FloatArray) -> IntArray:
-    """The nodes, ascending, that the robot at p_MD (2,), m in M, can reach and that are apart from past views."""
+    """Return the nodes, ascending, that a robot at p_MD (2,), m in M, can reach and that are apart from past views."""
     return np.flatnonzero(roadmap.reachable & apart_from_views(roadmap.points, tfg, p_MD))
 
 
 def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> IntArray:
-    """At most count of the nodes (n,), ascending, those that see a frontier (n,) first, evenly taken."""
+    """Return at most count of the nodes (n,), ascending, evenly taken, with those that see a frontier (n,) first."""
     if len(nodes) <= count:
         return nodes
     seeing, others = nodes[sees_frontier > 0], nodes[sees_frontier == 0]
@@ -156,8 +158,8 @@ def thin_candidates(nodes: IntArray, sees_frontier: IntArray, count: int) -> Int
 
 
 def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolArray:
-    """Which of the points (n, 2), m in M, are neither a place where the robot has looked all round or MOST_LOOKS times
-    nor its own (2,)."""
+    """Return a mask of the points (n, 2), m in M, where the robot has not looked all around or MOST_LOOKS times, and
+    does not stand now (2,)."""
     turned = looked_round(tfg.star_offsets, tfg.star_vertices, tfg.star_centers)
     looks = np.where(np.append(turned, True), MOST_LOOKS, 1)
     before = cKDTree(np.append(tfg.star_centers, p_MD[None], axis=0))
@@ -166,21 +168,21 @@ def apart_from_views(points: FloatArray, tfg: TfgMap, p_MD: FloatArray) -> BoolA
 
 
 def _found_again(gains: Gains, known: BoolArray) -> Gains:
-    """The gains (c,) without the pose's price where not all landmarks in view are known (c,) jointly with the pose
-    here: on its way there the robot will find its place by what it sees, not by odometry from here."""
+    """Return the gains (c,) without the pose price if not all landmarks in view are known (c,) jointly with the current
+    pose: on its way there the robot will localise by landmarks, not by odometry from here."""
     price = np.where(known, 0.0, gains.pose_price)
     return Gains(gains.exploitation, gains.exploration + price, gains.pose_price - price)
 
 
 def frontier_in_sight(roadmap: Roadmap, tfg: TfgMap, sensor: TagSensorConfig) -> bool:
-    """Whether a new place that the robot can reach sees enough live frontier."""
+    """Return whether a new reachable place sees enough live frontier."""
     _, total = _each_seen(roadmap.points, Visibility(roadmap.frontier_offsets, roadmap.frontier_index), tfg, sensor)
     return bool((total[roadmap.reachable] >= ENOUGH_FRONTIER).any())
 
 
 def frontier_seen(points: FloatArray, frontiers: Visibility, tfg: TfgMap, sensor: TagSensorConfig) -> FloatArray:
-    """Length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, less where the view
-    ends soon behind it."""
+    """Return the length (c, f), m, that each of the points (c, 2), m in M, sees of each live frontier point, reduced if
+    the view ends soon behind it."""
     seen, _ = _each_seen(points, frontiers, tfg, sensor)
     length = np.zeros((len(points), len(tfg.frontiers)))
     length[np.repeat(np.arange(len(points)), frontiers.count), frontiers.index] = seen

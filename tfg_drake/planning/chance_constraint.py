@@ -1,14 +1,15 @@
-"""The clearance that keeps the probability of a collision small (the paper's Sec. III-E, last equation).
+"""The chance constraint: the clearance that bounds the probability of a collision (the paper's Sec. III-E, last
+equation).
 
-The paper asks for Pr(x in edge) < delta, which is zero for any line. Here the robot is a disc of radius r, and what
-counts is its position relative to the surface: a path must keep
+The paper requires Pr(x in edge) < delta, which is zero for any line. Here the robot is a disc of radius r, and its
+position relative to the surface counts: a path must keep
 
     d >= r + Phi^-1(1 - delta / 2) sigma,   sigma^2 = sigma_L^2 + max(TRACKING_DEVIATION, sigma_O)^2
 
-from every surface: in a door and in a corner two of them are as near. sigma_L is the predicted deviation of the robot
-relative to the landmarks that carry the surfaces nearby, across any direction, as it is recognised in a second of
-frames, and sigma_O what odometry adds in that second. Its absolute uncertainty far from the start does not close a
-door: the door moves with it.
+from every surface; delta / 2 because in a door or corner two surfaces are equally near. sigma_L is the predicted
+deviation, in the worst direction, of the robot relative to the landmarks of the surfaces nearby after one second of
+frames, and sigma_O the error that odometry adds in that second. The absolute uncertainty far from the start does not
+close a door, as the door moves with the robot.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def localised_deviation(
     entry: IntArray,
     covariance: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """Greatest deviation (n,), m, of a robot's position at each point, relative to those landmarks that carry what it
-    could touch.
+    """Return the greatest deviation (n,), m, of a robot's position at each point, relative to the landmarks of the
+    surfaces that it could touch.
 
     Point i has the targets index[offsets[i]:offsets[i + 1]] of targets (t, 2), m, that face facing (t, 2), in view. It
     sees those within reach (m) and max_incidence (rad), each by range and bearing, heading unknown, and takes them to
@@ -117,8 +118,8 @@ def _deviation_at(
     entry: IntArray,
     covariance: FloatArray,
 ) -> float:
-    """The deviation, m, at (x, y) by the targets of these rows (m,), relative to those that carry (s,) what it could
-    touch. is_joint: the targets' own errors count. Further arguments as of localised_deviation."""
+    """Return the deviation, m, at (x, y) by the targets of these rows (m,), relative to those, carry (s,), of surfaces
+    that it could touch. is_joint: the targets' own errors count. Further arguments as of localised_deviation."""
     no_walls = np.zeros((len(targets), 2, 2)), np.zeros((len(targets), 2))
     known = Known(np.array([0, len(rows)]), rows, targets, entry, *no_walls, covariance)
     column, G, K, C = known_terms(x, y, 0, known, noise)
@@ -142,7 +143,7 @@ def _deviation_at(
 
 @njit(cache=True)
 def _largest(S: FloatArray) -> float:
-    """The larger eigenvalue of a covariance (2, 2)."""
+    """Return the larger eigenvalue of a covariance (2, 2)."""
     return float(0.5 * (S[0, 0] + S[1, 1]) + math.sqrt(0.25 * (S[0, 0] - S[1, 1]) ** 2 + S[0, 1] ** 2))
 
 
@@ -155,7 +156,7 @@ def predicted_deviation(
     speed: float,
     before: FloatArray | float = math.inf,
 ) -> FloatArray:
-    """Deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
+    """Return the predicted deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
 
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
     field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
@@ -216,11 +217,12 @@ def deviation_along(
     odometry: OdometryConfig,
     speed: float,
 ) -> FloatArray:
-    """Deviation sigma (k,), m, at the points of a path (k, 2), m in M, for a robot that drives it from the first on.
+    """Return the deviation sigma (k,), m, at the points of a path (k, 2), m in M, for a robot that drives it from the
+    first on.
 
-    That of `predicted_deviation` at its start and wherever the robot, facing along the path, has two landmarks in view;
-    but no more than it was at any such point before and odometry has added since. So a robot that drives away from all
-    landmarks is not sure of its place by those behind it, and past a place with few of them it goes on by what it knew.
+    It is that of `predicted_deviation` at the start and wherever the robot, facing along the path, has two landmarks in
+    view, but at most that at an earlier such point plus the odometry error since. So landmarks behind a robot that
+    drives away from them do not localise it, and past a place with few landmarks it keeps its earlier accuracy.
     """
     sigma = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
     step = np.diff(path, axis=0)
@@ -238,22 +240,24 @@ def deviation_along(
 
 
 def _unseen(length: FloatArray, estimate: MapEstimate) -> FloatArray:
-    """The length, m, that only odometry measures, of ways of these lengths out of sight of tags: where walls are
-    landmarks the next view tells the pose relative to those that are near."""
+    """Return the length, m, measured by odometry only, of ways of these lengths out of sight of tags: if walls are
+    landmarks, the next view determines the pose relative to those nearby."""
     return np.minimum(length, BETWEEN_VIEWS) if estimate.by_walls else length
 
 
 def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
-    """Variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
+    """Return the variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
     along, across, _, _ = straight_drift(length, length / speed, odometry)
     return np.asarray(np.maximum(along, across))
 
 
 def required_clearance(radius: float, sigma: FloatArray, collision_probability: float) -> FloatArray:
-    """Clearance (n,), m, that a disc of this radius (m) needs with deviation sigma (n,), m, between two surfaces."""
+    """Return the clearance (n,), m, that a disc of a radius (m) needs between two surfaces with deviation sigma (n,),
+    m."""
     return np.asarray(radius + ndtri(1.0 - 0.5 * collision_probability) * sigma)
 
 
 def collision_probability(clearance: FloatArray, radius: float, sigma: FloatArray) -> FloatArray:
-    """The probability (n,) of a collision between two surfaces at this clearance (n,), m: see required_clearance."""
+    """Return the probability (n,) of a collision between two surfaces at a clearance (n,), m, see
+    required_clearance."""
     return np.asarray(np.minimum(1.0, 2.0 * ndtr((radius - clearance) / sigma)))

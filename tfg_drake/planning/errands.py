@@ -1,7 +1,7 @@
-"""Errands: places to look from once more before a mission ends.
+"""Errands: places from which the robot looks again before a mission ends.
 
-How much room a passage has and needs is known only near the robot. One may have seemed too narrow because of the drift
-of a loop that has closed since. And a tag may have been seen without being known to be at any one place.
+The clearance that a passage has and needs is known only near the robot: a passage may have seemed too narrow because of
+the drift of a loop that has closed since. And a tag may be doubtful.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ AT_TAG = 0.5
 
 
 class Errands(NamedTuple):
-    """Errands of one kind: the reachable node at (e,) of the roadmap where each is done, its worth (e,), which tells
-    only which is done first, 0 for none, the gain (e,), nats, that it promises, and the reason for each. near: m, it is
-    done where the robot is so near."""
+    """Errands of one kind: the reachable node at (e,) of the roadmap for each, its worth (e,), which determines only
+    the order, 0 for none, the gain (e,), nats, that it promises, and its reason. near: m, distance within which the
+    robot does it."""
 
     at: IntArray
     worth: FloatArray
@@ -37,23 +37,24 @@ class Errands(NamedTuple):
     near: float
 
     def looked_from(self, roadmap: Roadmap, p_MD: FloatArray, before: IntArray) -> IntArray:
-        """Ids (t,) of nodes from which the robot has looked again: before (s,), and of these errands where it is now,
-        p_MD (2,), m in M."""
+        """Return the ids (t,) of nodes from which the robot has looked again: before (s,), and those of errands at its
+        current place p_MD (2,), m in M."""
         here = (self.worth > 0.0) & (np.hypot(*(roadmap.points[self.at] - p_MD).T) < self.near)
         return np.union1d(before, roadmap.node_ids(self.at[here]))
 
     def left(self, roadmap: Roadmap, looked: IntArray) -> BoolArray:
-        """Which (e,) the robot has not done from near any of the nodes that it has looked from, by their ids (t,)."""
+        """Return a mask (e,) of the errands that are not near any of the nodes, by ids (t,), from which it has
+        looked."""
         known = roadmap.nodes(looked)
         distance, _ = cKDTree(roadmap.points[known[known >= 0]]).query(roadmap.points[self.at])
         return np.asarray((self.worth > 0.0) & (distance >= SAME_PLACE))
 
 
 def narrow_places(now: Situation, stay: float) -> Errands:
-    """The places with room for the robot behind a passage too narrow for its uncertainty, at the last reachable node on
-    the way to each, where more than stop_gain lies; worth nats per second, as if the passage were wide enough.
+    """Return the errands at passages that have room for the robot but not for its uncertainty, if more than stop_gain
+    lies behind: the last reachable node on the way there, worth nats per second as if the passage were wide enough.
 
-    stay: s at each.
+    stay: duration of each, s.
     """
     roadmap, parameters = now.roadmap, now.parameters
     nodes = np.flatnonzero((roadmap.entry >= 0) & ~roadmap.reachable)
@@ -69,9 +70,9 @@ def narrow_places(now: Situation, stay: float) -> Errands:
 
 
 def doubtful_tags(now: Situation) -> Errands:
-    """The doubtful tags, each at the reachable node from which it seems largest: near, and not aslant.
+    """Return the errands for doubtful tags, each at the reachable node from which it appears largest: near and head-on.
 
-    A tag hangs on the surface nearest to where it was seen. Where another hangs, its id was misread.
+    A tag is assumed on the surface nearest to where it was seen. If another tag hangs there, its id was misread.
     """
     estimate, tfg, roadmap, sensor = now.estimate, now.tfg, now.roadmap, now.parameters.sensor
     places = estimate.doubtful_places
@@ -96,7 +97,7 @@ def doubtful_tags(now: Situation) -> Errands:
 
 
 def _another_hangs(places: FloatArray, facing: FloatArray, now: Situation) -> BoolArray:
-    """At which of the places (d, 2) on surfaces that face (d, 2) the map has another tag, which is not doubtful."""
+    """Return a mask of the places (d, 2) on surfaces that face (d, 2) where the map has a tag that is not doubtful."""
     certain = ~now.estimate.is_doubtful
     apart = np.linalg.norm(places[:, None] - now.estimate.p_ML[certain], axis=2)
     return np.asarray(np.any((apart < MISREAD) & (facing @ now.tfg.facing[certain].T > 0.0), axis=1))

@@ -2,8 +2,8 @@
 
     I(L; z) = 1/2 log|I + J S J^T| - 1/2 log|I + K S_x|L K^T|,   J = [G K]
 
-with G and K the whitened Jacobians of the tags' ranges and bearings and of the distances of walls' points by landmarks
-and arrival pose x, S the joint covariance of both and S_x|L the covariance of the pose given all landmarks.
+with G and K the whitened Jacobians of the tags' ranges and bearings and of the distances of wall points with respect to
+landmarks and arrival pose x, S the joint covariance of both and S_x|L the covariance of the pose given all landmarks.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class New(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """How c candidates are arrived at: the departure pose X_MD (3,), its covariance given all landmarks (3, 3), and
-    what odometry adds on the way to each, (c, 3, 3), of (x, y) in M and theta."""
+    """The arrival at c candidates: the departure pose X_MD (3,), its covariance given all landmarks (3, 3), and the
+    covariance that odometry adds on the way to each, (c, 3, 3), of (x, y) in M and theta."""
 
     X_MD: FloatArray
     departure_given_map: FloatArray
@@ -70,7 +70,7 @@ def whitened(d: FloatArray, noise: FloatArray) -> FloatArray:
 
 
 def share_seen(distance: FloatArray | float, reach: FloatArray) -> FloatArray:
-    """How much of what a frontier point stands for is seen from a distance (m): the depth of view left behind it.
+    """Return the share of a frontier point's landmarks seen from a distance (m), given by the depth of view behind it.
 
     distance: (n,) or a number, m. reach: as in New.
     """

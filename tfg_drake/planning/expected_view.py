@@ -31,7 +31,7 @@ FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
 @dataclasses.dataclass(frozen=True)
 class Visibility:
-    """Which targets each of c points sees: point i sees index[offsets[i]:offsets[i + 1]], ascending.
+    """The targets that each of c points sees: point i sees index[offsets[i]:offsets[i + 1]], ascending.
 
     offsets: (c + 1,). index: rows of the targets.
     """
@@ -41,33 +41,35 @@ class Visibility:
 
     @property
     def count(self) -> IntArray:
-        """Targets seen from each point, (c,)."""
+        """The number of targets seen from each point, (c,)."""
         return self.offsets[1:] - self.offsets[:-1]
 
     def of(self, points: IntArray) -> Visibility:
-        """The visibility from some of the points, (k,) rows."""
+        """Return the visibility from some of the points, rows (k,)."""
         return Visibility(*taken(points, self.offsets, self.index))
 
     def spread(self, points: IntArray, count: int) -> Visibility:
-        """The visibility from `count` points: these are the rows (k,), ascending, of them; the others see nothing."""
+        """Return the visibility from `count` points, of which these are the rows (k,), ascending; the others see
+        nothing."""
         counts = np.zeros(count, dtype=np.int64)
         counts[points] = self.count
         return Visibility(np.append(0, np.cumsum(counts)), self.index)
 
     def kept(self, keep: BoolArray) -> Visibility:
-        """The visibility without some of its entries. keep: one truth value for each entry of index."""
+        """Return the visibility without some of its entries. keep: one truth value for each entry of index."""
         point = np.repeat(np.arange(len(self.count)), self.count)[keep]
         count = np.bincount(point, minlength=len(self.count))
         return Visibility(np.append(0, np.cumsum(count)), self.index[keep])
 
     def joined(self, others: Visibility, rows: int) -> Visibility:
-        """The visibility of these targets, so many rows of them, and of others behind them from the same points."""
+        """Return the joint visibility of these targets, `rows` of them, and of others after them, from the same
+        points."""
         point = np.concatenate([np.repeat(np.arange(len(of.count)), of.count) for of in (self, others)])
         index = np.append(self.index, others.index + rows)[np.argsort(point, kind="stable")]
         return Visibility(self.offsets + others.offsets, index)
 
     def thinned(self, most: int) -> Visibility:
-        """The visibility with at most so many targets a point, evenly taken."""
+        """Return the visibility with at most `most` targets per point, evenly taken."""
         count = np.minimum(self.count, most)
         offsets = np.append(0, np.cumsum(count))
         place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], count)
@@ -89,12 +91,12 @@ def visible_targets(
     graze: float,
     close: float,
 ) -> tuple[IntArray, IntArray]:
-    """Targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
+    """Return the targets within range and incidence with a line of sight, as (offsets (c + 1,), index).
 
     points: (c, 2), targets: (n, 2) and segments: (m, 4) in one frame, m. normals: (n, 2) unit vectors, the side from
     which each target can be seen. grid: the segment_grid of the segments. tolerance: length, m, by which lines of sight
-    are shortened at the target. graze: m: what would be hidden were it so far to the one side, but not to the other,
-    does not count. close: m, from as near as this a target is seen from anywhere in front of it, however aslant.
+    are shortened at the target. graze: m, targets that would be hidden if displaced this far to one side, but not to
+    the other, do not count. close: m, within which a target is seen from anywhere in front of it, however obliquely.
     """
     cos_max = math.cos(max_incidence)
     offsets = np.zeros(len(points) + 1, dtype=np.int64)
@@ -138,9 +140,10 @@ def visible_targets(
 def expected_tags(
     points: FloatArray, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, grid: SegmentGrid | None = None
 ) -> Visibility:
-    """Known tags that a full turn at each point (c, 2), m in M, should see; index: rows of estimate.of_tags.ids.
+    """Return the known tags that a full turn at each point (c, 2), m in M, should see; index: rows of
+    estimate.of_tags.ids.
 
-    A tag is seen from the side it was seen from before, so those on the far face of a thin wall do not count.
+    A tag is visible from the side that it was seen from, so those on the far face of a thin wall do not count.
     grid: the segment_grid of tfg.segments, if it is there.
     """
     surfaces, p_ML = (tfg.segments, grid or segment_grid(tfg.segments)), estimate.p_ML[is_tag(estimate.ids)]
@@ -149,11 +152,11 @@ def expected_tags(
 
 
 class Targets(NamedTuple):
-    """The t points that a map's landmarks are seen at: a point near each end of a wall, then the tags.
+    """The t points that represent a map's landmarks: a point near each end of a wall, then the tags.
 
-    p_MT: (t, 2) m. facing: (t, 2) the side it was seen from. entry: (t,) its landmark's place among those known
-    jointly, -1 for the others. by_landmark: (t, 2, 2) derivative of p_MT by the landmark. normal: (t, 2) of the wall,
-    over the deviation of the distance along it by what all looks of a turn share, 1/m in M; zero of a tag.
+    p_MT: (t, 2) m. facing: (t, 2) the side it was seen from. entry: (t,) index of its landmark among those jointly
+    known, -1 for the others. by_landmark: (t, 2, 2) derivative of p_MT on the landmark. normal: (t, 2) of the wall,
+    divided by the deviation of the distance along it that all looks of a turn share, 1/m in M; zero for a tag.
     """
 
     p_MT: FloatArray
@@ -164,16 +167,16 @@ class Targets(NamedTuple):
 
     @property
     def of_walls(self) -> int:
-        """So many, the first of them, are points of walls."""
+        """The number of points of walls, which come first."""
         return int(np.count_nonzero(self.normal.any(axis=1)))
 
     def known_jointly(self, seen: Visibility) -> Visibility:
-        """A visibility of targets without those whose landmarks are not known jointly."""
+        """Return a visibility of targets without those whose landmarks are not jointly known."""
         return seen.kept(self.entry[seen.index] >= 0)
 
 
 def targets(landmarks: MapEstimate, tfg: TfgMap) -> Targets:
-    """The points that the landmarks of a map are seen at; tfg.facing is that of its tags."""
+    """Return the points that represent the landmarks of a map; tfg.facing is that of its tags."""
     walls = int(np.count_nonzero(~is_tag(landmarks.ids)))
     wall, reach = landmarks.p_ML[:walls], landmarks.reach[:walls]
     half = 0.5 * (reach[:, 1] - reach[:, 0])
@@ -194,7 +197,8 @@ def targets(landmarks: MapEstimate, tfg: TfgMap) -> Targets:
 
 
 def expected_walls(points: FloatArray, of: Targets, tfg: TfgMap, scan_range: float, grid: SegmentGrid) -> Visibility:
-    """Points of walls that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of `of`.
+    """Return the wall points that the scans of a full turn at each point (c, 2), m in M, should see; index: rows of
+    `of`.
 
     scan_range: m. grid: the segment_grid of tfg.segments.
     """
@@ -206,10 +210,11 @@ def expected_walls(points: FloatArray, of: Targets, tfg: TfgMap, scan_range: flo
 def expected_frontiers(
     points: FloatArray, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
 ) -> Visibility:
-    """Frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of tfg.frontiers.
+    """Return the frontier points that a full turn at each point (c, 2), m in M, looks through; index: rows of
+    tfg.frontiers.
 
-    Past one end of a surface it must look by more than GRAZE (see `tfg_drake.geometry.visibility.surely_visible`).
-    least_range: m, nearer the scanner sees nothing.
+    The line of sight must pass the end of a surface by more than GRAZE (see
+    `tfg_drake.geometry.visibility.surely_visible`). least_range: m, of the scanner.
     """
     surfaces = tfg.segments, segment_grid(tfg.segments)
     within = FRONTIER_RANGE_SHARE * sensor.range, sensor.max_incidence - FRONTIER_INCIDENCE_MARGIN, 0.0

@@ -1,4 +1,4 @@
-"""Chooses the next goal among the candidates by the rule `explorer.goal`, or says how the mission ends."""
+"""Chooses the next goal among the candidates by the rule `explorer.goal`, or ends the mission."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ NOWHERE = np.zeros(0, dtype=np.int64)
 
 
 def empty_choice() -> GoalChoice:
-    """Before the first choice."""
+    """Return the state before the first choice."""
     return empty(GoalChoice, node=-1, verdict="goal")
 
 
 def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept: float = 1.0) -> GoalChoice:
-    """The choice at one stage; previous is the choice before it. recalled: the robot was called back, so that no place
-    is worth going to but home. kept: as of `promises.Promise`.
+    """Return the choice at one stage; previous is the choice before it. recalled: the robot was called back, so that no
+    goal but home is worth a visit. kept: see `promises.Promise`.
 
-    Where the tags' errors are found to be correlated, the robot first turns as often again as `more_first_turns` says.
-    A candidate is worth going to if it sees enough live frontier, or has a gain above explorer.stop_gain. Where none
-    sees enough, the robot first looks again where the map gains most in accuracy (`tfg_drake.planning.revisit`). Of a
-    large map that is known after one look more: with `is_explored` the choice asks for what it takes. Where
-    none is worth going to, it does what errands are left (`tfg_drake.planning.errands`).
+    If the tags' errors are correlated, the robot first makes `more_first_turns`. A candidate is worth a visit if it
+    sees enough live frontier, or has a gain above explorer.stop_gain. If none sees enough, the robot looks again where
+    the accuracy of the map gains most (`tfg_drake.planning.revisit`); on a large map it first looks around once, and
+    the choice's `is_explored` makes landmarks all over it jointly known. If none is worth a visit, the remaining
+    errands are done (`tfg_drake.planning.errands`).
     """
     estimate, roadmap, explorer, sensor = now.estimate, now.roadmap, now.parameters.explorer, now.parameters.sensor
     is_empty = len(estimate.ids) == 0 and len(now.tfg.segments) == 0
@@ -86,10 +86,11 @@ def choose(now: Situation, previous: GoalChoice, *, recalled: bool = False, kept
 
 
 def choose_near(now: Situation, previous: GoalChoice, radius: float, *, recalled: bool = False) -> GoalChoice | None:
-    """The choice by what is near on a large map: a goal by a way within a radius (m), or none.
+    """Return the choice among goals near the robot on a large map, by a way within a radius (m), or none.
 
-    There is none where nothing near is worth going to, only by a way that is longer than to what may lie elsewhere, or
-    while the robot is on such a way: then it weighs all there is against its goal. Arguments else as of `choose`.
+    There is none if nothing near is worth a visit, if the way is longer than that to a possible goal elsewhere, or
+    while the robot is on such a long way, when all candidates are compared with its goal. Other arguments as of
+    `choose`.
     """
     if previous.node >= 0 and not now.roadmap.reaches(np.array([previous.node]), radius)[0]:
         return None
@@ -102,8 +103,8 @@ def choose_near(now: Situation, previous: GoalChoice, radius: float, *, recalled
 
 @dataclasses.dataclass(frozen=True)
 class _Ranked:
-    """The candidates with their values (c,), and the best of them, -1 where none may be chosen; look: (f,) which of the
-    live frontier points are to be looked at from there. any_worth: some are worth going to, within the budget or not.
+    """The candidates with their values (c,), and the best of them, -1 if none may be chosen; look: (f,) mask of the
+    live frontier points to look at from there. any_worth: some are worth a visit, within the budget or not.
     """
 
     candidates: Candidates
@@ -115,7 +116,7 @@ class _Ranked:
 
 
 def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
-    """The candidates by the rule explorer.goal. Arguments as of `choose`."""
+    """Return the candidates ranked by the rule explorer.goal. Arguments as of `choose`."""
     estimate, tfg, roadmap, parameters = now.estimate, now.tfg, now.roadmap, now.parameters
     explorer, stay = parameters.explorer, time_at_goal(parameters.sensor, parameters.explorer)
     budget = budget_left(explorer, estimate.stamp, roadmap.driven, stay, recalled=recalled)
@@ -143,7 +144,7 @@ def _ranked(now: Situation, previous: GoalChoice, *, recalled: bool) -> _Ranked:
 
 
 def _to_the_best(now: Situation, ranked: _Ranked, previous: GoalChoice, *, open_left: bool) -> GoalChoice:
-    """The choice of the best candidate. open_left: places see enough live frontier."""
+    """Return the choice of the best candidate. open_left: places see enough live frontier."""
     best, candidates = ranked.best, ranked.candidates
     gain = candidates.gains.gain[best]
     rate = gain / (candidates.time[best] + ranked.budget.stay)
@@ -154,8 +155,8 @@ def _to_the_best(now: Situation, ranked: _Ranked, previous: GoalChoice, *, open_
 
 
 def _explored(now: Situation, previous: GoalChoice, *, open_left: bool) -> float:
-    """Since when nothing has been left to explore, s. Of a large map it is not asked again where all that draws the
-    robot is nats."""
+    """Return since when nothing has been left to explore, s. On a large map this is not checked again if only nats
+    attract the robot."""
     return previous.explored if now.is_large and not open_left else math.inf
 
 
@@ -168,8 +169,8 @@ def _choice(
     explored: float = math.inf,
     budget: Budget | None = None,
 ) -> GoalChoice:
-    """The choice of a node of the roadmap, -1 for none, without candidates. looked: (t,) node ids, as of `_last`.
-    budget: what a goal is to be reached within."""
+    """Return the choice of a node of the roadmap, -1 for none, without candidates. looked: (t,) node ids, see `_last`.
+    budget: within which a goal must be reached."""
     choice = replace(
         empty_choice(),
         stage=now.estimate.stage,
@@ -188,12 +189,12 @@ def _choice(
 
 
 def _of_candidates(choice: GoalChoice, node_ids: IntArray, gains: Gains, value: FloatArray) -> GoalChoice:
-    """The choice as one of candidates with these ids, gains and values, all (c,)."""
+    """Return the choice as one of candidates with these ids, gains and values, all (c,)."""
     return replace(choice, candidates=node_ids, **vars(gains), gain=gains.gain, value=value)
 
 
 def _among(choice: GoalChoice, now: Situation, ranked: _Ranked) -> GoalChoice:
-    """The choice as one among ranked candidates, with where to look at the best of them and the tour that it begins."""
+    """Return the choice as one among ranked candidates, with the directions to look in and the tour that it begins."""
     candidates, best = ranked.candidates, ranked.best
     choice = _of_candidates(choice, candidates.node_ids, candidates.gains, ranked.value)
     if best < 0:
@@ -208,26 +209,26 @@ def _among(choice: GoalChoice, now: Situation, ranked: _Ranked) -> GoalChoice:
 
 
 def _nearer_before(best: int, candidates: Candidates, open_to: BoolArray, previous: GoalChoice) -> int:
-    """The candidate that was the goal before, where it is nearer than the best and still open; -1 otherwise.
+    """Return the candidate that was the previous goal if it is nearer than the best and still open; otherwise -1.
 
-    Of a large map only what is near is in sight: what comes into it far away, and would be the end of the tour, must
-    not turn the robot round before it is done with what is nearer.
+    On a large map only the part nearby is considered: far frontier that enters it, and would be the end of the tour,
+    must not turn the robot around before the nearer goals are done.
     """
     before = np.flatnonzero((candidates.node_ids == previous.node) & open_to & candidates.sees_enough)
     return int(before[0]) if len(before) and candidates.time[before[0]] < candidates.time[best] else -1
 
 
 def more_first_turns(frame_worth: float, explorer: ExplorerConfig) -> int:
-    """Turns to make where the mission starts, after those of the first look: how well these tell its heading goes with
-    the root of what a frame tells, in frames, and all that is mapped later inherits its error."""
+    """Return the number of further turns at the start of the mission: the accuracy of the initial heading grows with
+    the root of a frame's worth, and everything mapped later inherits its error."""
     return round(explorer.first_turns * (min(1.0 / math.sqrt(frame_worth), MOST_FIRST_TURNS) - 1.0))
 
 
 def _homewards(now: Situation, verdict: str, reason: str, looked: IntArray) -> tuple[int, str, str, IntArray]:
-    """The end of a mission with this verdict and reason, at home if it is to end there: the node, -1 for where the
-    robot stands; verdict and reason; and the node ids (t,) as of `_last`.
+    """Return the end of a mission with this verdict and reason, at home if required: the node, -1 for the current
+    place; verdict and reason; and the node ids (t,), see `_last`.
 
-    Where the way is too narrow, the robot looks at it once more from as near as it gets. If that does not help, it is
+    If the way home is too narrow, the robot looks at it again from as near as possible; if that does not help, it is
     stuck.
     """
     estimate, roadmap = now.estimate, now.roadmap
@@ -243,10 +244,10 @@ def _homewards(now: Situation, verdict: str, reason: str, looked: IntArray) -> t
 
 
 def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoice | None:
-    """The choice where no place sees enough live frontier, but the map can grow more accurate; none where it cannot.
-    In a large map the robot first looks round where it stands: after that it is known what places bring.
+    """Return the choice of a second look if no place sees enough live frontier but the map can become more accurate;
+    otherwise none. On a large map the robot first looks around where it stands, to know the gains of all places.
 
-    The only candidate is the place chosen: nats are not what it is chosen by, and no other is asked for them.
+    The chosen place is the only candidate, as the choice does not depend on nats.
     """
     estimate, roadmap = now.estimate, now.roadmap
     sensor, explorer = now.parameters.sensor, now.parameters.explorer
@@ -271,7 +272,7 @@ def _second_look(now: Situation, previous: GoalChoice, kept: float) -> GoalChoic
 
 
 def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> tuple[int, str, str, IntArray]:
-    """The choice where no candidate is worth going to: the node of an errand, -1 where the mission ends; verdict and
+    """Return the choice if no candidate is worth a visit: the node of an errand, -1 if the mission ends; verdict and
     reason; and the ids (t,) of nodes from which the robot has looked again.
 
     any_left: there are candidates. looked: (s,) node ids so far.
@@ -297,17 +298,16 @@ def _last(now: Situation, any_left: bool, budget: Budget, looked: IntArray) -> t
 
 
 def _seen(open_ahead: FloatArray, look: BoolArray) -> IntArray:
-    """The frontier points of which a place sees some length (f,), of these only those to look at (f,) if it sees any of
+    """Return the frontier points that a place sees, by lengths (f,); only those to look at (f,) if it sees any of
     them."""
     seen = np.flatnonzero(open_ahead > 0.0)
     return seen[look[seen]] if look[seen].any() else seen
 
 
 def _in_question(candidates: Candidates, affordable: BoolArray, explorer: ExplorerConfig) -> BoolArray:
-    """Of which of the candidates (c,) it matters whether their gain alone makes them worth going to.
+    """Return a mask of the candidates (c,) whose gain alone may make them worth a visit.
 
-    As long as a tour has places to go to (c,) that see enough live frontier, it visits these, or others that see nearly
-    as much of what they do.
+    While places see enough live frontier, a tour visits only these, or others that see nearly the same frontier.
     """
     if explorer.goal != "tour" or explorer.least_tags or not (candidates.sees_enough & affordable).any():
         return np.ones(len(candidates.nodes), dtype=np.bool_)
@@ -323,8 +323,8 @@ def _values(
     robot: RobotConfig,
     explorer: ExplorerConfig,
 ) -> tuple[FloatArray, BoolArray]:
-    """The value of each of the candidates (c,) by the rule explorer.goal, and which of the live frontier points (f,)
-    are to be looked at from the best.
+    """Return the value of each of the candidates (c,) by the rule explorer.goal, and a mask of the live frontier points
+    (f,) to look at from the best.
 
     stay: s at each. open_to: (c,) those that may be chosen.
     """
@@ -343,17 +343,17 @@ def _values(
 
 
 def preferred(open_to: BoolArray, tags: IntArray, least_tags: int) -> BoolArray:
-    """Of the candidates that may be chosen (c,) those that see so many of the known tags (c,), all where none does.
+    """Return those of the candidates open to choice (c,) that see least_tags known tags, all if none does.
 
-    tags: -1 where it is not known.
+    tags: (c,) number of known tags in view, -1 if unknown.
     """
     sees_enough = open_to & ((tags < 0) | (tags >= least_tags))
     return sees_enough if sees_enough.any() else open_to
 
 
 def pick(value: FloatArray, worth: BoolArray, time: FloatArray) -> int:
-    """The candidate (c,) of most value, of equals the soonest reached (c,), s, among those worth going to (c,); -1 if
-    none is."""
+    """Return the candidate of most value (c,), among equals the one reached soonest (c,), s, of those worth a visit
+    (c,); -1 if there is none."""
     most = value[worth].max(initial=-np.inf)
     equals = worth & (value == most)
     return int(np.argmin(np.where(equals, time, np.inf))) if equals.any() else -1

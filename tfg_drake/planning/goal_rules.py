@@ -1,6 +1,6 @@
-"""The rules for the choice of the next goal, by name: explorer.goal.
+"""The rules for the choice of the next goal, selected by explorer.goal.
 
-Every rule gives the candidates a value; the one of most value among those worth going to is the next goal.
+Every rule gives the candidates a value; the one of most value among those worth a visit is the next goal.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ AS_GOOD_AS_ALL = 0.95
 
 
 def gain_per_time(gain: FloatArray, time: FloatArray) -> FloatArray:
-    """Nats (c,) over seconds (c,). A robot that goes where this is largest learns fast at first."""
+    """Return nats (c,) per second (c,), a greedy rule that learns fast at first."""
     return np.asarray(gain / time)
 
 
 def nearest_frontier(time: FloatArray, frontier_distance: FloatArray) -> FloatArray:
-    """Minus the time (c,), s, to each place that is the nearest to a frontier point it sees, -inf for the others.
+    """Return minus the time (c,), s, to each place that is the nearest to a frontier point it sees, -inf for the
+    others.
 
-    frontier_distance: (c, f) m, inf where a place does not see a frontier point. Where none sees any, minus the time.
+    frontier_distance: (c, f) m, inf if a place does not see a frontier point. If none sees any, minus the time.
     """
     if not np.isfinite(frontier_distance).any():
         return -time
@@ -49,22 +50,22 @@ def tour(
     roadmap: Roadmap,
     speed: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """The value (c,) of each candidate by a short tour, and which frontier points (f,) the tour's first goal is for.
+    """Return the value (c,) of each candidate by a short tour, and a mask of the frontier points (f,) of its first
+    goal.
 
-    The value is minus the time, s, until a goal of the tour is done with, so the first goal is best; -inf for
-    candidates that are not in it.
+    The value is minus the time, s, until a goal of the tour is done, so the first goal is best; -inf for candidates
+    that are not in it.
 
-    1. Goals are chosen one after the other. Of the frontier that a candidate sees some is new, seen by no goal chosen
-       before it. The most metres of that over the time, s, that the tour of those chosen so far grows by, and the
-       stay, s, are the next goal.
-    2. They are visited in the order that takes least time, with the one farthest from the robot last: exploring goes on
-       from there.
-    3. The first goal is replaced by the candidate that lies best on the way to the second, among those that see almost
-       all that the first was chosen for.
+    1. Goals are chosen one after the other. The next one maximises the metres of new frontier, seen by no earlier goal,
+       over the time, s, by which it lengthens the tour of the goals chosen so far, including the stay, s.
+    2. They are visited in the order of least time that ends at the goal farthest from the robot, from where exploration
+       continues.
+    3. The first goal is replaced by the candidate with the least detour on the way to the second, among those that see
+       almost all frontier that the first was chosen for.
 
-    gain: (c,) nats. time: (c,) s, of going to each from the robot. frontier: (c, f) m that each candidate sees of each
-    frontier point. least: m, less than this is not worth a goal. nodes: (c,) of the roadmap; speed: m/s. Where no
-    frontier is left, gain per time decides.
+    gain: (c,) nats. time: (c,) s, from the robot to each. frontier: (c, f) m that each candidate sees of each frontier
+    point. least: m, least frontier worth a goal. nodes: (c,) of the roadmap; speed: m/s. If no frontier is left, gain
+    per time decides.
     """
     way = _TimesTo(time, nodes, roadmap, speed)
     goals, looked_at, order = _most_by_time(frontier, least, stay, way)
@@ -84,7 +85,7 @@ def tour(
 
 
 class _TimesTo:
-    """Seconds between the candidates along a roadmap, looked up once for each goal. Arguments as of `tour`."""
+    """Travel times between the candidates along a roadmap, computed once for each goal. Arguments as of `tour`."""
 
     def __init__(self, time: FloatArray, nodes: IntArray, roadmap: Roadmap, speed: float) -> None:
         length = np.maximum(edge_lengths(roadmap.points, roadmap.edges), 1e-9)
@@ -93,7 +94,7 @@ class _TimesTo:
         self._found: dict[int, FloatArray] = {}
 
     def from_goal(self, goal: int) -> FloatArray:
-        """(c,) s between one candidate and each, by the shortest way."""
+        """Return the travel times (c,), s, between one candidate and each, by the shortest way."""
         if goal not in self._found:
             along = dijkstra(self._graph, indices=self._nodes[goal])[self._nodes] / self._speed
             # From a place that only the robot is joined to, as it stands near it, the way leads back past the robot.
@@ -102,8 +103,8 @@ class _TimesTo:
 
 
 def stops(value: FloatArray, first: int) -> IntArray:
-    """The candidates (s,) that a tour visits, in its order, by the value (c,) that it gave them; none where the first
-    of them is another one than `first`, or where no tour was planned."""
+    """Return the candidates (s,) that a tour visits, in its order, from the values (c,) that it gave them; none if the
+    first of them is not `first`, or if no tour was planned."""
     order = np.argsort(-value)[: np.count_nonzero(np.isfinite(value))]
     return order if value[first] < 0.0 and order[0] == first else order[:0]
 
@@ -111,8 +112,8 @@ def stops(value: FloatArray, first: int) -> IntArray:
 def _most_by_time(
     frontier: FloatArray, least: float, stay: float, way: _TimesTo
 ) -> tuple[list[int], list[BoolArray], list[int]]:
-    """The goals of a tour, TOUR_GOALS at the most, which frontier points (f,) each is the first to see, and the order
-    in which to visit them.
+    """Return the goals of a tour, at most TOUR_GOALS, masks of the frontier points (f,) that each is the first to see,
+    and the order of the visits.
 
     Step 1 of `tour`. frontier: (c, f) m that each candidate sees of each frontier point. stay: s at each goal. least:
     m, as of `tour`.
@@ -145,8 +146,8 @@ def _most_by_time(
 @read_only_arguments
 @njit(cache=True)
 def shortest_order(first: FloatArray, between: FloatArray, last: int) -> list[int]:
-    """The order in which to visit n places so that the one to be the last is reached soonest: first (n,) s to each from
-    the start, between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
+    """Return the order of n places in which the given last one is reached soonest: first (n,) s to each from the start,
+    between (n, n) s. By dynamic programming over subsets (Held and Karp)."""
     n = len(first)
     cost = np.full((1 << n, n), np.inf)
     before = np.full((1 << n, n), -1)
