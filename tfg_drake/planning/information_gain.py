@@ -1,8 +1,8 @@
-"""The expected information about the landmarks of a full turn at a candidate for the next goal.
+"""The expected information gain about the landmarks by a full turn at a candidate.
 
-By default the mutual information of all landmarks, known and new, and the measurements of the turn (`exact_gain`). It
-is what the paper's Theorem 1 approximates (Sec. III-C); it holds for a pose that odometry ties to the map, and depends
-on relative covariance only. The approximations, by name: `approximate_gain`.
+By default it is the mutual information of all landmarks, known and new, and the measurements of the turn
+(`exact_gain`), which the paper's Theorem 1 approximates (Sec. III-C). It is valid for a pose that odometry ties to the
+map, and depends on relative covariance only. `approximate_gain` has the approximations.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ PRIOR_LENGTH = 10.0
 class Gains:
     """Expected gains of c candidates, all (c,), nats.
 
-    exploitation: what the known landmarks alone would bring. exploration: what the new ones add. pose_price: how much
-    more both would bring were the arrival pose known in M; that of the whole map counts then, too, so it grows with how
-    far map and robot have drifted together. gain: exploitation + exploration, the price paid.
+    exploitation: gain from the known landmarks alone. exploration: additional gain from the new ones. pose_price: the
+    gain in excess of both if the arrival pose were known in M; that would also locate the whole map, so the price grows
+    with the common drift of map and robot. gain: exploitation + exploration, with the price deducted.
     """
 
     exploitation: Annotated[FloatArray, "c"]
@@ -48,24 +48,24 @@ class Gains:
 
     @property
     def gain(self) -> FloatArray:
-        """Exploitation + exploration, (c,), nats."""
+        """The gain, exploitation + exploration, (c,), nats."""
         return self.exploitation + self.exploration
 
 
 def frontier_reach(sensor: TagSensorConfig) -> FloatArray:
-    """(sensor range, depth), m: a frontier counts in full where the view goes on behind it by this depth."""
+    """Return (sensor range, depth), m: a frontier counts in full if the view extends behind it by this depth."""
     return np.array([sensor.range, FRONTIER_DEPTH * sensor.range])
 
 
 def sightings_of_turn(sensor: TagSensorConfig, turn_rate: float, frame_worth: float = 1.0) -> float:
-    """How often each tag is seen in a full turn at turn_rate (rad/s), independently: it is in view for field_of_view /
-    turn_rate s. frame_worth: as in MapEstimate."""
+    """Return the number of independent sightings of each tag in a full turn at turn_rate (rad/s): it is in view for
+    field_of_view / turn_rate s. frame_worth: as in MapEstimate."""
     frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / turn_rate
     return frames - max(frames - 1.0, 0.0) * (1.0 - frame_worth)
 
 
 def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray | None = None) -> FloatArray:
-    """Deviations of one tag's range and bearing by so many sightings in a turn, as exact_gain takes them.
+    """Return the deviations of one tag's range and bearing after a number of sightings in a turn, for exact_gain.
 
     The sightings' noise averages down to the floors, or to the constant errors that tags have, tag_error: (2,).
     """
@@ -82,8 +82,8 @@ def turn_noise(sensor: TagSensorConfig, sightings: float, tag_error: FloatArray 
 
 
 def density_shown(landmarks: MapEstimate, tfg: TfgMap, explorer: ExplorerConfig) -> float:
-    """New landmarks to be expected on a metre of surface, by what this building has shown so far: tags on surface that
-    was inspected, and walls, whose two numbers are worth a tag's. A map without walls tells no more than
+    """Return the expected number of new landmarks per metre of surface, from this building so far: tags on inspected
+    surface, and walls, which count like tags, as both have two numbers. A map without walls adds nothing to
     explorer.density."""
     tags = np.count_nonzero(is_tag(landmarks.ids))
     walls = len(landmarks.ids) - tags
@@ -95,7 +95,7 @@ def density_shown(landmarks: MapEstimate, tfg: TfgMap, explorer: ExplorerConfig)
 
 
 def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
-    """Covariance (3, 3) of the departure pose X_MD given all landmarks that are known jointly with it."""
+    """Return the covariance (3, 3) of the departure pose X_MD given all landmarks jointly known with it."""
     S = estimate.covariance
     n = len(S) - 3
     S_DD = np.array(S[n:, n:])
@@ -130,24 +130,25 @@ class Turns:
 
     @functools.cached_property
     def targets(self) -> Targets:
-        """The points that the known landmarks are seen at."""
+        """The points that represent the known landmarks."""
         return targets(self.estimate, self.tfg)
 
     def at(self, points: FloatArray, distance: FloatArray, time: FloatArray, frontiers: Visibility) -> Gains:
-        """The gains of a full turn at each point (c, 2) after distance (c,) m and time (c,) s, with what it sees."""
+        """Return the gains of a full turn at each point (c, 2) after distance (c,) m and time (c,) s."""
         return self.gains(points, self.arrival(points, distance, time), self.seen(points), frontiers)
 
     def arrival(self, points: FloatArray, distance: FloatArray, time: FloatArray) -> Arrival:
-        """The arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known by
-        odometry since the last departure alone, as in the factor that will tie the two views."""
+        """Return the arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known
+        only by odometry since the last departure, as in the factor that will tie the two views."""
         X_MD = self.estimate.X_MD
         Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
 
     def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
-        """Known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of the targets.
+        """Return the known landmarks that a full turn at each point (c, 2), m in M, should see; index: rows of the
+        targets.
 
-        grid: the segment_grid of tfg.segments, if it is there.
+        grid: the segment_grid of tfg.segments, if available.
         """
         tfg, grid, walls = self.tfg, grid or segment_grid(self.tfg.segments), self.targets.of_walls
         tags = expected_tags(points, self.estimate, tfg, self.sensor, grid)
@@ -156,11 +157,11 @@ class Turns:
         return expected_walls(points, self.targets, tfg, self.scan_range, grid).joined(tags, walls)
 
     def gains(self, points: FloatArray, arrival: Arrival, seen: Visibility, frontiers: Visibility) -> Gains:
-        """Expected gains of a full turn at each point (c, 2), m in M, arrived at like this.
+        """Return the expected gains of a full turn at each point (c, 2), m in M, for an arrival.
 
-        seen, of landmarks, and frontiers: what is in view. Each metre of frontier stands for explorer.density new
-        landmarks, seen where the frontier point is, less where the view ends soon behind it. Landmarks that are not
-        known jointly with the departure pose count for nothing. explorer.gain names the formula.
+        seen, frontiers: landmarks and frontiers in view. Each metre of frontier stands for explorer.density new
+        landmarks at the frontier point, fewer if the view ends soon behind it. Landmarks that are not jointly known
+        with the departure pose do not count. explorer.gain selects the formula.
         """
         explorer, of, tfg, noise = self.explorer, self.targets, self.tfg, self.noise
         seen = of.known_jointly(seen)

@@ -1,8 +1,8 @@
-"""The surroundings of the newest view: of a large map planning works on that alone, wherever it is enough.
+"""The surroundings of the newest view, to which planning on a large map is limited if they suffice.
 
-What is near `tfg_drake.tfg.near` says. A place within a radius is judged by what can be seen from there: by landmarks,
-surfaces and free space within the radius and the sensor's range. Whatever lies within a circle hides nothing from
-sight but what is in it, too.
+`tfg_drake.tfg.near` defines the radius. A place within the radius is evaluated by everything visible from there:
+landmarks, surfaces and free space within radius plus sensor range. Nothing outside a circle hides one of its points
+from another.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ FAR_SIGHTED = ("argmax", "random")
 
 
 def planning_radius(estimate: MapEstimate, explorer: ExplorerConfig) -> float:
-    """Distance, m, from the newest view within which planning looks first: as `radius_of`, but inf with rules that
-    choose the next goal from the whole map, and where the robot must know the length of its way home."""
+    """Return the distance, m, from the newest view that planning considers first: `radius_of`, or inf for rules that
+    choose from the whole map and if the robot must know the length of its way home."""
     looks_far = explorer.goal in FAR_SIGHTED or explorer.return_home
     return math.inf if looks_far else radius_of(estimate)
 
 
 def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tuple[MapEstimate, TfgMap]:
-    """The map and the TFG as far as places within a radius (m) of the newest view are judged by them: frontiers within
-    the radius, and landmarks, surfaces and stars within the radius and what is seen from there, sight (m).
+    """Return the part of map and TFG needed to evaluate places within a radius (m) of the newest view: frontiers within
+    the radius, and landmarks, surfaces and stars within the radius plus sight (m).
 
-    Where that is all, it is what was given. All views stay in the map.
+    If that is everything, the arguments are returned. All views stay in the map.
     """
     if math.isinf(radius):
         return estimate, tfg
@@ -56,8 +56,8 @@ def local(estimate: MapEstimate, tfg: TfgMap, radius: float, sight: float) -> tu
 
 
 def local_roadmap(nodes: RoadmapState, estimate: MapEstimate, radius: float) -> RoadmapState:
-    """The roadmap with those of its nodes only that lie within a radius (m) of the map's newest view, and the edges
-    between them."""
+    """Return the roadmap with only the nodes within a radius (m) of the map's newest view, and the edges between
+    them."""
     near = within(place_in_map(nodes.anchor, nodes.p_AN, estimate.X_MA), estimate.X_MA[-1], radius)
     if near.all():
         return nodes

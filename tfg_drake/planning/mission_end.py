@@ -1,4 +1,4 @@
-"""Why a mission ends where no candidate is worth going to."""
+"""The verdict and reason of a mission's end when no candidate is worth a visit."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 
 def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
-    """Length (m) of the frontier that was tried in vain though a robot that needs so much room (m) to every side could
-    drive up to it and through.
+    """Return the length (m) of frontier that was tried in vain although a robot that needs this room (m) to every side
+    could drive up to it and through.
 
-    What it only ever saw through a crack does not keep the mission from being complete.
+    Frontier seen only through a crack does not prevent a complete mission.
     """
     places = roadmap.points[roadmap.enterable]
     before = tfg.given_up + (PUSH + ROOT) * tfg.given_up_normal
@@ -59,14 +59,15 @@ def given_up_open(tfg: TfgMap, roadmap: Roadmap, need: float) -> float:
 
 
 def frontier_left(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> FloatArray:
-    """Length (5,), m, of the live frontier by the REASONS that keep the robot from it. Arguments as of `hindrances`."""
+    """Return the length (5,), m, of live frontier for each of REASONS that keep the robot from it. Arguments as of
+    `hindrances`."""
     why = hindrances(tfg, roadmap, sensor, radius)
     return np.bincount(why, tfg.frontier_length, minlength=len(REASONS)).astype(np.float64)
 
 
 def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: float) -> IntArray:
-    """The row (f,) of REASONS that keeps the robot from each of the live frontier points, by the places of the roadmap
-    that see it; of these the one counts that is the easiest to get to. radius: of the robot, m."""
+    """Return the row (f,) of REASONS that keeps the robot from each live frontier point: that of the place of the
+    roadmap, among those that see the point, which is easiest to reach. radius: of the robot, m."""
     elsewhere = KEPT_OUT if len(tfg.keep_out) else TOO_NARROW
     hindrance = np.full(len(roadmap.points), elsewhere)
     shut = np.flatnonzero(roadmap.once_open)
@@ -87,11 +88,11 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
 def why_end(
     candidates: bool, narrow_gain: float, given_up_length: float, left: FloatArray, stop_gain: float
 ) -> tuple[str, str]:
-    """Verdict and reason where no candidate is worth going to.
+    """Return verdict and reason if no candidate is worth a visit.
 
-    candidates: there are any, or areas not to be entered, for which there may be none. narrow_gain: nats, of the best
-    place behind a passage that is too narrow for the robot's uncertainty. given_up_length: m of open frontier that was
-    tried too often. left: what is left of the live frontier, see `frontier_left`.
+    candidates: True if there are any, or keep-out areas, which may be why there are none. narrow_gain: nats, of the
+    best place behind a passage too narrow for the robot's uncertainty. given_up_length: m of open frontier that was
+    tried too often. left: the remaining live frontier, see `frontier_left`.
     """
     worst_first = (TOO_NARROW, KEPT_OUT, TOO_UNCERTAIN, SHUT, NOT_WORTH)
     named = ", ".join(f"{left[why]:.1f} m {REASONS[why]}" for why in worst_first if left[why] >= 0.05)

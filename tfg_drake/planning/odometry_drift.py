@@ -11,8 +11,8 @@ from tfg_drake.messages import FloatArray
 def straight_drift(
     distance: FloatArray, time: FloatArray, odometry: OdometryConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The drift of odometry over straight ways of a distance, m, and a time, s, of any shape: the variances along and
-    across the way, m^2, their covariance with the heading, m rad (of across alone), and the variance of that, rad^2.
+    """Return the drift of odometry over straight ways, for distance, m, and time, s, of any array shape: the variances
+    along and across the way, m^2, the covariance of across and heading, m rad, and the variance of the heading, rad^2.
 
     The along-track error is the encoders', the heading's the gyro's random walk and bias, the cross-track error the
     integral of the heading's.
@@ -25,7 +25,8 @@ def straight_drift(
 def odometry_covariance(
     X_MD: FloatArray, points: FloatArray, distance: FloatArray, time: FloatArray, odometry: OdometryConfig
 ) -> FloatArray:
-    """Covariance (c, 3, 3), in M, that odometry adds between X_MD (3,) and an arrival at each point (c, 2), m.
+    """Return the covariance (c, 3, 3), in M, that odometry adds between X_MD (3,) and an arrival at each point (c, 2),
+    m.
 
     distance: (c,) m and time: (c,) s of travel, modelled as straight.
     """

@@ -1,4 +1,4 @@
-"""The openings of the known free space: its edges that are no surface, and what keeps the robot from each."""
+"""The openings of the known free space: its edges without a surface, and the reason why each was left."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ NOT_WORTH, IN_VAIN, KEPT_OUT, BEHIND_DOOR, TOO_UNCERTAIN, TOO_NARROW = range(len
 
 @message
 class Openings:
-    """Edges of the known free space that are no surface.
+    """Edges of the known free space without a surface.
 
     p: (o, 2) the middle of each, m in M. width: (o,) m from end to end. room: (o,) m to either side on the widest way
     there through known free space. need: (o,) m, the room that the robot needs by its deviation there. unknown: (o,)
-    m^2 of the largest region behind it, within REACH, that is unknown and has room for the robot. why: (o,) row of WHY.
+    m^2, the largest unknown region behind it, within REACH, with room for the robot. why: (o,) row of WHY.
     """
 
     p: Annotated[FloatArray, "o", 2]
@@ -54,14 +54,14 @@ class Openings:
 
     @property
     def missing(self) -> FloatArray:
-        """The room (o,), m to either side, that the way to each lacks; 0 where it lacks none."""
+        """The missing room (o,), m to either side, on the way to each; 0 if it suffices."""
         return np.where(self.why >= TOO_UNCERTAIN, np.maximum(self.need - self.room, ROOM_STEP), 0.0)
 
 
 def find_openings(
     tfg: TfgMap, roadmap: Roadmap, p_MB: FloatArray, robot: RobotConfig, sensor: TagSensorConfig
 ) -> Openings:
-    """The openings of a map with its roadmap. p_MB: (2,) where the robot is, m in M."""
+    """Return the openings of a map with its roadmap. p_MB: (2,) place of the robot, m in M."""
     low, high = (of(tfg.star_vertices, axis=0) for of in (np.min, np.max))
     cell = max(CELL, float(np.sqrt(np.prod(high - low + 2.0 * REACH) / MOST_CELLS)))
     x, y = (np.arange(low[i] - REACH, high[i] + REACH, cell) for i in range(2))
@@ -100,7 +100,8 @@ def find_openings(
 
 
 def _edges(free: BoolArray, off_surface: BoolArray) -> list[tuple[IntArray, IntArray]]:
-    """Rows and columns of the cells of each edge of what is free (h, w), off all surfaces (h, w) on either side."""
+    """Return rows and columns of the cells of each edge of the free cells (h, w) that is off all surfaces (h, w) on
+    either side."""
     border = free & off_surface & ndimage.binary_dilation(~free & off_surface)
     # What a cell between two parts hides is one edge all the same.
     label, _ = ndimage.label(ndimage.binary_dilation(border, np.ones((3, 3))), np.ones((3, 3)))
@@ -110,7 +111,8 @@ def _edges(free: BoolArray, off_surface: BoolArray) -> list[tuple[IntArray, IntA
 
 
 def _widest(free: BoolArray, room: FloatArray, start: tuple[int, int]) -> FloatArray:
-    """The room (h, w), m, on the widest way from a cell to each other, in steps of ROOM_STEP; 0 where there is none."""
+    """Return the room (h, w), m, on the widest way from a cell to each other, in steps of ROOM_STEP; 0 without a
+    way."""
     widest, near = np.zeros(free.shape), tuple(slice(max(0, at - 3), at + 4) for at in start)
     for level in np.arange(ROOM_STEP, room.max(), ROOM_STEP):
         label, _ = ndimage.label(free & (room >= level), np.ones((3, 3)))
@@ -122,8 +124,8 @@ def _widest(free: BoolArray, room: FloatArray, start: tuple[int, int]) -> FloatA
 
 
 def _behind(enterable: BoolArray, row: IntArray, column: IntArray, radius: float, cell: float) -> float:
-    """The area, m^2, of the largest region within REACH that a disc of a radius, m, sweeps whose middle may be where it
-    is enterable (h, w), and comes next to some of the cells (k,)."""
+    """Return the area, m^2, of the largest region within REACH that a disc of a radius, m, sweeps with its centre in
+    enterable (h, w) cells and that touches some of the cells (k,)."""
     reach, r, c = round(REACH / cell), int(row.mean()), int(column.mean())
     top, left = max(0, r - reach), max(0, c - reach)
     label, _ = ndimage.label(enterable[top : r + reach + 1, left : c + reach + 1])
@@ -137,7 +139,8 @@ def _behind(enterable: BoolArray, row: IntArray, column: IntArray, radius: float
 
 
 def _at(p: FloatArray, width: FloatArray, points: FloatArray) -> BoolArray:
-    """Which openings (o,), by middle (o, 2) and width (o,), m, some of the points (k, 2), m, are part of."""
+    """Return a mask of the openings (o,), with middle (o, 2) and width (o,), m, that contain some of the points (k, 2),
+    m."""
     if not len(points):
         return np.zeros(len(p), dtype=np.bool_)
     return np.asarray(cKDTree(points).query(p)[0] <= 0.5 * width + SAME_OPENING)

@@ -1,6 +1,6 @@
-"""The rules of Mu et al. (CDC 2016) as printed, where ours are others: what the method `paper` goes by.
+"""The rules of Mu et al. (CDC 2016) as printed, for the method `paper`, where ours differ.
 
-Each has the one repair without which it means nothing, and says which. docs/method.md sets them beside ours.
+Each has the one repair without which it is meaningless, and states it. docs/method.md compares them with ours.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ TOUCH = 0.1
 
 @dataclasses.dataclass(frozen=True)
 class PaperRules:
-    """Which of the paper's rules hold; where one is left out ours holds in its place.
+    """The selection of the paper's rules; ours replace those that are off.
 
     argmax: the goal is the sample of most gain, however far (Sec. III-C, the argmax of the entropy reduction). theorem:
-    the gain is that of Theorem 1. frontiers: they are gaps between landmarks (Sec. III-D). path_cost: that of
-    Sec. III-E. only_at_goals: what is seen on the way localises and is not mapped, and there is no look between goals
-    (Sec. III-C). one_turn: at the start the robot turns once, as at any goal. only_landmarks: walls are none (Sec. II).
+    the gain is that of Theorem 1. frontiers: these are gaps between landmarks (Sec. III-D). path_cost: that of
+    Sec. III-E. only_at_goals: sightings on the way localise and are not mapped, and there are no glances (Sec. III-C).
+    one_turn: at the start the robot turns once, as at any goal. only_landmarks: walls are not landmarks (Sec. II).
     """
 
     argmax: bool = True
@@ -40,7 +40,7 @@ class PaperRules:
     only_landmarks: bool = True
 
     def settings(self) -> list[str]:
-        """The scenario's settings that some of the rules come down to, as of `--set`."""
+        """The scenario's settings that implement some of the rules, as for `--set`."""
         settings = {
             "argmax": ["goal=argmax"],
             "theorem": ["gain=paper"],
@@ -52,12 +52,12 @@ class PaperRules:
 
 
 def frontiers_between_landmarks(now: Situation) -> Situation:
-    """The situation with frontiers as of Sec. III-D in place of ours: at each place that the robot can go to the
-    landmarks expected in view are sorted by their bearings, and two consecutive ones that both border a frontier are
-    the ends of one. Its size is their distance, and new landmarks are expected in its middle.
+    """Return the situation with the frontiers of Sec. III-D: at each reachable place the landmarks expected in view are
+    sorted by bearing, and two consecutive ones that both border a frontier are the ends of one. Its size is their
+    distance, and new landmarks are expected in its middle.
 
-    A landmark borders a frontier if at least one side of it is not connected to any neighbour. Repair: no two that are
-    connected to each other are ends of one.
+    A landmark borders a frontier if at least one side of it is not connected to any neighbour. Repair: two connected
+    landmarks are never the ends of a frontier.
     """
     estimate, tfg, roadmap = now.estimate, now.tfg, now.roadmap
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
@@ -93,8 +93,8 @@ def frontiers_between_landmarks(now: Situation) -> Situation:
 
 
 def neighbours(tfg: TfgMap, ids: IntArray, p_ML: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Which landmarks are connected to which, (n, n), by a surface with no other landmark on it (Sec. III-A), and which
-    border a frontier (n,): one side of theirs is not connected to any (Sec. III-D).
+    """Return masks of connected landmarks, (n, n), joined by a surface with no other landmark on it (Sec. III-A), and
+    of those that border a frontier (n,), with an unconnected side (Sec. III-D).
 
     ids: (n,) ascending. p_ML: (n, 2), m in M.
     """
@@ -115,10 +115,10 @@ def neighbours(tfg: TfgMap, ids: IntArray, p_ML: FloatArray) -> tuple[BoolArray,
 
 
 def cost_of_edge(length: FloatArray, gap: FloatArray) -> FloatArray:
-    """The cost (e,) of edges by Sec. III-E: the length (e,), m, and an additive penalty, the squared distance to the
+    """Return the cost (e,) of edges by Sec. III-E: the length (e,), m, plus a penalty, the squared distance to the
     closest obstacle. gap: (e,) m.
 
-    Repair: the sign. As printed, a path that keeps away from obstacles costs more; here the penalty is what the squared
-    distance lacks of COMFORT squared, which a path farther from all obstacles does not pay.
+    Repair: the sign. As printed, a path that keeps away from obstacles costs more; here the penalty is COMFORT squared
+    minus the squared distance, and zero beyond COMFORT.
     """
     return np.asarray(np.maximum(length, 1e-9) + COMFORT**2 - np.minimum(gap, COMFORT) ** 2)

@@ -1,4 +1,4 @@
-"""From a roadmap to a path that a robot can follow, and whether the path is still open."""
+"""Converts a way through the roadmap to a path that the robot can follow, and checks whether a path is open."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ BODY = 0.3
 
 
 def resample(points: FloatArray, step: float) -> FloatArray:
-    """Points (k, 2) at equal intervals of at most step (m) along a polyline (n, 2), both ends included."""
+    """Return points (k, 2) at equal intervals of at most step (m) along a polyline (n, 2), both ends included."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     count = max(1, int(np.ceil(along[-1] / step - 1e-9)))
     s = np.linspace(0.0, along[-1], count + 1)
@@ -53,18 +53,18 @@ def resample(points: FloatArray, step: float) -> FloatArray:
 
 
 def lines_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Segments (n, 4) from points (n, 2) to others (n, 2); either may be one alone, (2,)."""
+    """Return segments (n, 4) from points (n, 2) to others (n, 2); either may be a single point (2,)."""
     return np.hstack(np.broadcast_arrays(np.atleast_2d(a), np.atleast_2d(b)))
 
 
 def _insert(points: FloatArray, step: float) -> FloatArray:
-    """A polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
+    """Return a polyline (n, 2) with extra points on its pieces, at intervals of at most step, m."""
     pieces = [resample(points[i : i + 2], step)[:-1] for i in range(len(points) - 1)]
     return np.vstack([*pieces, points[-1:]])
 
 
 def shortcut(points: FloatArray, tfg: TfgMap, segments: FloatArray, enough: float, least: float) -> FloatArray:
-    """A polyline (n, 2) with detours cut out, where the straight line is as safe as what it replaces.
+    """Return a polyline (n, 2) without detours, where the straight line is as safe as the part that it replaces.
 
     segments: (m, 4) all obstacles, m in M. The line keeps the clearance of the part it replaces or `enough` (m),
     whichever is less, but at least `least` (m), and lies in known free space.
@@ -82,7 +82,7 @@ def _shortest(
     star_offsets: IntArray,
     star_vertices: FloatArray,
 ) -> IntArray:
-    """The points (k,) of a polyline (n, 2) that are left when its detours are cut out, see shortcut."""
+    """Return the points (k,) of a polyline (n, 2) that remain without its detours, see shortcut."""
     grid, stars = segment_grid(segments), star_index(star_offsets, star_vertices)
     near, room = np.empty(len(stars[1][4]), dtype=np.int64), np.empty(len(points))
     for i in range(len(points) - 1):
@@ -119,7 +119,8 @@ def _room(a: FloatArray, b: FloatArray, segments: FloatArray, grid: SegmentGrid,
 @read_only_arguments
 @njit(cache=True)
 def round_corners(points: FloatArray, segments: FloatArray, enough: float, least: float) -> FloatArray:
-    """A polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut) allows."""
+    """Return a polyline (n, 2) with its corners replaced by parabolas, as large as the clearance (see shortcut)
+    allows."""
     grid, arc = segment_grid(segments), np.empty((ARC_POINTS, 2))
     smooth, count = np.empty((ARC_POINTS * len(points), 2)), 1
     smooth[0] = points[0]
@@ -157,12 +158,12 @@ def plan_path(
     obstacles: FloatArray | None = None,
     speed: float = 0.0,
 ) -> FloatArray:
-    """A path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty if there is none.
+    """Return a path (k, 2), m in M, at intervals of 0.1 m from the robot's pose X_MB (3,) to a node; empty without one.
 
-    The roadmap's edges keep the chance constraint by the deviation at their ends. The path is smoothed where it then
-    keeps it at each of its points, TRACKING_DEVIATION allowed, and goes along the edges where it would not. obstacles:
-    (b, 4) segments met at this stage that the map does not hold, m in M. speed: m/s at which the robot drives on
-    meanwhile: it goes straight ahead as far as it would take to stop, where there is room for that.
+    The roadmap's edges keep the chance constraint by the deviation at their ends. The path is smoothed where it keeps
+    the constraint at each of its points, TRACKING_DEVIATION allowed, and otherwise follows the edges. obstacles: (b, 4)
+    segments met at this stage that the map does not hold, m in M. speed: m/s, of the moving robot, whose path begins
+    straight ahead with its stopping distance if there is room.
     """
     robot, planner = parameters.robot, parameters.planner
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
@@ -184,8 +185,8 @@ def plan_path(
 
 
 def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
-    """Which points (k,) of a path (k, 2), m in M, lack more than TRACKING_DEVIATION of the room that the chance
-    constraint asks for there."""
+    """Return a mask of the points (k,) of a path (k, 2), m in M, that lack more than TRACKING_DEVIATION of the
+    clearance that the chance constraint requires."""
     robot = parameters.robot
     sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
     need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - TRACKING_DEVIATION
@@ -195,8 +196,8 @@ def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters:
 def _where_it_stops(
     X_MB: FloatArray, speed: float, tfg: TfgMap, segments: FloatArray, robot: RobotConfig
 ) -> FloatArray:
-    """Where a robot at pose X_MB (3,) that drives at this speed (m/s) can stand at the earliest, (3,), if it has room
-    among the segments (m, 4), m in M, all the way there; X_MB itself if not."""
+    """Return the pose (3,) where a robot at X_MB (3,) with a speed (m/s) can stop at the earliest, if it has room among
+    the segments (m, 4), m in M, on the way; otherwise X_MB."""
     if speed <= 0.0:
         return X_MB
     X_MS = compose(X_MB, np.array([speed * (REACTION + 0.5 * speed / robot.max_acceleration), 0.0, 0.0]))
@@ -206,7 +207,7 @@ def _where_it_stops(
 
 
 def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, planner: PlannerConfig) -> float:
-    """The largest clearance, m, that the chance constraint asks for on the way to a node."""
+    """Return the largest clearance, m, that the chance constraint requires on the way to a node."""
     nodes = nodes_to(ways, node)
     if planner.risk == "path":
         # Where a shortcut passes, it should add nothing to the risk of the whole.
@@ -216,7 +217,7 @@ def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, 
 
 
 def edges_on(state: RoadmapState, nodes: list[int]) -> BoolArray:
-    """The usable edges (e,) that join some of these nodes, as a mask."""
+    """Return a mask of the usable edges (e,) between these nodes."""
     on = np.zeros(len(state.points), dtype=np.bool_)
     on[nodes] = True
     return np.asarray(on[state.edges.nodes[:, 0]] & on[state.edges.nodes[:, 1]] & state.edges.usable)
@@ -259,12 +260,11 @@ def _beside(
 def path_is_free(
     points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray, *, bold: bool = False
 ) -> bool:
-    """Whether the next two metres of a path (k, 2), m in M, are open to a disc of this radius (m) at pose X_MB (3,).
+    """Return whether the next two metres of a path (k, 2), m in M, are open to a disc of a radius (m) at X_MB (3,).
 
-    Two returns of the scan that no mapped surface (segments (m, 4)) explains, nearer to the path than the radius and
-    2 cm and to the robot than UNMAPPED_AHEAD, block it; so do returns of mapped surfaces, where the disc may touch
-    them: a surface may go on a little beyond its end in the map. bold: only where it would touch by 2 cm does anything
-    block it.
+    The path is blocked by two returns of the scan that no mapped surface (segments (m, 4)) explains, within the radius
+    plus 2 cm of the path and within UNMAPPED_AHEAD of the robot; also by returns of mapped surfaces that the disc may
+    touch, as a surface may extend a little beyond its end in the map. bold: only overlaps of 2 cm block it.
     """
     near = radius + 0.02
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, near)
@@ -282,11 +282,11 @@ def path_is_free(
 def unmapped_obstacles(
     points: FloatArray, scan: LaserScan, X_MB: FloatArray, radius: float, segments: FloatArray
 ) -> FloatArray:
-    """Obstacles on a path (see path_is_free), as short segments (b, 4), m in M, to be avoided by the next path.
+    """Return obstacles on a path (see path_is_free), as short segments (b, 4), m in M, for the next path to avoid.
 
-    The returns within COMFORT of the robot's outline on the path ahead that no mapped surface explains, or that
-    it may touch, neighbours too close for the robot to pass between them joined to a surface; behind the former, a
-    body.
+    They consist of the returns within COMFORT of the robot's outline on the path ahead that no mapped surface explains,
+    or that it may touch. Neighbours too close for the robot to pass between them are joined; an assumed body is added
+    behind unexplained ones.
     """
     reach = radius + COMFORT
     hits, distance = _beside(points, scan.ranges, scan.angles, X_MB, reach)
@@ -304,8 +304,8 @@ def unmapped_obstacles(
 
 
 def seen_past(obstacles: FloatArray, scan: LaserScan, X_MB: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Which obstacles (b,) of those met on the way (b, 4), m in M, a scan taken at pose X_MB (3,) sees past, by the ray
-    to the middle of each and its neighbours, and which are in its view at all."""
+    """Return masks of the obstacles met on the way (b, 4), m in M, that a scan at X_MB (3,) sees past, by the ray to
+    the middle of each and its neighbours, and of those in its view."""
     middle = transform(inverse(X_MB), 0.5 * (obstacles[:, :2] + obstacles[:, 2:]))
     bearing, distance = np.arctan2(middle[:, 1], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 1])
     ray = np.searchsorted(scan.angles, bearing)

@@ -1,4 +1,4 @@
-"""The planner's part in a stage: extend the roadmap, plan a path to the goal chosen, watch it while it is followed."""
+"""The planner: extends the roadmap at each stage, plans a path to the chosen goal, and monitors it."""
 
 from __future__ import annotations
 
@@ -59,16 +59,15 @@ ASK_AGAIN = 1.0
 
 @message
 class PlannerState:
-    """All that the planner remembers.
+    """The planner's state.
 
-    nodes: the roadmap of all of the map. part, estimate, tfg, roadmap: it, the map and the TFG of its stage, and the
-    ways through it, as far as planning works on them: within radius, m (see `tfg_drake.planning.local`). path, status:
-    the planner's messages. replans: the mission's count when the path was planned. obstacles: (b, 4) segments met on
-    the way that the map does not hold, m in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest
-    scan the path was checked against, look_stamp: of the newest one that the obstacles were. waiting_since: s, when
-    every way to the goal was found barred by them, inf if it is not, asked: when a way was looked for last. driven: (d,
-    2) where the robot has been at this stage, m in M, from where the newest view began on; driven_before: m, until it
-    ended.
+    nodes: the roadmap of the whole map. part, estimate, tfg, roadmap: roadmap, map and TFG of its stage, and the
+    routes, within the radius, m, that planning uses (see `tfg_drake.planning.local`). path, status: the planner's
+    messages. replans: the mission's count when the path was planned. obstacles: (b, 4) segments met on the way that the
+    map does not hold, m in the frames A of the views obstacle_view: (b,). scan_stamp: s, of the newest scan with which
+    the path was checked, look_stamp: of the newest one with which the obstacles were. waiting_since: s, when every way
+    to the goal was found barred by them, otherwise inf, asked: time of the last search for a way. driven: (d, 2) the
+    robot's path at this stage, m in M, from the start of the newest view on; driven_before: m, until its end.
     """
 
     nodes: RoadmapState
@@ -91,14 +90,14 @@ class PlannerState:
 
 
 def initial_state() -> PlannerState:
-    """Before the first view."""
+    """Return the state before the first view."""
     nodes = empty_roadmap()
     return empty(PlannerState, nodes=nodes, part=nodes, estimate=keyframe_graph.empty_map())
 
 
 @dataclasses.dataclass(frozen=True)
 class Now:
-    """The newest messages, of all of the map, and the planner's parameters."""
+    """The newest messages, with the whole map, and the planner's parameters."""
 
     estimate: MapEstimate
     tfg: TfgMap
@@ -114,7 +113,7 @@ class Now:
 
 
 def looked(state: PlannerState, now: Now) -> PlannerState:
-    """The state without the obstacles that a new scan sees past."""
+    """Return the state without the obstacles that a new scan sees past."""
     if not len(state.obstacles) or now.scan.stamp <= state.look_stamp:
         return state
     met = obstacles_in_map(state, state.estimate)
@@ -123,7 +122,7 @@ def looked(state: PlannerState, now: Now) -> PlannerState:
 
 
 def extended(state: PlannerState, now: Now) -> PlannerState:
-    """The state with the roadmap extended to a new stage of the map."""
+    """Return the state with the roadmap extended to a new stage of the map."""
     if now.tfg.stage <= state.nodes.stage:
         return state
     failures = now.mission.failures
@@ -134,8 +133,8 @@ def extended(state: PlannerState, now: Now) -> PlannerState:
 
 
 def planned(state: PlannerState, now: Now) -> PlannerState:
-    """The state with a path to the goal chosen, or while a robot that stands has every way barred by what it has met,
-    without one."""
+    """Return the state with a path to the chosen goal, or without one while the standing robot has every way barred by
+    obstacles."""
     goal, mission, pose = now.goal, now.mission, now.pose
     chosen = goal.stage == mission.stage == state.nodes.stage and goal.node >= 0
     is_barred = math.isfinite(state.waiting_since) or (mission.replans > 0 and _may_go(state))
@@ -146,7 +145,7 @@ def planned(state: PlannerState, now: Now) -> PlannerState:
 
 
 def watched(state: PlannerState, now: Now) -> PlannerState:
-    """The state after a look at the path ahead, with the robot's way noted."""
+    """Return the state after checking the path ahead and recording the robot's place."""
     pose, scan, mission = now.pose, now.scan, now.mission
     if mission.drives and state.status.free and scan.stamp > state.scan_stamp:
         bold = mission.failures >= BOLD_AFTER
@@ -173,7 +172,7 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
 def grow(
     state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters, *, in_vain: bool = False
 ) -> PlannerState:
-    """The state with the roadmap extended to the newest view of the map, all of which is given.
+    """Return the state with the roadmap extended to the newest view of the whole map.
 
     in_vain: as of `extend`.
     """
@@ -213,7 +212,7 @@ def make_roadmap(
     obstacles: FloatArray,
     driven: float,
 ) -> Roadmap:
-    """The roadmap message for a robot at the map's departure pose: the ways to the nodes, and what they see.
+    """Return the roadmap message for a robot at the map's departure pose: routes to the nodes, and frontiers in view.
 
     obstacles: (b, 4) segments met on the way, m in M. driven: m, so far.
     """
@@ -229,7 +228,7 @@ def make_roadmap(
 def with_frontiers(
     roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
 ) -> Roadmap:
-    """The roadmap with what its nodes see of the live frontiers, not nearer than least_range (m)."""
+    """Return the roadmap with the live frontiers that its nodes see, not nearer than least_range (m)."""
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_views(roadmap.points, tfg, estimate.X_MD[:2])
     visible = expected_frontiers(roadmap.points.compress(asked, axis=0), tfg, sensor, least_range)
     visible = visible.spread(np.flatnonzero(asked), len(roadmap.points))
@@ -237,13 +236,13 @@ def with_frontiers(
 
 
 def obstacles_in_map(state: PlannerState, estimate: MapEstimate) -> FloatArray:
-    """The obstacles met on the way (b, 4), m in M."""
+    """Return the obstacles met on the way (b, 4), m in M."""
     ends = place_in_map(np.repeat(state.obstacle_view, 2), state.obstacles.reshape(-1, 2), estimate.X_MA)
     return ends.reshape(-1, 4)
 
 
 def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
-    """The state with a path or, while a robot that stands has every way barred by what it has met, without one."""
+    """Return the state with a path, or without one while the standing robot has every way barred by obstacles."""
     pose, scan = now.pose, now.scan
     after = _plan(state, now)
     if len(after.path.points) or now.mission.drives or not _may_go(state):
@@ -284,7 +283,7 @@ def _plan(state: PlannerState, now: Now) -> PlannerState:
 
 
 def _may_go(state: PlannerState) -> bool:
-    """Whether any of what was met on the way is no surface of the map, and may walk away."""
+    """Return whether any obstacle met on the way is not a mapped surface and so may move away."""
     if not len(state.obstacles):
         return False
     met = obstacles_in_map(state, state.estimate)

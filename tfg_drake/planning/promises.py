@@ -1,4 +1,4 @@
-"""Whether places give what they promise: where they do not, no mission goes on for the sake of promises."""
+"""Compares promised with realised gains: a mission does not continue for promises that are not kept."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LEAST_KEPT, MOST_BROKEN = 0.1, 3
 
 @message
 class Promise:
-    """The newest choice's: gain (nats), 0 for none, place p_MG (2,), m in M, and number and entropy (nats) of the
-    landmarks then. broken: how many in a row were. is_again: it is of a look after
-    exploring; kept: the share of what these promised that they gave, the newest as much as all before it."""
+    """The promise of the newest choice: gain (nats), 0 for none, place p_MG (2,), m in M, and number and entropy (nats)
+    of the landmarks then. broken: number of consecutive broken promises. is_again: it is of a look after exploration;
+    kept: share of the promised gain that these looks gave, with the newest weighted like all before it."""
 
     gain: float = 0.0
     p_MG: tuple[float, float] = (0.0, 0.0)
@@ -29,14 +29,14 @@ class Promise:
 
     @property
     def believed(self) -> bool:
-        """Whether any is believed yet."""
+        """Whether promises still count."""
         return self.broken < MOST_BROKEN
 
 
 def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promise:
-    """The promise by what has become of it, with the map of landmarks now; another is made by `promised`.
+    """Return the promise, evaluated against the current map of landmarks; `promised` makes the next.
 
-    prior_sigma: m, of a landmark that nobody has seen.
+    prior_sigma: m, of an unseen landmark.
     """
     if not promise.gain or math.dist(promise.p_MG, estimate.X_MA[-1, :2].tolist()) > THERE:
         return promise
@@ -50,8 +50,8 @@ def judged(promise: Promise, estimate: MapEstimate, prior_sigma: float) -> Promi
 
 
 def promised(goal: GoalChoice, estimate: MapEstimate, before: Promise, stop_gain: float) -> Promise:
-    """The promise of a goal, if it is more than stop_gain, nats, or of a look after exploring; before: what became of
-    the one before."""
+    """Return the promise of a goal, if it is more than stop_gain, nats, or of a look after exploration; before: the
+    evaluated previous promise."""
     row, again = np.flatnonzero(goal.candidates == goal.node), goal.is_explored
     if goal.verdict != "goal" or not len(row) or goal.gain[row[0]] <= (0.0 if again else stop_gain):
         return Promise(broken=before.broken, kept=before.kept)

@@ -1,7 +1,7 @@
-"""Following a path and turning in place: regulated pure pursuit and a ramped turn, without memory of their own.
+"""Path following and turning in place: regulated pure pursuit and a ramped turn, as stateless functions.
 
-Regulated pure pursuit (Macenski et al., Autonomous Robots 2023): steer along the arc to a point a little ahead on
-the path, slowly where the path bends and where it ends.
+Regulated pure pursuit (Macenski et al., Autonomous Robots 2023) steers along the arc to a point a little ahead on the
+path, and slows down before bends and before the end.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PathCommand:
 
 @njit(cache=True)
 def _project(points: FloatArray, x: float, y: float, progress: float, reach: float) -> tuple[float, float]:
-    """Progress (m) of the path's nearest point to (x, y) within reach ahead of progress, and the path's length."""
+    """Return the progress (m) of the path's point nearest to (x, y) within reach ahead, and the path's length."""
     best, found, s = np.inf, progress, 0.0
     for i in range(len(points) - 1):
         dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
@@ -72,7 +72,7 @@ def _project(points: FloatArray, x: float, y: float, progress: float, reach: flo
 
 @njit(cache=True)
 def _at(points: FloatArray, s: float) -> tuple[float, float, float]:
-    """Place (m) and heading (rad) of a path at progress s; straight on beyond its end."""
+    """Return place (m) and heading (rad) of a path at progress s; straight on beyond its end."""
     last = len(points) - 2
     for i in range(last + 1):
         dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
@@ -85,7 +85,7 @@ def _at(points: FloatArray, s: float) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def _speed_limit(points: FloatArray, progress: float, max_speed: float, turn_rate: float, braking: float) -> float:
-    """Speed (m/s) from which the robot can brake in time for each bend ahead and for the end."""
+    """Return the speed (m/s) from which the robot can brake in time for each bend ahead and for the end."""
     limit, s = max_speed, 0.0
     for i in range(1, len(points)):
         dx, dy = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
@@ -118,8 +118,8 @@ def _aim(
     turn_rate: float,
     braking: float,
 ) -> tuple[float, float, float, float, float, float]:
-    """Progress (m) made by now, what is left of the path, m, where the point steered for is from the robot, m along M's
-    axes, the error of the heading to it, rad, and `_speed_limit`, m/s."""
+    """Return the progress (m), the remaining path, m, the vector from the robot to the target point, m along M's axes,
+    the heading error to it, rad, and `_speed_limit`, m/s."""
     progress, length = _project(points, X_MB[0], X_MB[1], progress, SEARCH)
     ahead = max(LOOK_AHEAD_TIME * speed, LOOK_AHEAD_MIN)
     px, py, _ = _at(points, progress + ahead)
@@ -130,7 +130,7 @@ def _aim(
 
 
 def _turn_towards(error: float, robot: RobotConfig) -> float:
-    """Turn rate, rad/s, that takes a heading error (rad) out and can still brake."""
+    """Return the turn rate, rad/s, that removes a heading error (rad) and can still brake."""
     rate = min(
         HEADING_GAIN * abs(error),
         math.sqrt(2.0 * PLANNED_SHARE * robot.max_turn_acceleration * abs(error)),
@@ -142,9 +142,9 @@ def _turn_towards(error: float, robot: RobotConfig) -> float:
 def follow(
     points: FloatArray, X_MB: FloatArray, speed: float, progress: float, turning: bool, robot: RobotConfig
 ) -> PathCommand:
-    """The command at pose X_MB (3,) and speed (m/s) on a path (k, 2), m in M, of which progress (m) is done.
+    """Return the command at pose X_MB (3,) and speed (m/s) on a path (k, 2), m in M, of which progress (m) is done.
 
-    turning: whether the robot was turning in place before; it goes on until it faces along the path.
+    turning: True if the robot was turning in place; it continues until it faces along the path.
     """
     if len(points) < 2:
         return PathCommand(0.0, 0.0, 0.0, False, True)
@@ -163,11 +163,10 @@ def follow(
 
 
 def turn_to_see(look: FloatArray, heading: float, field_of_view: float) -> tuple[float, float]:
-    """The shortest turn in place from a heading (rad) that brings all headings to look in (l,), rad, into view.
+    """Return the shortest turn in place from a heading (rad) that brings all headings `look` (l,), rad, into view.
 
-    field_of_view: rad. Without any to look in, all round: no more than what the field of view does not hold already.
-    Returns how far to turn first and then, both from the heading, rad: to one side, and where less turning so, back
-    past it to the other.
+    field_of_view: rad. Without headings, the turn covers all directions that are not in view already. Returns the first
+    and the final angle, both from the heading, rad: to one side and, if that is shorter, back to the other.
     """
     half = 0.5 * field_of_view - VIEW_MARGIN if field_of_view < 2.0 * math.pi else math.pi
     left = np.sort(np.mod((look if len(look) else ALL_ROUND) - heading, 2.0 * math.pi))
@@ -183,9 +182,9 @@ def turn_to_see(look: FloatArray, heading: float, field_of_view: float) -> tuple
 
 
 def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotConfig) -> float:
-    """Turn rate, rad/s, towards a target (rad), where `turned` (rad) is done; slow in the end.
+    """Return the turn rate, rad/s, towards a target (rad), of which `turned` (rad) is done; it slows down at the end.
 
-    Smooth: it brakes at a share of the base's limit. The base's own limit shapes the start.
+    It brakes smoothly at a share of the base's limit. The base's own limit shapes the start.
     """
     left = target - turned
     braking = PLANNED_SHARE * robot.max_turn_acceleration
@@ -193,5 +192,5 @@ def turn_in_place(turned: float, target: float, turn_rate: float, robot: RobotCo
 
 
 def at_rest(speed: float, turn_rate: float) -> bool:
-    """Whether measured speeds (m/s, rad/s) are those of a robot that stands."""
+    """Return whether measured speeds (m/s, rad/s) are those of a standing robot."""
     return abs(speed) < REST_SPEED and abs(turn_rate) < REST_TURN_RATE

@@ -1,4 +1,4 @@
-"""Somebody sends the robot to a place: it drives there by the roadmap, looks round, and goes on as before."""
+"""Requested goals: the operator sends the robot to a place; it drives there, looks around, and continues exploring."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _log = logging.getLogger("tfg_drake.operator")
 
 @message
 class RequestedGoal:
-    """The place that the robot was sent to last. count: how many there have been; p_MG: (2,) m in M."""
+    """The last requested place. count: number of requests so far; p_MG: (2,) m in M."""
 
     count: int = 0
     p_MG: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
 
 def goal_asked_for(before: RequestedGoal, places: Sequence[tuple[float, float]], time: float) -> RequestedGoal:
-    """The request after some more, at a time, s: the last of the places (x, y), m in M, counts."""
+    """Return the request after further places (x, y), m in M, at a time, s; the last place counts."""
     x, y = places[-1]
     _log.info("%.2f s: sent to (%.2f, %.2f) in M", time, x, y)
     return RequestedGoal(before.count + len(places), np.array([x, y]))
@@ -35,8 +35,8 @@ def goal_asked_for(before: RequestedGoal, places: Sequence[tuple[float, float]],
 
 @message
 class Sent:
-    """Where the robot is on its way to. count: of the request; node: its id in the roadmap, -1 where nobody has sent
-    the robot anywhere, or it has been there."""
+    """The requested goal in progress. count: of the request; node: its id in the roadmap, -1 without a request or after
+    the robot has been there."""
 
     count: int = 0
     node: int = -1
@@ -45,17 +45,17 @@ class Sent:
 def where_sent(
     before: Sent, requested: RequestedGoal, roadmap: Roadmap, mission: MissionStatus, p_MA: FloatArray
 ) -> Sent:
-    """Where the robot is to go, asked whenever it chooses a goal.
+    """Return the requested goal; called whenever the robot chooses a goal.
 
-    A new request is for the node next to its place of all that can be reached, however far that is. It holds until the
-    robot has looked round there, cannot get there any more, or has failed to MOST_FAILURES times.
+    A new request selects the reachable node nearest to its place, however far that is. It holds until the robot has
+    looked around there, can no longer reach it, or has failed MOST_FAILURES times.
 
     Args:
-        before: the answer to the last such question.
+        before: the result of the previous call.
         requested: the newest request.
         roadmap: with its reachable nodes.
         mission: its status.
-        p_MA: (2,) m in M, where the newest view was taken.
+        p_MA: (2,) m in M, place of the newest view.
     """
     if requested.count != before.count:
         reachable = np.flatnonzero(roadmap.reachable)
@@ -73,7 +73,7 @@ def where_sent(
 
 
 def goal_there(choice: GoalChoice, node: int, roadmap: Roadmap, reason: str = REASON) -> GoalChoice:
-    """A stage's choice with another goal: a node of the roadmap by its id, to look all round at."""
+    """Return a stage's choice with another goal: a node of the roadmap, by id, where the robot looks all around."""
     return replace(
         choice,
         node=node,

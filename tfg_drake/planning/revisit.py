@@ -1,8 +1,8 @@
-"""Where to look once more when all is explored: the place that takes most off the landmarks' expected squared error.
+"""The second look after exploration: finds the place that reduces the landmarks' expected squared error most.
 
-Entropy is the determinant of the landmarks' covariance, the squared error its trace: a map can be rich in nats and yet
-be bent. Nats are earned by any tag that is seen again; a bend is taken out where what was seen first and what was seen
-long after meet. The joint Gaussian tells where that is (A-optimality, where entropy is D-optimality).
+Entropy depends on the determinant of the landmarks' covariance, the squared error on its trace: a map can have low
+entropy and yet be bent. Seeing any tag again lowers the entropy; a bend is removed where early and late parts of the
+map meet. The joint Gaussian determines these places (A-optimality, while entropy is D-optimality).
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ SAMPLE = 400
 
 
 def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
-    """The share of the landmarks' expected RMS error that a turn at each of the nodes (v,) of the roadmap removes,
-    over the share of the mission's time that it then has taken, (v,); 0 where a place is not asked.
+    """Return the share of the landmarks' expected RMS error that a turn at each of the nodes (v,) of the roadmap
+    removes, divided by the share by which it lengthens the mission, (v,); 0 for places not evaluated.
 
-    Above 1 the product of error and time falls. By the squared error measuring everything all over again would stay
-    worth 1, and the mission never end where errors of landmarks are independent. Of a large map the landmarks that are
-    known jointly speak for all. What is seen on the way is not counted.
+    Above 1 the product of error and time falls. With the squared error, measuring everything again would always be
+    worth 1, and the mission would never end if landmark errors were independent. On a large map the jointly known
+    landmarks represent all. Observations on the way do not count.
     """
     estimate, roadmap, parameters, turns = now.landmarks, now.roadmap, now.parameters, now.turns
     value = np.zeros(len(nodes))
@@ -59,8 +59,8 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
 
 
 def known_jointly(targets: Targets, covariance: FloatArray) -> tuple[Targets, FloatArray]:
-    """The t targets whose landmarks are known jointly, and the covariance (2t + 3, 2t + 3) of their places, row by row,
-    and of the departure pose. covariance: (2n + 3, 2n + 3) of those landmarks and the pose."""
+    """Return the t targets whose landmarks are jointly known, and the covariance (2t + 3, 2t + 3) of their places, row
+    by row, and of the departure pose. covariance: (2n + 3, 2n + 3) of those landmarks and the pose."""
     joint = targets.entry >= 0
     targets = Targets._make(column[joint] for column in targets)
     for _ in range(2):
@@ -70,11 +70,11 @@ def known_jointly(targets: Targets, covariance: FloatArray) -> tuple[Targets, Fl
 
 
 def known_together(seen: Visibility, covariance: FloatArray) -> BoolArray:
-    """Which of the targets in view, one truth value for each entry of seen.index, are known relative to the others
-    there as well as the walls that hide them.
+    """Return a mask of the targets in view, one value for each entry of seen.index, that are known relative to the
+    others there as well as the walls that could hide them.
 
-    All is explored, so what can be seen from a place has been seen with what is round it. What has not hangs on the
-    rest of the map by a long way, and only that way's error has put it before the wall that it is behind.
+    After exploration every target visible from a place has been seen together with its surroundings. A target that has
+    not is connected to the rest of the map by a long path, whose error alone has moved it in front of its wall.
 
     covariance: (2t + 3, 2t + 3) of the targets and a pose.
     """
@@ -89,7 +89,8 @@ def known_together(seen: Visibility, covariance: FloatArray) -> BoolArray:
 def error_removed(
     points: FloatArray, Q: FloatArray, X_MD: FloatArray, known: Known, squared: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """By how much, (c,) m^2, a turn at each point (c, 2), m in M, lowers the trace of the covariance of targets L.
+    """Return the reduction (c,), m^2, of the trace of the covariance of targets L by a turn at each point (c, 2), m in
+    M.
 
     With S the joint covariance of targets, L among them, and the departure pose, G and K the whitened Jacobians of the
     measurements by targets and arrival pose, and J = [G, K F], F from departure to arrival,

@@ -1,4 +1,4 @@
-"""A drive that somebody else has thought out, place by place: the paper's human operator."""
+"""A predefined drive, place by place, such as that of the paper's human operator."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from tfg_drake.planning.path import PATH_STEP, resample
 
 
 def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
-    """The goal of a stage: place number stage - 1 of the drive (n, 2), m in M, or the end, by the map's own account.
+    """Return the goal of a stage: place number stage - 1 of the drive (n, 2), m in M, or the end with the map's
+    verdict.
 
-    Whoever drove thought to have seen everything; where the map has open frontiers left, it was not so.
+    The driver intended to see everything; open frontiers show that something was missed.
     """
     if stage <= len(drive):
         reason = f"Place {stage} of {len(drive)} of the drive is next."
@@ -21,7 +22,7 @@ def next_place(drive: FloatArray, stage: int, tfg: TfgMap) -> GoalChoice:
 
 
 def end_of_drive(stage: int, tfg: TfgMap) -> GoalChoice:
-    """The goal of a stage when the drive is over: none, and how complete the map is by its own account."""
+    """Return the goal of a stage after the drive: none, with the completeness according to the map."""
     left = float(tfg.frontier_length.sum())
     verdict = "complete" if left == 0.0 else "stuck"
     reason = (
@@ -33,5 +34,5 @@ def end_of_drive(stage: int, tfg: TfgMap) -> GoalChoice:
 
 
 def straight_path(path_id: int, stage: int, X_MB: FloatArray, p_MG: FloatArray) -> Path:
-    """The straight way from the robot X_MB (3,) to a place (2,), m in M."""
+    """Return the straight path from the robot X_MB (3,) to a place (2,), m in M."""
     return Path(path_id, stage, resample(np.stack([X_MB[:2], p_MG]), PATH_STEP))

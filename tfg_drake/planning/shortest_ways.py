@@ -14,8 +14,8 @@ from tfg_drake.messages import FloatArray, IntArray
 class Ways(NamedTuple):
     """The cheapest ways to n nodes from any of several sources.
 
-    cost: (n,), inf where unreachable. predecessor: (n,) the node before each, n where the way begins at it, -1 where
-    it is unreachable. order: (r,) the nodes that are reached, by increasing cost.
+    cost: (n,), inf if unreachable. predecessor: (n,) the node before each, n if the way begins at it, -1 if it is
+    unreachable. order: (r,) the reachable nodes, by increasing cost.
     """
 
     cost: FloatArray
@@ -26,8 +26,8 @@ class Ways(NamedTuple):
 def joined(
     edges: IntArray, weight: FloatArray, count: int, sources: IntArray | None = None, start: FloatArray | None = None
 ) -> csr_array:
-    """The graph of edges (e, 2), either way, of weight (e,) between count nodes; with sources (s,), all different, one
-    of (count + 1) nodes, of which the last leads to each of them at the cost start (s,)."""
+    """Return the undirected graph of edges (e, 2) with weights (e,) between count nodes; with sources (s,), all
+    different, a graph of count + 1 nodes whose last node leads to each source at the cost start (s,)."""
     a, b = edges.T
     if sources is None or start is None:
         return csr_array((np.tile(weight, 2), (np.append(a, b), np.append(b, a))), shape=(count, count))
@@ -36,8 +36,8 @@ def joined(
 
 
 def shortest_ways(edges: IntArray, weight: FloatArray, count: int, sources: IntArray, start: FloatArray) -> Ways:
-    """The Ways to all of count nodes along edges (e, 2), either way, of positive weight (e,), inf for those that are
-    closed, from sources (s,), all different, each of which it costs start (s,) to begin at."""
+    """Return the Ways to all of count nodes along undirected edges (e, 2) of positive weight (e,), inf for closed ones,
+    from sources (s,), all different, with initial costs start (s,)."""
     graph = joined(edges, weight, count, sources, start)
     cost, predecessor = dijkstra(graph, indices=count, return_predecessors=True)
     cost, reached = cost[:count], np.isfinite(cost[:count])

@@ -1,12 +1,12 @@
-"""The probability that a room which the robot could enter is undiscovered, by the openings of the known free space.
+"""The probability that a room which the robot could enter is undiscovered, from the openings of the known free space.
 
-Each opening i hides a region of A square metres at least with a probability p_i(A), and each tells by itself:
+Each opening i hides a region of at least A square metres with a probability p_i(A), independently of the others:
 
     P(A) = 1 - (1 - q) prod_i (1 - p_i(A))
     logit p_i = b + u log(U_i / A) + w log(width_i) - c    where the map leaves room for it, U_i >= A, else p_i = 0
 
-c counts where the robot cannot pass. U_i is `Openings.unknown`. q is for what no opening shows: a door that was shut
-all the time, or a surface that is none.
+c applies if the robot cannot pass. U_i is `Openings.unknown`. q accounts for regions that no opening shows, behind a
+door that was always shut or a surface that does not exist.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ BIAS, BY_UNKNOWN, BY_WIDTH, IMPASSABLE, NO_OPENING = -4.58, 0.746, 2.1, -5.56, 0
 
 
 def undiscovered(openings: Openings, areas: tuple[float, ...] = AREAS) -> FloatArray:
-    """The probability (a,) that a room of at least each area (a,), m^2, that the robot could enter is undiscovered."""
+    """Return the probability (a,) that a room of at least each area (a,), m^2, that the robot could enter is
+    undiscovered."""
     logit = BIAS + BY_WIDTH * np.log(openings.width) + IMPASSABLE * is_impassable(openings)
     return np.array([1.0 - (1.0 - NO_OPENING) * np.prod(1.0 - _hides(openings, logit, area)) for area in areas])
 
 
 def is_impassable(openings: Openings) -> BoolArray:
-    """Openings (o,) that the robot, as the map has them, can never pass."""
+    """Return a mask of the openings (o,) that the robot can never pass according to the map."""
     return np.isin(openings.why, (KEPT_OUT, TOO_NARROW))
 
 
 def _hides(openings: Openings, logit: FloatArray, area: float) -> FloatArray:
-    """The probability (o,) that each opening hides a region of an area, m^2, at least."""
+    """Return the probability (o,) that each opening hides a region of at least an area, m^2."""
     share = openings.unknown / area
     return np.where(share >= 1.0, 1.0 / (1.0 + np.exp(-logit - BY_UNKNOWN * np.log(np.maximum(share, 1.0)))), 0.0)

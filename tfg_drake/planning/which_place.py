@@ -1,10 +1,10 @@
-"""What a look tells of which of several places of a known map the robot is in.
+"""The expected information of a look about the robot's place among several places of a known map.
 
-By each hypothesis the map says what is seen from a place. Where two say different things every metre of surface that is
-seen speaks for one of them. The expected information about which is true, nats, is the entropy of the mixture of what
-may be seen, by the distances of its components from each other (Kolchinsky and Tracey, "Estimating Mixture Entropy with
-Pairwise Distances", Entropy 2017): at most the logarithm of their number, and 0 where they agree. None is believed
-before all others are refuted, so they count alike, however unlikely they are.
+For each hypothesis the map predicts the view from a place. Where two predictions differ, every metre of observed
+surface supports one of them. The expected information about the true one, nats, is the entropy of the mixture of
+predicted views, from the pairwise distances of its components (Kolchinsky and Tracey, "Estimating Mixture Entropy with
+Pairwise Distances", Entropy 2017): at most the logarithm of their number, and 0 if they agree. A hypothesis is accepted
+only after all others are refuted, so all have equal weights, however unlikely they are.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ LEAST_TOLD = 0.05
 
 
 def place_information(points: FloatArray, hypotheses: Hypotheses | None, scan_range: float) -> FloatArray:
-    """The information (n,), nats, that a look from each of the points (n, 2), m in M, is expected to bring about which
-    of the hypotheses is true. scan_range: m."""
+    """Return the expected information (n,), nats, about the true hypothesis from a look at each of the points (n, 2), m
+    in M. scan_range: m."""
     told = np.zeros(len(points))
     if hypotheses is None or len(hypotheses.X_KM) < 2:
         return told

@@ -125,8 +125,8 @@ class Prior(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Poses X (k, 3) in M of a frame, the likeliest first, and the probability (k,) of each; what is left of 1 is that
-    it is none of them. tells: (k,) whether the place is told in both directions."""
+    """Poses X (k, 3) in M of a frame, the likeliest first, and the probability (k,) of each; the rest to 1 is the
+    probability of none of them. tells: (k,) mask of the places that are determined in both directions."""
 
     X: FloatArray
     probability: FloatArray
