@@ -1,4 +1,4 @@
-"""The drift of landmarks: how uncertain they are relative to the robot, and which are known jointly with it."""
+"""The drift of landmarks: their uncertainty relative to the robot, and which of them are jointly known with it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ DRIFT_SIGMAS = 3.0
 
 
 def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
-    """Covariance (n, 2, 2), m^2 along the axes of M, of where the landmarks of these rows (n,) lie seen from the last
+    """Return the covariances (n, 2, 2), m^2 along the axes of M, of the landmarks in rows (n,) relative to the last
     departure pose.
 
-    What the robot has just seen is small here, however uncertain both are in M. Those too far away to be known jointly
-    with it may have drifted by MOST_DRIFT.
+    They are small for landmarks just seen, however uncertain both are in M. Landmarks too far away to be jointly known
+    with the pose may have drifted by MOST_DRIFT.
     """
     drift = np.tile(MOST_DRIFT**2 * np.eye(2), (len(rows), 1, 1))
     entry = estimate.local_entry[rows]
@@ -45,8 +45,8 @@ def drift_from_robot(estimate: MapEstimate, rows: IntArray) -> FloatArray:
 
 
 def known_jointly(points: FloatArray, estimate: MapEstimate, reach: float = NEIGHBOURHOOD) -> BoolArray:
-    """Whether all landmarks within reach (m) of each of the points (n, 2), in M, are known jointly with the departure
-    pose, (n,)."""
+    """Return a mask (n,) of the points (n, 2), in M, around which all landmarks within reach (m) are jointly known with
+    the departure pose."""
     others = ~estimate.is_local
     if not others.any() or not len(points):
         return np.ones(len(points), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""The topological feature graph as it is kept, and the part of it that is near the newest view."""
+"""The stored form of the topological feature graph, and its part near the newest view."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class TfgGraph:
     """The graph in the coordinates of its walls and views.
 
     stage: number of views in it. surfaces: obstacle surfaces. tag_ids: (n,) ascending, tag_view: (n,) and tag_facing:
-    (n, 2): the side each landmark faces, a unit vector in that view's frame; tag_range: (n,) m from where it was seen.
+    (n, 2): the side each tag faces, a unit vector in that view's frame; tag_range: (n,) distance of that sighting, m.
     star_offsets: (k + 1,), star_vertices: (v, 2) in each view's frame, m. frontiers: points where free space ends at
-    the unknown and no star has covered it yet, and before faces that no view has seen, or none well. met: points of
-    dynamic obstacles, until they are seen past, met_stamp: (p,) when they were met, s.
+    the unknown, not yet covered by a star, and points in front of faces that no view has seen, or none well. met:
+    points of dynamic obstacles, until they are seen past, met_stamp: (p,) time when they were met, s.
     """
 
     stage: int
@@ -46,10 +46,10 @@ _NEAR = {"f": "frontiers", "p": "met"}
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """A part of a graph: what is near a view.
+    """The part of a graph near a view.
 
-    rows: by each of the graph's axes, which of the whole graph's rows are in it. graph: the part by itself, with the
-    stars of its views only. estimate: the map with the landmarks that are near, or that something near is anchored to
+    rows: for each of the graph's axes, the rows of the whole graph that are in it. graph: the part by itself, with the
+    stars of its views only. estimate: the map with the landmarks nearby, and those that something nearby is anchored to
     or joins.
     """
 
@@ -59,7 +59,7 @@ class Part:
 
 
 def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
-    """The part of the graph that lies within a radius (m) of the newest view of the estimate, or was seen by that."""
+    """Return the part of the graph within a radius (m) of the newest view of the estimate, or seen by that view."""
     X_MA = estimate.X_MA
 
     def near(points: FloatArray) -> BoolArray:
@@ -82,7 +82,7 @@ def part_of(graph: TfgGraph, estimate: MapEstimate, radius: float) -> Part:
 
 
 def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
-    """The graph with a part of it as it has become since, with the newest view, which is the last of its stars."""
+    """Return the graph with a part replaced by its changed version, which has the newest view as its last star."""
     both = concat(take(graph, **{axis: ~near for axis, near in part.rows.items()}), changed)
     views = part.rows["k"]
     return take(
@@ -95,8 +95,8 @@ def with_part(graph: TfgGraph, part: Part, changed: TfgGraph) -> TfgGraph:
 
 
 def behind(first: TfgGraph, second: TfgGraph) -> TfgGraph:
-    """Two graphs of one map as one, the second's views behind the first's. A tag of both faces as it was seen from
-    nearest by."""
+    """Return two graphs of one map as one, with the second's views after the first's. The facing of a common tag is
+    that of the nearest sighting."""
     later: dict[str, Any] = {
         name: replace(anchored, view=anchored.view + first.stage)
         for name, anchored in vars(second).items()
@@ -107,6 +107,6 @@ def behind(first: TfgGraph, second: TfgGraph) -> TfgGraph:
 
 
 def seen_nearest(graph: TfgGraph) -> TfgGraph:
-    """The graph with each tag once, as it was seen from nearest by."""
+    """Return the graph with each tag once, by its nearest sighting."""
     tags = np.lexsort((graph.tag_range, graph.tag_ids))
     return take(graph, n=tags[np.unique(graph.tag_ids[tags], return_index=True)[1]])

@@ -1,8 +1,8 @@
-"""Frontiers: where a turn's free space ends at the unknown, not at a surface.
+"""Frontiers: places where free space ends at the unknown, not at a surface.
 
 They lie along the shadow edges and maximum-range arcs of every view's star polygon, a little inside the unknown, and
-along faces of surfaces that no turn has seen, or none well enough to have found a tag there. All are kept in the frame
-A of a view, so that they move with the map.
+along faces of surfaces that no turn has seen, or none well enough to find a tag there. All are stored in the frame A of
+a view, so that they move with the map.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ FREE, UNSEEN, POORLY_SEEN = range(3)
 
 @message
 class FrontierPoints:
-    """Points kept in views' frames, or all placed in one frame.
+    """Frontier points in views' frames, or all in one frame.
 
-    view: (f,) whose frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to where it was seen from;
-    of a face its normal. length: (f,) m. kind: (f,) FREE, UNSEEN or POORLY_SEEN. tries: (f,) how many views have tried
-    it in vain.
+    view: (f,) the view of the frame A. p: (f, 2) m. normal: (f, 2) unit vectors from the unknown back to the view; for
+    a face its normal. length: (f,) m. kind: (f,) FREE, UNSEEN or POORLY_SEEN. tries: (f,) number of views that have
+    tried it in vain.
     """
 
     view: Annotated[IntArray, "f"]
@@ -69,7 +69,7 @@ class FrontierPoints:
 
     @property
     def on_face(self) -> BoolArray:
-        """Which points (f,) stand for a face."""
+        """Mask of the points (f,) that stand for a face."""
         return np.asarray(self.kind != FREE)
 
 
@@ -82,17 +82,17 @@ def points_of(
 
 
 def place_points(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
-    """The points in the map frame, with the views' poses X_MA (k, 3)."""
+    """Return the points in the map frame, with the views' poses X_MA (k, 3)."""
     pose = X_MA[points.view]
     p, normal = pose[:, :2] + turned(points.p, pose[:, 2]), turned(points.normal, pose[:, 2])
     return replace(points, p=p, normal=normal)
 
 
 def find_frontiers(panorama: Panorama, links: BoolArray, least_gap: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Frontier points of one panorama in A: p (f, 2), m, normal (f, 2) and length (f,), m.
+    """Return the frontier points of one panorama in A: p (f, 2), m, normal (f, 2) and length (f,), m.
 
-    links: (b,) whether a bin and the next one saw the same surface. least_gap: shadow edges shorter than this (m) are
-    let be: the robot does not fit through.
+    links: (b,) mask of bins that saw the same surface as the next one. least_gap: shorter shadow edges (m) are ignored,
+    as the robot does not fit through.
     """
     angles, ranges = panorama.angles, panorama.ranges
     free = np.isinf(ranges)
@@ -168,12 +168,12 @@ def _runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
 def find_faces(
     view: IntArray, offsets: IntArray, vertices: FloatArray, stars: Stars, tags: TagSensorConfig
 ) -> FrontierPoints:
-    """Frontier points before faces of surfaces that no view has seen, or none well enough to find a tag there.
+    """Return frontier points in front of faces of surfaces that no view has seen, or none well enough to find a tag.
 
-    A face is seen well by a view that has what lies in front of it in its star, near enough and not too slantwise for
-    the tag sensor. Free space that begins right behind a surface means a thin wall; where no surface faces it, the far
-    face has not been seen. offsets, vertices: all surfaces, packed, m in M as the stars and the points; view: (s,) that
-    saw each, which is that of its points.
+    A view sees a face well if its star contains the space in front of it, near enough and not too oblique for the tag
+    sensor. Free space right behind a surface means a thin wall; if no surface faces that space, the far face has not
+    been seen. offsets, vertices: all surfaces, packed, m in M like the stars and the points; view: (s,) that saw each,
+    also used for its points.
     """
     points, normals, owner, start, stop = sample(offsets, vertices, FACE_SPACING)
     segments, _ = segments_of(offsets, vertices)
@@ -203,10 +203,10 @@ def _parts(owner: IntArray, start: FloatArray, stop: FloatArray, which: BoolArra
 def find_open_ends(
     offsets: IntArray, vertices: FloatArray, stars: tuple[IntArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Points (u, 2) in front of faces that no turn has seen, only the corner where they begin, normals (u, 2), and the
-    surface (u,) of each.
+    """Return points (u, 2) in front of faces of which only the corner has been seen, normals (u, 2), and the surface
+    (u,) of each.
 
-    There a surface ends in the open: no other one goes on, but what lies behind it is free. offsets, vertices: all
+    There a surface ends in the open: no other one continues it, but the space behind it is free. offsets, vertices: all
     surfaces, packed, m. stars: as in `tfg_drake.geometry.star.inside_any`, in the same frame.
     """
     at = np.concatenate([vertices[offsets[:-1]], vertices[offsets[1:] - 1]])
@@ -231,15 +231,15 @@ def find_open_ends(
 
 
 def in_front(p: FloatArray, normal: FloatArray, segments: FloatArray, distance: float) -> FloatArray:
-    """Points (n, 2) a distance (m) in front of surface points p (n, 2) with unit normals (n, 2), nearer in a narrow
-    place. segments: (m, 4) all surfaces, their fronts on the left, in the same frame, m."""
+    """Return points (n, 2) at a distance (m) in front of surface points p (n, 2) with unit normals (n, 2), nearer in
+    narrow places. segments: (m, 4) all surfaces, their fronts on the left, in the same frame, m."""
     # Their own surface may have been mapped again a little nearer: its front is not opposite.
     narrow = enter(np.hstack([p + NARROW_SHARE * distance * normal, p + NARROW * normal]), segments)
     return np.asarray(p + np.where(narrow, NARROW_SHARE, 1.0)[:, None] * distance * normal)
 
 
 def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
-    """Which frontier points no surface explains, (f,): none runs through them, none cuts them off from the free side.
+    """Return a mask (f,) of the frontier points that no surface runs through or separates from the free side.
 
     points and segments (m, 4) in one frame.
     """
@@ -250,16 +250,16 @@ def open_frontiers(points: FrontierPoints, segments: FloatArray) -> BoolArray:
 
 
 def _off_surface(p: FloatArray, segments: FloatArray) -> BoolArray:
-    """Which points p (f, 2) no surface (m, 4) runs through, (f,)."""
+    """Return a mask (f,) of the points p (f, 2) that no surface (m, 4) runs through."""
     return np.asarray(clearance(np.hstack([p, p]), segments, ON_SURFACE) >= ON_SURFACE)
 
 
 def far_from(p: FloatArray, others: FloatArray, distance: float) -> BoolArray:
-    """Which points (n, d) have none of the others (m, d) within distance, (n,)."""
+    """Return a mask (n,) of the points (n, d) with none of the others (m, d) within a distance."""
     return np.asarray(cKDTree(others).query(p)[0] > distance)
 
 
 def tried_like(points: FrontierPoints, before: FrontierPoints, distance: float) -> FrontierPoints:
-    """The points, each tried as often as the nearest of those before, in the same frame, if that is within distance."""
+    """Return the points with the tries of the nearest earlier point, in the same frame, within a distance."""
     _, nearest = cKDTree(before.p).query(points.p, distance_upper_bound=distance)
     return replace(points, tries=np.append(before.tries, 0)[nearest])

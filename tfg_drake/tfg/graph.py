@@ -1,8 +1,8 @@
-"""The topological feature graph: how every view extends it, and where the current map estimate places it.
+"""The topological feature graph: its extension by every view, and its placement by the current map estimate.
 
-Sec. III-A of Mu et al. (CDC 2016): landmarks are vertices, two landmarks are joined where an obstacle surface
-runs from one to the other. Beyond the paper, wall ends, surfaces without a landmark and free star polygons are kept,
-all anchored to walls or views, so that they move with the map when a loop closes.
+Sec. III-A of Mu et al. (CDC 2016): landmarks are vertices, and an edge joins two landmarks if an obstacle surface runs
+from one to the other. Beyond the paper, surfaces with one landmark or none and free star polygons are stored, all
+anchored to walls or views, so that they move with the map when a loop closes.
 """
 
 from __future__ import annotations
@@ -89,13 +89,12 @@ def update(
     *,
     glance: bool = False,
 ) -> TfgGraph:
-    """The graph with the newest view of the estimate added. On a large map only what is near that view changes.
+    """Return the graph with the newest view of the estimate added. On a large map only the part near it changes.
 
-    estimate: the map of tags and walls at stage graph.stage + 1. panorama: what that view's turn saw, in its arrival
-    frame. glance: the view is a glance on the way, no attempt at what was open
-    there.
+    estimate: the map of tags and walls at stage graph.stage + 1. panorama: of that view, in its arrival frame. glance:
+    the view is a glance, which does not count as an attempt.
 
-    Raises ValueError where the estimate is of another stage.
+    Raises ValueError if the estimate is of another stage.
     """
     if estimate.stage != graph.stage + 1:
         raise ValueError(f"The graph holds {graph.stage} views: it cannot take stage {estimate.stage} of the map next.")
@@ -112,7 +111,7 @@ def update(
 
 @dataclasses.dataclass(frozen=True)
 class _Scene:
-    """The newest view, see `update`. radius: m, the graph is changed only so near to it."""
+    """The newest view, see `update`. radius: m, around it, within which the graph changes."""
 
     estimate: MapEstimate
     panorama: Panorama
@@ -124,7 +123,7 @@ class _Scene:
 
 
 def _with_view(graph: TfgGraph, views: IntArray, scene: _Scene) -> TfgGraph:
-    """The graph, or a part of it, with the newest view added; views: (k,) those whose stars it holds."""
+    """Return the graph, or a part of it, with the newest view added; views: (k,) those whose stars it holds."""
     estimate = scene.estimate
     view, X_MA = estimate.stage - 1, estimate.X_MA
     graph, panorama = _without_dynamic(graph, scene.panorama, estimate, X_MA[views])
@@ -272,9 +271,10 @@ def _without_dynamic(
 
 
 def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSensorConfig) -> TfgGraph:
-    """Two graphs of one map as one, the second's views behind the first's: what either has seen is open no longer.
+    """Return two graphs of one map as one, with the second's views after the first's and the frontiers that neither has
+    covered.
 
-    estimate: of tags, walls and all views. tags: how near and how slantwise a surface is seen well.
+    estimate: of tags, walls and all views. tags: sensor whose range and incidence define well-seen surface.
     """
     graph, X_MA = behind(first, second), estimate.X_MA
     surfaces = without_doubles(graph.surfaces, len(first.surfaces.view), estimate)
@@ -290,12 +290,12 @@ def joined(first: TfgGraph, second: TfgGraph, estimate: MapEstimate, tags: TagSe
 
 
 def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer: ExplorerConfig) -> TfgMap:
-    """The graph in the map frame, with the estimate's tags, walls and views; the estimate's stage is the graph's.
+    """Return the graph in the map frame, with the estimate's tags, walls and views; both have the same stage.
 
-    Surfaces that have drifted into free space are left out until they fit again (see `tfg_drake.tfg.overlap`).
-    Tags that no other surface joins get no facing, so they count as visible from nowhere.
-    Frontiers that explorer.frontier_attempts views have tried in vain are given up. What fewer have tried counts for
-    less: a sliver gets one try, a doorway two, and only a wide opening all of them.
+    Surfaces that have drifted into free space are omitted until they fit again (see `tfg_drake.tfg.overlap`). Tags that
+    no other surface joins get no facing, so they count as invisible. Frontiers that explorer.frontier_attempts views
+    have tried in vain are given up. Fewer attempts reduce the weight: a sliver gets one try, a doorway two, and only a
+    wide opening all of them.
     """
     tags = is_tag(estimate.ids)
     tag_ids, p_ML = estimate.ids[tags], estimate.p_ML[tags]
@@ -340,25 +340,25 @@ def resolve(graph: TfgGraph, estimate: MapEstimate, robot: RobotConfig, explorer
 
 
 def expects_tags(inspected: float, tags: int, landmarks: str) -> bool:
-    """Whether surface that was not seen, or not well enough to find a tag, is worth a look for tags alone.
+    """Return whether surface that was not seen, or not well enough to find a tag, is worth a look for tags.
 
-    inspected: m of surface that was. tags: how many were seen. landmarks: as in ExplorerConfig.
+    inspected: m of well-seen surface. tags: number of tags seen. landmarks: as in ExplorerConfig.
     """
     return landmarks == "tags" or (landmarks == "both" and (tags > 0 or inspected < WITHOUT_TAGS))
 
 
 def empty_map() -> TfgMap:
-    """The TfgMap of the empty graph."""
+    """Return the TfgMap of the empty graph."""
     return empty(TfgMap)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Placed:
-    """The graph's surfaces and stars where the map estimate puts them.
+    """The graph's surfaces and stars, placed by the map estimate.
 
-    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface each is of. stand: (m,) which have not
-    drifted into the free space of the stars. stars: in the map frame. weak: what says nothing of the surroundings of
-    the robot.
+    pieces: (m, 4) of surface in the map frame, m, owner: (m,) the surface of each. stand: (m,) mask of those that have
+    not drifted into the free space of the stars. stars: in the map frame. weak: parts weakly tied to the robot's
+    surroundings.
     """
 
     pieces: FloatArray
@@ -397,8 +397,8 @@ def _is_open(points: FrontierPoints, placed: _Placed) -> BoolArray:
 
 
 def explored_elsewhere(points: FrontierPoints, stars: Stars, estimate: MapEstimate) -> BoolArray:
-    """Which frontier points (f,) are explored, because another arm of a closed loop has seen free space there: the
-    point and the place MOST_DRIFT behind it lie inside the stars, and the landmarks there are known jointly."""
+    """Return a mask of the frontier points (f,) that another arm of a closed loop has explored: the point and the place
+    MOST_DRIFT behind it lie inside the stars, and the landmarks there are jointly known."""
     explored = inside_any(points.p, *stars.polygons)
     inside = take(points, explored)
     behind = inside.p - MOST_DRIFT * inside.normal
@@ -417,7 +417,7 @@ def _openings(points: FrontierPoints, robot: RobotConfig) -> FrontierPoints:
 
 
 def anchored(points: FrontierPoints, X_MA: FloatArray) -> FrontierPoints:
-    """Points placed in M, each in the frame of its view; X_MA: (k, 3)."""
+    """Return points in M, each in the frame of its view; X_MA: (k, 3)."""
     d, theta = points.p - X_MA[points.view, :2], X_MA[points.view, 2]
     return replace(points, p=turned(d, -theta), normal=turned(points.normal, -theta))
 

@@ -1,7 +1,7 @@
-"""What is near: on a large map a stage looks only at what lies round the newest view.
+"""The area near the newest view, to which each stage is limited on a large map.
 
-A map is large where not all of its landmarks are known jointly with the robot's pose (`slam/map_solver.py`). So a stage
-costs what the robot's surroundings do, however large the building is.
+A map is large if not all of its landmarks are jointly known with the robot's pose (`slam/map_solver.py`). So the cost
+of a stage depends on the robot's surroundings, not on the size of the building.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ RADIUS = 20.0
 
 
 def radius_of(estimate: MapEstimate) -> float:
-    """Distance, m, from the newest view within which places are near; inf on a map that is known jointly."""
+    """Return the distance, m, from the newest view within which places are near; inf on a jointly known map."""
     return math.inf if estimate.is_joint else RADIUS
 
 
 def within(points: FloatArray, place: FloatArray, radius: float) -> BoolArray:
-    """Which points (n, 2) lie within a radius (m) of a place or pose (2 or 3,), (n,)."""
+    """Return a mask (n,) of the points (n, 2) within a radius (m) of a place or pose (2 or 3,)."""
     return np.asarray(np.hypot(points[:, 0] - place[0], points[:, 1] - place[1]) <= radius)

@@ -1,12 +1,12 @@
-"""Which surfaces are believed where the map overlaps itself before a loop closes.
+"""Resolves overlaps of the map with itself before a loop closes.
 
 The two faces of a wall share no landmark. Until a loop closes, surfaces mapped from one side may therefore lie in free
-space seen from the other side, such as the walls of a room in the corridor outside. Then the surface is believed whose
-view is closer to the newest view along the ties of the map, as its place relative to the robot is known better.
+space seen from the other side, such as the walls of a room in the corridor outside. Then the view that is closer to the
+newest view along the ties of the map decides, as its place relative to the robot is known better.
 
 A room that was reached along another arm of the loop is tied to the robot so weakly that its place relative to the
-corridor is unknown; so is all that was mapped before somebody carried the robot off. What its views found and what the
-newest view finds say nothing of each other: else frontiers would be lost where the two lie over each other.
+corridor is unknown; so is everything mapped before a kidnapping. The findings of such views and of the newest view do
+not affect each other, or frontiers would be lost where the two overlap.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ def standing(
     star_view: IntArray,
     estimate: MapEstimate,
 ) -> BoolArray:
-    """Which surfaces (s,) are believed to be where they are mapped.
+    """Return a mask of the surfaces (s,) that stand where they are mapped.
 
-    A surface is not believed where a view has looked through it that is closer to the newest view, along the ties of
-    the map, than the surface's own view (see `distance_along_map`).
+    A surface does not stand if a view has looked through it that is closer to the newest view, along the ties of the
+    map, than the surface's own view (see `distance_along_map`).
 
     vertices: (v, 2) of the surfaces in the map frame, m. tag_ids, tag_view: (n,) landmarks and a view that saw each.
     stars: in the map frame, star_view: (k,) the view of each.
@@ -63,8 +63,8 @@ def standing(
 
 @dataclasses.dataclass(frozen=True)
 class WeaklyTied:
-    """Which parts of the map have an unknown place relative to the robot, as they were mapped along another arm of a
-    loop that has not closed.
+    """The parts of the map with an unknown place relative to the robot, as they were mapped along another arm of an
+    open loop.
 
     views: (k,) of the map, surfaces: (s,) of the graph.
     """
@@ -74,10 +74,10 @@ class WeaklyTied:
 
 
 def known_badly(estimate: MapEstimate) -> BoolArray:
-    """Which landmarks (n,) have a variance relative to the robot beyond what drift on its own way explains.
+    """Return a mask of the landmarks (n,) whose variance relative to the robot exceeds the drift on its own way.
 
-    The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never among
-    them."""
+    The least variance of all is the robot's own and is subtracted. Landmarks seen by the newest view are never badly
+    known."""
     badly = np.zeros(len(estimate.ids), dtype=np.bool_)
     known = estimate.is_local
     if known.any():
@@ -92,8 +92,8 @@ def known_badly(estimate: MapEstimate) -> BoolArray:
 def weakly_tied(
     surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray, estimate: MapEstimate, landmarks: BoolArray
 ) -> WeaklyTied:
-    """The weakly tied parts of a large map: views that saw none but landmarks of unknown place relative to the robot of
-    those known jointly, and the surfaces of these views or landmarks.
+    """Return the weakly tied parts of a large map: views that saw, of the jointly known landmarks, only ones of unknown
+    place relative to the robot, and the surfaces of these views or landmarks.
 
     tag_ids, tag_view: (m,) landmarks and a view that saw each. landmarks: (n,) those, see `known_badly`.
     """
@@ -116,7 +116,8 @@ def _saw(surfaces: Surfaces, tag_ids: IntArray, tag_view: IntArray) -> tuple[Int
 
 
 def distance_along_map(view: IntArray, ids: IntArray, views: IntArray, estimate: MapEstimate) -> FloatArray:
-    """Length (k,), m, of the shortest way along the map's ties from the last of `views` to each view; inf without one.
+    """Return the length (k,), m, of the shortest way along the map's ties from the last of `views` to each; inf
+    without.
 
     A tie joins a view with a landmark that it saw, view and ids (p,), or two successive ones of `views` (g,).
     views: ascending.

@@ -1,4 +1,4 @@
-"""One 360-degree scan from the many that a turn in place takes, seen from the arrival frame A."""
+"""Panoramas: the scans of a turn in place merged into one 360-degree scan in the arrival frame A."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ COARSE, WIDEST, GAP, ASLANT = 1.2, 0.1, 1.5, 5.0
 
 @message
 class Panorama:
-    """What a whole turn saw from the origin of A, one entry a bin of bearing, counter-clockwise.
+    """The view of a whole turn from the origin of A, one entry per bin of bearing, counter-clockwise.
 
-    angles: (b,) rad from A's x axis in (0, 2 pi), increasing: the bearing of the point that stands for the bin, the
-    bin's centre where there is none. ranges: (b,) m, inf where the bin is free up to range_max, nan where the turn
-    never looked. range_max: m. sigma: standard deviation of a single ray, m.
+    angles: (b,) rad from A's x axis in (0, 2 pi), increasing: the bearing of the bin's point, the bin's centre without
+    one. ranges: (b,) m, inf if the bin is free up to range_max, nan if the turn never looked there. range_max: m.
+    sigma: standard deviation of a single ray, m.
     """
 
     angles: FloatArray
@@ -47,16 +47,16 @@ class Panorama:
 
     @property
     def points(self) -> FloatArray:
-        """p_AP (b, 2), m, not finite where a bin has no point."""
+        """The points p_AP (b, 2), m, not finite for bins without a point."""
         return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1))
 
     def looked_at(self, bearing: FloatArray) -> BoolArray:
-        """Whether the turn looked in the directions of bearings (n,), rad in A."""
+        """Return whether the turn looked in the directions of bearings (n,), rad in A."""
         return np.asarray(~np.isnan(self.ranges[self._bins_of(bearing)]))
 
     def least_range(self, points: FloatArray, beside: int) -> FloatArray:
-        """The least range (n,), m, that the turn saw in the bins of points (n, 2), m in A, and in so many on either
-        side of each: range_max where a bin is free, 0 where it never looked."""
+        """Return the least range (n,), m, in the bins of points (n, 2), m in A, and in `beside` bins on either side:
+        range_max for free bins, 0 where the turn never looked."""
         reach = np.nan_to_num(self.ranges, nan=0.0, posinf=self.range_max)
         least = minimum_filter1d(reach, 2 * beside + 1, mode="wrap")
         return np.asarray(least[self._bins_of(np.arctan2(points[:, 1], points[:, 0]))])
@@ -69,8 +69,8 @@ class Panorama:
 
 
 def _floating(ranges: FloatArray, rays: IntArray) -> BoolArray:
-    """Which rays of scans (n,), one after the other, stand alone between a nearer surface and a farther one: there is
-    nothing there. rays: (s,) of each scan."""
+    """Return a mask of the rays of consecutive scans (n,) that lie alone between a nearer surface and a farther one,
+    where nothing is. rays: (s,) number of rays of each scan."""
     result = np.zeros(len(ranges), dtype=np.bool_)
     with np.errstate(invalid="ignore"):
         step = np.diff(ranges)
@@ -86,7 +86,7 @@ def _floating(ranges: FloatArray, rays: IntArray) -> BoolArray:
 
 @njit(cache=True)
 def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Bearing and range of each bin, from rays as bearing (n,) in [0, 2 pi) and range (n,), inf where free."""
+    """Return bearing and range of each bin, from rays with bearing (n,) in [0, 2 pi) and range (n,), inf if free."""
     width = 2.0 * np.pi / bins
     index = np.minimum((bearings / width).astype(np.int64), bins - 1)
     start = np.zeros(bins + 1, dtype=np.int64)
@@ -142,9 +142,9 @@ def _merge(bearings: FloatArray, ranges: FloatArray, bins: int, tolerance: float
 
 
 def _finer(scan: LaserScan) -> LaserScan:
-    """A scan whose rays are farther apart than bins with rays between them, one a bin at least: on the chord where both
-    neighbours fell on one surface, as far as the nearer one elsewhere, nan where either says nothing. A ray that alone
-    meets nothing may have been lost, and says nothing."""
+    """Return a scan with rays interpolated to at least one per bin: on the chord if both neighbours hit one surface,
+    otherwise at the range of the nearer one, nan if either is unknown. A single ray without a return may have been lost
+    and counts as unknown."""
     angles, gap = scan.angles, np.diff(scan.angles, append=scan.angles[:1] + 2.0 * np.pi)
     usual, width = (float(np.median(gap)) if len(gap) else 0.0), 2.0 * np.pi / BINS
     if not COARSE * width < usual < WIDEST:
@@ -165,13 +165,13 @@ def _finer(scan: LaserScan) -> LaserScan:
 
 
 def build_panorama(scans: Sequence[LaserScan], stamps: FloatArray, X_AB: FloatArray) -> Panorama:
-    """The panorama of a turn.
+    """Return the panorama of a turn.
 
-    scans: taken during the turn; those outside the stamps are left out. stamps: (t,) s, increasing, and X_AB: (t, 3),
+    scans: taken during the turn; those outside the stamps are ignored. stamps: (t,) s, increasing, and X_AB: (t, 3),
     the turn's poses in the arrival frame A, between which a scan's pose is interpolated. Each bin holds the mean point
-    of the rays that met the surface at the bin's median range.
+    of the rays that hit the surface at the bin's median range.
 
-    Raises ValueError where there is no pose, or no scan at all.
+    Raises ValueError without any pose or scan.
     """
     if not len(stamps):
         raise ValueError("A panorama needs at least one pose of the turn.")

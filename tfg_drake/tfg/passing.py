@@ -1,11 +1,11 @@
-"""Dynamic obstacles: points of a panorama deep inside the free space of an earlier view are left out of the map.
+"""Dynamic obstacles: points of a panorama deep inside the free space of an earlier view are not mapped.
 
-They are people, as a rule. Their body came there after the earlier view, so it is no part of the building. The path
-round them is planned by the scan alone, see `tfg_drake.planning.path`. A body that was there when a place was first
-seen is mapped as a surface, until it is seen past (`tfg_drake.tfg.surfaces`).
+They are usually people, who came after the earlier view and are not part of the building. Paths around them are planned
+by the scan alone, see `tfg_drake.planning.path`. A body that was present when a place was first seen is mapped as a
+surface until it is seen past (`tfg_drake.tfg.surfaces`).
 
-A body that is still at the same place when it is seen later, and has not been seen past meanwhile, is static: a door
-that was shut, or furniture. It is mapped, and cut out of the free space of the earlier views.
+A body that is still at the same place later, and was not seen past in between, is static: a closed door, or furniture.
+It is mapped, and cut out of the free space of the earlier views.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class StaticPanorama:
     """A panorama without dynamic bodies.
 
     panorama: nan where a dynamic body stood, as if the turn had not looked there. left_out: (n, 2) m in A, the points
-    of those bodies. bodies: (k, 2) m in A each, those that have become static and stay in the panorama.
+    of these bodies. bodies: (k, 2) m in A each, the bodies that have become static and stay in the panorama.
     """
 
     panorama: Panorama
@@ -73,10 +73,10 @@ def without_dynamic(
     estimate: MapEstimate,
     before: FloatArray,
 ) -> StaticPanorama:
-    """The newest view's panorama without dynamic bodies.
+    """Return the newest view's panorama without dynamic bodies.
 
-    It is compared with those earlier views that have landmarks well known relative to the robot round them. stars: of
-    the earlier views, in the map frame. before: (n, 2) m in M, the points that were left out at least STAYS ago.
+    It is compared with the earlier views around which landmarks are well known relative to the robot. stars: of the
+    earlier views, in the map frame. before: (n, 2) m in M, the points that were left out at least STAYS ago.
     """
     unchanged = StaticPanorama(panorama, np.zeros((0, 2)), [])
     here = estimate.X_MA[-1]
@@ -112,15 +112,16 @@ def _bodies(bins: IntArray, points: FloatArray) -> list[IntArray]:
 
 
 def seen_past(p_AP: FloatArray, panorama: Panorama) -> BoolArray:
-    """Which points (n, 2), m in A, the panorama saw DEPTH past, in their bin and its neighbours, (n,)."""
+    """Return a mask (n,) of the points (n, 2), m in A, that the panorama saw DEPTH past, in their bin and its
+    neighbours."""
     return np.asarray(panorama.least_range(p_AP, 1) > np.hypot(*p_AP.T) + DEPTH)
 
 
 def without_bodies(
     star_offsets: IntArray, star_vertices: FloatArray, X_MA: FloatArray, p_MP: list[FloatArray]
 ) -> tuple[IntArray, FloatArray]:
-    """The stars, offsets (k + 1,) and vertices (v, 2) in the frames of their views X_MA (k, 3), without what bodies
-    (n, 2), m in M, stand in and hide."""
+    """Return the stars, offsets (k + 1,) and vertices (v, 2) in the frames of their views X_MA (k, 3), without the
+    space that bodies (n, 2), m in M, occupy or hide."""
     stars = np.split(star_vertices.copy(), star_offsets[1:-1])
     for body in p_MP:
         stars = [_without(star, transform(inverse(X), body)) for star, X in zip(stars, X_MA, strict=True)]

@@ -1,4 +1,4 @@
-"""Polylines packed one after the other: arc length, nearest points, samples and what covers them.
+"""Packed polylines: arc length, nearest points, samples and coverage.
 
 Polyline i of a packed set has the vertices[offsets[i]:offsets[i + 1]]. The side a surface was seen from is the left
 of its polyline, and its normal points there.
@@ -23,21 +23,21 @@ SAME_FACE = 0.9
 
 
 def pack(polylines: Sequence[FloatArray]) -> tuple[IntArray, FloatArray]:
-    """offsets (n + 1,) and vertices (v, 2) of n polylines (v_i, 2)."""
+    """Return offsets (n + 1,) and vertices (v, 2) of n polylines (v_i, 2)."""
     offsets = np.zeros(len(polylines) + 1, dtype=np.int64)
     np.cumsum([len(p) for p in polylines], out=offsets[1:])
     return offsets, np.concatenate([np.zeros((0, 2)), *polylines])
 
 
 def segments_of(offsets: IntArray, vertices: FloatArray) -> tuple[FloatArray, IntArray]:
-    """All pieces (m, 4) of packed polylines, in order, and the polyline each belongs to (m,)."""
+    """Return all pieces (m, 4) of packed polylines, in order, and the polyline (m,) of each."""
     owner = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     inner = owner[1:] == owner[:-1]
     return np.concatenate([vertices[:-1], vertices[1:]], axis=1).compress(inner, axis=0), owner[:-1][inner]
 
 
 def arc_length(polyline: FloatArray) -> FloatArray:
-    """Arc length at each vertex of a polyline (v, 2), (v,), m."""
+    """Return the arc length (v,), m, at each vertex of a polyline (v, 2)."""
     step = np.diff(polyline, axis=0)
     return np.concatenate([np.zeros(1), np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
 
@@ -45,7 +45,7 @@ def arc_length(polyline: FloatArray) -> FloatArray:
 @read_only_arguments
 @njit(cache=True)
 def sub_polyline(polyline: FloatArray, start: float, stop: float) -> FloatArray:
-    """The part of a polyline (v, 2) between two arc lengths start < stop, m."""
+    """Return the part of a polyline (v, 2) between two arc lengths start < stop, m."""
     s = np.zeros(len(polyline))
     for i in range(1, len(polyline)):
         s[i] = s[i - 1] + np.hypot(polyline[i, 0] - polyline[i - 1, 0], polyline[i, 1] - polyline[i - 1, 1])
@@ -63,10 +63,10 @@ def sub_polyline(polyline: FloatArray, start: float, stop: float) -> FloatArray:
 def nearest(
     points: FloatArray, offsets: IntArray, vertices: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """The nearest place on packed polylines to each point (n, 2).
+    """Find the nearest place on packed polylines to each point (n, 2).
 
-    Returns the polyline (n,), -1 where there is none, the arc length along it (n,), m, the distance (n,), m, inf where
-    there is none, and the unit normal on the polyline's left (n, 2).
+    Returns the polyline (n,), -1 for none, the arc length along it (n,), m, the distance (n,), m, inf for none, and the
+    unit normal on the polyline's left (n, 2).
     """
     n = points.shape[0]
     owner = np.full(n, -1)
@@ -97,7 +97,7 @@ def nearest(
 def sample(
     offsets: IntArray, vertices: FloatArray, spacing: float
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-    """Cuts every piece of packed polylines into equal lengths of at most spacing (m).
+    """Cut every piece of packed polylines into equal lengths of at most spacing (m).
 
     Returns the middles (n, 2), the unit normals on the left (n, 2), the polyline each belongs to (n,), and the arc
     lengths at which each length starts and stops (n,), (n,), m.
@@ -128,13 +128,11 @@ def sample(
 
 @njit(cache=True)
 def covered(points: FloatArray, normals: FloatArray, segments: FloatArray, distance: FloatArray) -> BoolArray:
-    """Which points (n, 2) with unit normals (n, 2) a segment (m, 4) seen from the same side passes at most so far from.
+    """Return a mask of the points (n, 2) with unit normals (n, 2) that lie within a distance (n,), m, of a segment
+    (m, 4) seen from the same side.
 
-    distance: (n,) m.
-
-    Distance is measured across the segment; beyond its ends it covers next to nothing.
-    The two faces of a thin wall never cover each other: a segment counts only where its left normal is within 60
-    degrees of the point's.
+    Distance is measured across the segment, which covers almost nothing beyond its ends. The two faces of a thin wall
+    never cover each other: a segment counts only if its left normal is within 60 degrees of the point's.
     """
     result = np.zeros(points.shape[0], dtype=np.bool_)
     grid = segment_grid(segments)
@@ -170,10 +168,11 @@ def joined(
     segment_owner: IntArray,
     distance: float,
 ) -> BoolArray:
-    """Which ends (n, 2) of polylines (n,) lie within distance (m) of a segment (m, 4) of another polyline (m,).
+    """Return a mask of the ends (n, 2) of polylines (n,) within distance (m) of a segment (m, 4) of another polyline
+    (m,).
 
-    outwards: (n, 2) unit vectors in which the polylines would go on beyond their ends. is_last: (n,) whether that is
-    their last point. A segment of the same face that comes no farther is the same once more, and joins nothing.
+    outwards: (n, 2) unit vectors in which the polylines would continue beyond their ends. is_last: (n,) mask of last
+    points. A segment of the same face that does not extend farther is a duplicate and joins nothing.
     """
     result = np.zeros(points.shape[0], dtype=np.bool_)
     grid = segment_grid(segments)
@@ -200,10 +199,10 @@ def joined(
 def uncovered_runs(
     owner: IntArray, is_covered: BoolArray, start: FloatArray, stop: FloatArray, least: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The stretches that consecutive uncovered samples (n,) of polylines make, see `sample`: the polyline (r,), and
-    where each starts and stops (r,), (r,), m of arc length.
+    """Return the stretches of consecutive uncovered samples (n,) of polylines, see `sample`: the polyline (r,), and
+    start and stop (r,), (r,), m of arc length.
 
-    Stretches shorter than least (m) are left out.
+    Stretches shorter than least (m) are omitted.
     """
     bare = ~is_covered
     goes_on = bare[1:] & bare[:-1] & (owner[1:] == owner[:-1])

@@ -54,10 +54,10 @@ def _off_line(p: FloatArray, i: int, j: int, k: int) -> float:
 
 @njit(cache=True)
 def find_links(points: FloatArray, ranges: FloatArray, angles: FloatArray, sigma: float, tolerance: float) -> BoolArray:
-    """Whether bin i and the next one (the first after the last) saw the same surface, (b,).
+    """Return a mask (b,) of the bins that saw the same surface as the next one (the first follows the last).
 
-    points: (b, 2) m, ranges: (b,) m, angles: (b,) rad of a panorama. sigma: noise of a range, m. tolerance: how far
-    points of one straight surface lie off a line, m.
+    points: (b, 2) m, ranges: (b,) m, angles: (b,) rad of a panorama. sigma: noise of a range, m. tolerance: deviation
+    of points of one straight surface from a line, m.
     """
     n = len(ranges)
     links = np.zeros(n, dtype=np.bool_)
@@ -90,7 +90,8 @@ def find_links(points: FloatArray, ranges: FloatArray, angles: FloatArray, sigma
 
 @njit(cache=True)
 def find_corners(points: FloatArray, tolerance: float) -> BoolArray:
-    """Which of the points (n, 2) to keep so that the polyline stays within tolerance (m) of all of them, (n,)."""
+    """Return a mask (n,) of the points (n, 2) to keep so that the polyline stays within tolerance (m) of all of
+    them."""
     n = len(points)
     keep = np.zeros(n, dtype=np.bool_)
     if n == 0:
@@ -114,14 +115,14 @@ def find_corners(points: FloatArray, tolerance: float) -> BoolArray:
 
 
 def panorama_links(panorama: Panorama) -> BoolArray:
-    """Whether each bin of a panorama and the next one saw the same surface, (b,)."""
+    """Return a mask (b,) of the bins of a panorama that saw the same surface as the next one."""
     return find_links(
         panorama.points, panorama.ranges, panorama.angles, panorama.sigma, CORNER_TOLERANCE + panorama.sigma
     )
 
 
 def segment(panorama: Panorama, links: BoolArray) -> Components:
-    """The surfaces of a panorama. links: (b,) as panorama_links gives them."""
+    """Return the surfaces of a panorama. links: (b,) from panorama_links."""
     return Components(*_runs(panorama.points, panorama.ranges, links, CORNER_TOLERANCE + panorama.sigma))
 
 

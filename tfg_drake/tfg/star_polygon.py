@@ -1,4 +1,4 @@
-"""The free space that one panorama saw, as a star polygon."""
+"""The free space of one panorama, as a star polygon."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _simplify(reach: FloatArray, limit: FloatArray, angles: FloatArray, toleranc
 
 
 def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers: FloatArray) -> BoolArray:
-    """Which of k star polygons, packed as in `tfg_drake.geometry.star`, show a look all round, (k,)."""
+    """Return a mask (k,) of the star polygons, packed as in `tfg_drake.geometry.star`, that cover all directions."""
     star = np.repeat(np.arange(len(star_centers)), np.diff(star_offsets))
     d = star_vertices - star_centers.take(star, axis=0)
     all_round = np.ones(len(star_centers), dtype=np.bool_)
@@ -58,10 +58,10 @@ def looked_round(star_offsets: IntArray, star_vertices: FloatArray, star_centers
 
 
 def star_polygon(panorama: Panorama) -> FloatArray:
-    """The star polygon of a panorama: vertices (v, 2) in A, m, counter-clockwise round the origin.
+    """Return the star polygon of a panorama: vertices (v, 2) in A, m, counter-clockwise around the origin.
 
-    It stays 4 cm of range in front of surfaces, reaches range_max where nothing was met, and nearly nowhere where the
-    turn never looked. Simplified to about 150 vertices, nowhere beyond a surface.
+    It ends 4 cm of range in front of surfaces, at range_max without a return, and close to the origin where the turn
+    never looked. It is simplified to about 150 vertices, and nowhere extends beyond a surface.
     """
     seen = np.where(np.isfinite(panorama.ranges), panorama.ranges, panorama.range_max + SHRINK)
     seen = np.where(np.isnan(panorama.ranges), UNSEEN + SHRINK, seen)

@@ -1,8 +1,8 @@
 """Obstacle surfaces anchored to walls and views, so that they move with the map.
 
-A surface that lies on a wall of the map is a piece of its line; vertices in m along the wall from the point on it that
-is nearest to its anchor, and to the left of that. Any other is a polyline in the frame A of the view that saw it, m.
-What it joins makes it one of three kinds (Sec. III-A of the paper knows only the first):
+A surface that lies on a wall of the map is a piece of its line, with vertices in m along the wall from its point
+nearest to the anchor, and to the left of that. Any other is a polyline in the frame A of the view that saw it, m. The
+landmarks that it joins determine its kind (Sec. III-A of the paper has only the first):
 EDGE: a piece of a wall, or of another surface between two tags.
 END: a surface with a tag at one end only.
 LOOSE: a surface without a landmark.
@@ -67,7 +67,7 @@ REFUTED_INCIDENCE = np.deg2rad(75.0)
 
 @message
 class Surfaces:
-    """All surfaces.
+    """The surfaces of a graph.
 
     ids: (s, 2) the landmarks that each joins: the wall that it lies on, twice, or the tags where it begins and
     ends, -1 for none. view: (s,) index of the view that saw it. range: (s,) m, its farthest vertex from there. offsets:
@@ -82,12 +82,12 @@ class Surfaces:
 
     @property
     def kind(self) -> IntArray:
-        """EDGE, END or LOOSE (s,)."""
+        """The kind (s,) of each: EDGE, END or LOOSE."""
         return np.asarray(np.where(self.on_wall, EDGE, np.count_nonzero(self.ids < 0, axis=1)))
 
     @property
     def on_wall(self) -> BoolArray:
-        """Which surfaces (s,) are pieces of walls."""
+        """Mask of the surfaces (s,) that are pieces of walls."""
         return ~is_tag(self.ids[:, 0])
 
 
@@ -150,7 +150,7 @@ class _Walls(NamedTuple):
 
 
 def place(surfaces: Surfaces, landmarks: MapEstimate) -> FloatArray:
-    """The vertices (v, 2) of all surfaces in the map frame, m, with the estimate's walls and views."""
+    """Return the vertices (v, 2) of all surfaces in the map frame, m, with the estimate's walls and views."""
     origin, x, y = _frames(surfaces, landmarks)
     u, v = surfaces.vertices.T
     return np.asarray(origin + np.stack([x * u - y * v, y * u + x * v], axis=1))
@@ -177,11 +177,11 @@ def add_observation(
     known_ids: IntArray,
     known_facing: FloatArray,
 ) -> tuple[Surfaces, IntArray, FloatArray]:
-    """The surfaces with those of the newest view added.
+    """Return the surfaces with those of the newest view added.
 
     landmarks: the map with that view, of tags and walls. components, panorama: seen from it. known_ids: (n,) ascending,
-    tags seen before, known_facing: (n, 2) unit vectors in M of the side they face.
-    Returns the surfaces, and which tags of this turn lie on one, ids (t,), and its normals there in A (t, 2).
+    tags seen before, known_facing: (n, 2) unit vectors in M of the side they face. Returns also the ids (t,) of this
+    turn's tags that lie on a surface, and its normals there in A (t, 2).
     """
     view, estimate = landmarks.stage - 1, landmarks.of_tags
     X_MA = landmarks.X_MA[view]
@@ -204,8 +204,8 @@ def add_observation(
 
 
 def without_doubles(surfaces: Surfaces, first: int, landmarks: MapEstimate) -> Surfaces:
-    """The surfaces (s,) of two maps that have become one, the first ones' before the others': pieces of one wall that
-    touch are one, and what the first ones show is cut off the others."""
+    """Return the surfaces (s,) of two joined maps, the first map's before the second's, without duplicates: touching
+    pieces of one wall are merged, and surface that the first map shows is cut off the second's."""
     X_AM = inverse(landmarks.X_MA[-1])
     pieces, known = _pieces(surfaces, landmarks, X_AM), set(surfaces.ids[:first, 0].tolist())
     on_walls = _joined([piece for piece in pieces if piece.on_wall], _walls_in(landmarks, X_AM))
@@ -347,8 +347,8 @@ def _trim(
     refuted_by: Panorama | None = None,
     landmarks: MapEstimate | None = None,
 ) -> list[_Surface]:
-    """The pieces without what segments (m, 4) cover, and without what a panorama, with the map of then, saw to be
-    free."""
+    """Return the pieces without the parts that segments (m, 4) cover, and without those that a panorama, with its map,
+    saw to be free."""
     of = _surfaces(pieces)
     points, normals, owner, start, stop = sample(of.offsets, of.vertices, SPACING)
     drop = covered(points, normals, segments, np.full(len(points), distance))
@@ -414,10 +414,10 @@ def _refuted(
 
 
 def _seen_past(points: FloatArray, normals: FloatArray, panorama: Panorama) -> FloatArray:
-    """How much farther (n,), m along the normal, than REFUTED_DEPTH behind points (n, 2) with unit normals (n, 2) in A
-    a panorama saw at least, in the point's bin and its neighbours; 0 where it did not.
+    """Return how much farther (n,), m along the normal, than REFUTED_DEPTH behind points (n, 2) with unit normals (n,
+    2) in A a panorama saw at least, in the point's bin and its neighbours; 0 if it did not.
 
-    Surfaces nearly edge-on are let be: a thin wall shows nothing of itself there.
+    Surfaces nearly edge-on are skipped, as a thin wall is invisible there.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     cosine = np.abs(np.sum(points * normals, axis=1)) / np.maximum(distance, 1e-9)
