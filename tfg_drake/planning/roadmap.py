@@ -1,8 +1,8 @@
 """A probabilistic roadmap that persists from stage to stage and moves with the map (the paper's Sec. III-E).
 
-Every node keeps its place in the frame of a view's arrival pose, so it moves when a loop closes; every stage checks
-the edges near the robot against the surfaces as they are now. What the robot has travelled stays in the roadmap: a
-narrow door once passed is not lost again to bad luck in sampling.
+Every node is stored in the frame of a view's arrival pose, so it moves when a loop closes; every stage checks the edges
+near the robot against the current surfaces. The robot's path stays in the roadmap, so that a narrow door once passed is
+not lost to bad luck in sampling.
 """
 
 from __future__ import annotations
@@ -93,11 +93,11 @@ class RoadmapParameters:
 
 @message
 class Edges:
-    """Edges of a roadmap as they were checked last.
+    """Edges of a roadmap at their last check.
 
     nodes: (e, 2) their ends. travelled: (e,) the robot has driven it. free: (e,) known to lie in free space. clearance:
-    (e,) m, measured up to COMFORT or, if that is more, up to the most that any edge needs. required: (e,) m, the
-    clearance that it needs: none where the robot has driven, as it has come by that, whatever the newest map says.
+    (e,) m, measured up to COMFORT or, if that is more, up to the greatest clearance that any edge needs. required:
+    (e,) m, the clearance that it needs: 0 where the robot has driven, whatever the newest map shows.
     """
 
     nodes: Annotated[IntArray, "e", 2]
@@ -110,28 +110,27 @@ class Edges:
         return len(self.nodes)
 
     def between(self, nodes: BoolArray) -> IntArray:
-        """The rows (k,) of the edges between two of some of the nodes (n,)."""
+        """Return the rows (k,) of the edges between some of the nodes (n,)."""
         return np.flatnonzero(nodes[self.nodes].all(axis=1))
 
     @property
     def usable(self) -> BoolArray:
-        """Which edges (e,) lie in free space and have the room that they need."""
+        """Mask of the edges (e,) that lie in free space and have the required clearance."""
         return self.with_room(self.required)
 
     def with_room(self, need: FloatArray) -> BoolArray:
-        """Which edges (e,) lie in free space and have so much room, m, (e,) or one number for all."""
+        """Return a mask of the edges (e,) that lie in free space with a clearance, m, (e,) or one number for all."""
         return np.asarray(self.free & (self.clearance >= need))
 
 
 @message
 class RoadmapState:
-    """The roadmap and its edges as checked at one stage.
+    """The roadmap and its edges, checked at one stage.
 
-    stage. ids: (n,) of the nodes, ascending, next_id: that of the next new one. anchor: (n,) the view in whose arrival
-    frame A each node is kept, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
-    deviation of the robot there relative to the surfaces. edges: all that were ever proposed, between rows of the
-    nodes, smaller node first, in the order of the nodes. way_end: the id of the node where the way that the robot has
-    driven ends, -1 for none.
+    stage. ids: (n,) of the nodes, ascending, next_id: that of the next new node. anchor: (n,) the view in whose arrival
+    frame A each node is stored, p_AN: (n, 2), m. points: (n, 2) the nodes in M at this stage, m. sigma: (n,) m, the
+    deviation of the robot there relative to the surfaces. edges: all ever proposed, between rows of the nodes, smaller
+    node first, in the order of the nodes. way_end: id of the node where the robot's path ends, -1 for none.
     """
 
     stage: int
@@ -146,7 +145,7 @@ class RoadmapState:
 
 
 def unchecked(nodes: IntArray, travelled: BoolArray) -> Edges:
-    """New edges between nodes (e, 2), of which the robot has driven some (e,)."""
+    """Return new edges between nodes (e, 2), of which the robot has driven some (e,)."""
     no, zero = np.zeros(len(nodes), dtype=np.bool_), np.zeros(len(nodes))
     return Edges(nodes, travelled, no, zero, zero)
 
@@ -167,11 +166,11 @@ def fitting(
     segments: FloatArray,
     room: float,
 ) -> BoolArray:
-    """Which proposals (p, 2) to keep. They are judged in their order; one is kept that lies in free space, has `room`,
-    m, to all segments (m, 4), and keeps its spacing (p,), m, to those kept before it and to the nodes (n, 2).
+    """Return the proposals (p, 2) to keep. They are tested in order; one is kept if it lies in free space, has `room`,
+    m, to all segments (m, 4), and its spacing (p,), m, to those kept before it and to the nodes (n, 2).
 
-    Nodes that have too little room by the newest map do not count: they must not keep better ones out of the middle of
-    a passage. is_free: (p,) known to lie in free space. Star polygons as in `tfg_drake.geometry.star.inside_any`.
+    Nodes without enough room in the newest map are ignored, as they must not exclude better ones from the middle of a
+    passage. is_free: (p,) known to lie in free space. Star polygons as in `tfg_drake.geometry.star.inside_any`.
     """
     keep, kept = np.zeros(len(proposals), dtype=np.bool_), np.empty((len(proposals), 2))
     grid, node_grid = segment_grid(segments), segment_grid(np.hstack((nodes, nodes)))
@@ -227,7 +226,7 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
 
 
 def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
-    """Places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m before and behind.
+    """Return places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m on either side along the passage.
 
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
@@ -244,7 +243,7 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
-    """Which edges (e, 4), m in M, lie in the free space seen from past views, (e,)."""
+    """Return a mask (e,) of the edges (e, 4), m in M, that lie in the free space of past views."""
     return np.asarray(lines_in_stars(edges, tfg.star_offsets, tfg.star_vertices))
 
 
@@ -283,8 +282,8 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float) -> tuple[Fl
 
 
 def chords(way: FloatArray) -> BoolArray:
-    """Which points of a way (d, 2), m, noted every DRIVEN_STEP, are ends of chords that stray from it by CHORD at most
-    and are about SPACING long at most, (d,)."""
+    """Return a mask (d,) of the points of a path (d, 2), m, recorded every DRIVEN_STEP, that are ends of chords which
+    deviate from it by CHORD at most and are about SPACING long at most."""
     ends = find_corners(way, CHORD)
     ends[:: int(SPACING / DRIVEN_STEP)] = True
     return ends
@@ -351,12 +350,11 @@ def extend(
     radius: float = np.inf,
     in_vain: bool = False,
 ) -> RoadmapState:
-    """The roadmap moved with the map to estimate.stage, with new nodes, and its edges checked anew.
+    """Return the roadmap moved with the map to estimate.stage, with new nodes and newly checked edges.
 
-    driven: (d, 2) m in M, the way of the robot to the last view. radius: m round the newest view, within which all of
-    the map is given; by default everywhere. Farther away nodes move, and nothing else changes. in_vain: goals could not
-    be reached, so of the ways driven near the robot those that a surface crosses by now have shut. The same arguments
-    give the same roadmap.
+    driven: (d, 2) m in M, the robot's path to the last view. radius: m around the newest view, within which the map is
+    complete; by default everywhere. Farther away nodes move, and nothing else changes. in_vain: goals could not be
+    reached, so driven edges near the robot that a surface crosses now are closed. Equal arguments give equal roadmaps.
     """
     views = np.flatnonzero(within(estimate.X_MA, estimate.X_MA[-1], radius))
     points, chain, way_end = _with_new_nodes(state, tfg, estimate, parameters, driven, radius)
@@ -490,11 +488,11 @@ def _measure(
 
 
 def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, accepted: float) -> FloatArray:
-    """Clearance (e,), m, that a way needs by its deviation sigma (e,), m, where this probability of a collision is
-    accepted: as the planner's own asks, or less, but always room to stand.
+    """Return the clearance (e,), m, that a way needs for its deviation sigma (e,), m, and an accepted probability of a
+    collision: at most that of the planner's own probability, but always room to stand.
 
-    A wall may go on a few centimetres beyond its end in the map, and a robot that has squeezed into a room without
-    landmarks will know its place worse when it comes out.
+    A wall may extend a few centimetres beyond its end in the map, and a robot that has squeezed into a room without
+    landmarks will be less certain of its pose when it comes out.
     """
     own = required_clearance(robot.radius, sigma, planner.collision_probability)
     least = np.maximum(required_clearance(robot.radius, sigma, accepted), robot.radius + NODE_MARGIN)
@@ -504,8 +502,7 @@ def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, a
 @read_only_arguments
 @njit(cache=True)
 def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
-    """The connected component (count,) of each node under some (e,) of the edges (e, 2), by the number of its first
-    node."""
+    """Return the connected component (count,) of each node, as its first node, under some (e,) of the edges (e, 2)."""
     first = np.arange(count)
     for e in range(len(edges)):
         if which[e]:
@@ -515,7 +512,7 @@ def components(edges: IntArray, which: BoolArray, count: int) -> IntArray:
 
 
 def place_in_map(anchor: IntArray, p_AN: FloatArray, X_MA: FloatArray) -> FloatArray:
-    """p_MN (n, 2), m, of points p_AN (n, 2), each kept in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
+    """Return p_MN (n, 2), m, of points p_AN (n, 2), each in the arrival frame of the view anchor (n,); X_MA: (k, 3)."""
     return se2.transform(X_MA.take(anchor, axis=0), p_AN)
 
 

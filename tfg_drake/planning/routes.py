@@ -1,4 +1,4 @@
-"""The cheapest ways through a roadmap, how long they take and how risky they are."""
+"""The cheapest ways through a roadmap, with their travel times and risks."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ RISK_LENGTHS = (20.0, 2000.0)
 class Routes:
     """Cheapest ways from the robot to all nodes of a roadmap.
 
-    cost: (n,) m weighted by clearance, inf where unreachable. predecessor: (n,) node before each, n for the robot
-    itself, -1 where unreachable. length: (n,) m. time: (n,) expected s of travel, turns included.
+    cost: (n,) m weighted by clearance, inf if unreachable. predecessor: (n,) node before each, n for the robot itself,
+    -1 if unreachable. length: (n,) m. time: (n,) expected travel time, s, turns included.
     """
 
     cost: FloatArray
@@ -60,12 +60,12 @@ def routes(
     obstacles: FloatArray | None = None,
     cost: EdgeCost = cost_of_edge,
 ) -> Routes:
-    """Cheapest ways from the robot's pose X_MB (3,) to every node.
+    """Return the cheapest ways from the robot's pose X_MB (3,) to every node.
 
-    cost: of edges. With planner.risk "path" an edge's risk costs too, more of it where that reaches more nodes, and
-    what is not reached within planner.collision_probability counts as unreachable; of ways that are open though too
-    narrow it is not asked. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. A robot
-    that stands too near a surface may still leave, as long as it hardly comes nearer.
+    cost: of edges. With planner.risk "path" risk also adds to the cost, with the weight that reaches most nodes, and
+    nodes not reached within planner.collision_probability count as unreachable; ways kept open although too narrow are
+    exempt. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. A robot that stands too
+    near a surface may still leave if it hardly comes nearer.
     """
     n = len(state.points)
     if n == 0:
@@ -101,7 +101,7 @@ def routes(
 
 
 def edge_lengths(points: FloatArray, edges: IntArray) -> FloatArray:
-    """Length (e,), m, of edges (e, 2) between points (n, 2), m."""
+    """Return the length (e,), m, of edges (e, 2) between points (n, 2), m."""
     d = points.take(edges[:, 0], axis=0) - points.take(edges[:, 1], axis=0)
     return np.asarray(np.hypot(d[:, 0], d[:, 1]))
 
@@ -252,9 +252,9 @@ def roadmap_message(
     driven: float = 0.0,
     home: Routes | None = None,
 ) -> Roadmap:
-    """A roadmap and the routes through it for goal selector and pictures.
+    """Return the message of a roadmap and the routes through it, for goal selector and display.
 
-    driven: m, so far. home: the routes from where the robot began, where it must come back.
+    driven: m, so far. home: the routes from the start, to which the robot must return.
     """
     # Whatever a robot would try that knows its place as well as it ever does.
     least = room_needed(robot, planner, np.array(TRACKING_DEVIATION), ACCEPTED)
@@ -284,14 +284,14 @@ def roadmap_message(
 
 
 def node_path(state: RoadmapState, ways: Routes, X_MB: FloatArray, node: int) -> FloatArray:
-    """The way from the robot to a node as a polyline (k, 2), m in M, the robot's place first; empty if unreachable."""
+    """Return the way from the robot to a node as a polyline (k, 2), m in M, from the robot on; empty if unreachable."""
     if not 0 <= node < len(state.points) or not np.isfinite(ways.cost[node]):
         return np.zeros((0, 2))
     return np.vstack([X_MB[:2], state.points[nodes_to(ways, node)]])
 
 
 def nodes_to(ways: Routes, node: int) -> list[int]:
-    """The nodes on the way from the robot to a node that it can reach, in their order."""
+    """Return the nodes on the way from the robot to a reachable node, in order."""
     reverse = []
     while node < len(ways.cost):
         reverse.append(node)
