@@ -1,4 +1,4 @@
-"""The explorer: five components and the mission sequencer, from what a TurtleBot senses to what its base is told."""
+"""The explorer: five components and the mission sequencer, from a TurtleBot's sensor messages to velocity commands."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where to go next and how: information gain, roadmap, chance constraint, path and its follower."""
+"""Planning: information gain, roadmap, chance constraint, path and its follower."""

@@ -19,7 +19,7 @@ from tfg_drake.slam.measurement import whitened_tag
 
 
 class Known(NamedTuple):
-    """The known landmarks and which of them c candidates see.
+    """The known landmarks and their visibility from c candidates.
 
     Candidate i sees rows[offsets[i]:offsets[i + 1]] of the points p_MT (t, 2), m in M, whose landmarks have the places
     entry (t,) in the covariance (2n + 3, 2n + 3) of the landmarks, row by row, and of the departure pose. by_landmark,

@@ -672,8 +672,8 @@ def _with_names(seen: Sighted, walls: Walls, graph: KeyframeGraph, estimate: Map
 def _with_keyframe(
     graph: KeyframeGraph, estimate: MapEstimate, evidence: Evidence, seen: Sighted, *, is_view: bool
 ) -> tuple[KeyframeGraph, MapEstimate, Evidence, IntArray, IntArray]:
-    """Graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of known tags left
-    out of it, and of those that were forgotten and mapped anew for it.
+    """Return graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of its
+    rejected known tags, and of those that were removed and mapped again.
 
     is_view: whether it is a turn or glance, not a piece of the way.
     """

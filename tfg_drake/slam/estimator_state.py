@@ -248,8 +248,8 @@ def opened(state: EstimatorState) -> Stretch:
 def with_map(
     state: EstimatorState, graph: KeyframeGraph, estimate: MapEstimate, solved: KeyframeGraph
 ) -> EstimatorState:
-    """The state after a view, with the graph and the map of all that it has seen, from where the way goes on. solved:
-    the graph at its last solve."""
+    """Return the state after a view, with the new graph and map, from which the way continues. solved: the graph at its
+    last solve."""
     worth = min(state.noise.now.frame_worth, 1.0)
     whole = with_doubts(replace(estimate, frame_worth=worth), state.evidence, graph)
     state = replace(

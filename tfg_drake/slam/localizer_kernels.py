@@ -78,7 +78,7 @@ def filtered(
 
 @njit(cache=True)
 def _turn(theta: float) -> FloatArray:
-    """How a heading turns a pose: (3, 3)."""
+    """Return the matrix (3, 3) that rotates a pose by a heading."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

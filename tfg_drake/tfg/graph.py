@@ -369,7 +369,7 @@ class _Placed:
 
     @functools.cached_property
     def here(self) -> BoolArray:
-        """Which pieces (m,) are believed to be where they are placed."""
+        """Mask of the pieces (m,) that are accepted where they are placed."""
         return self.stand & ~self.weak.surfaces[self.owner]
 
     @functools.cached_property

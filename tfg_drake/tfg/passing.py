@@ -221,7 +221,7 @@ def _shows(points: FloatArray, begin: int, end: int, center: FloatArray) -> bool
 
 @njit(cache=True)
 def _deep(x: float, y: float, star: FloatArray, depth: float) -> bool:
-    """Whether a point lies inside a polygon (v, 2), and at least depth (m) from its outline."""
+    """Return whether a point lies inside a polygon (v, 2), at least depth (m) from its outline."""
     odd, xj, yj = False, star[-1, 0], star[-1, 1]
     for i in range(len(star)):
         xi, yi = star[i, 0], star[i, 1]

@@ -145,7 +145,7 @@ class _Walls(NamedTuple):
         return np.asarray(self.origin[row] + at[:, None] * self.along[row])
 
     def at(self, row: int, points: FloatArray) -> FloatArray:
-        """How far along a wall points (k, 2), m in A, are from its origin, (k,), m."""
+        """Return the distance (k,), m, of points (k, 2), m in A, along a wall from its origin."""
         return np.asarray((points - self.origin[row]) @ self.along[row])
 
 
@@ -336,7 +336,7 @@ def _joined(pieces: list[_Surface], walls: _Walls) -> list[_Surface]:
 
 
 def _farthest(polyline: FloatArray) -> float:
-    """How far a polyline's farthest vertex is from the origin, m."""
+    """Return the distance of a polyline's farthest vertex from the origin, m."""
     return float(np.hypot(polyline[:, 0], polyline[:, 1]).max())
 
 
