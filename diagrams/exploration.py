@@ -270,7 +270,7 @@ class Exploration:
 
     @property
     def map(self) -> MapEstimate | None:
-        """The landmarks and views in the map frame M; None before the first view, and for grid methods."""
+        """The tags and views in the map frame M; None before the first view, and for grid methods."""
         return self._mission.map
 
     @property

@@ -1,7 +1,7 @@
 """The messages between the systems: frozen, stamped, in SI units.
 
-Every message is a frozen dataclass whose arrays are read-only and whose deep copy is itself, so Drake may copy a
-context as often as it likes at no cost, and nobody can change what somebody else is reading.
+Every message is a frozen dataclass whose arrays are read-only and whose deep copy is itself, so Drake copies a context
+at no cost, and no system can change a message that another one reads.
 
 Frames: W world, M map (the true start pose: X_WM = start), O odometry, B robot body, A the robot where a view's
 turn begins (arrival), D where it ends (departure). A pose is an array (x, y, theta) in metres and radians; a
@@ -76,9 +76,9 @@ class Odometry:
 
     stamp: s. X_OB: (3,) integrated pose of the body in the odometry frame O, the pose where odometry began: in
     simulation it starts at zero, so O equals M then. V_B: (2,) measured forward speed (m/s) and turn rate (rad/s).
-    at_rest: no wheel has turned since the message before: the encoders know that the robot stands, while the gyro's
-    angle wanders on. breaks: how often so far the way from one message to the next was not known, as odometry was
-    reset, jumped or was silent; X_OB goes on by a guess.
+    at_rest: no wheel has turned since the previous message: by the encoders the robot stands, while the gyro's angle
+    drifts. breaks: number of times so far that the motion between two messages was unknown, as odometry was reset,
+    jumped or was silent; X_OB then continues by a guess.
     """
 
     stamp: float
@@ -93,7 +93,7 @@ class TagDetections:
     """The tags seen in one camera frame, as range and bearing of the tag's centre from the body.
 
     stamp: s. ids: (n,). range: (n,) m. bearing: (n,) rad from the body's x axis. sigma_range, sigma_bearing: (n,)
-    standard deviations that the sensor states.
+    standard deviations stated by the sensor.
     """
 
     stamp: float
@@ -108,8 +108,8 @@ class TagDetections:
 class LaserScan:
     """One planar scan, taken at one instant from the body's origin.
 
-    stamp: s. angles: (m,) rad from the body's x axis, increasing. ranges: (m,) m, inf where nothing was met within
-    range_max, nan where nothing is known. range_max: m. sigma: standard deviation of a range, m.
+    stamp: s. angles: (m,) rad from the body's x axis, increasing. ranges: (m,) m, inf without a return within
+    range_max, nan if unknown. range_max: m. sigma: standard deviation of a range, m.
     """
 
     stamp: float
@@ -135,8 +135,8 @@ class PoseEstimate:
 
     stamp: s. X_MB: (3,). covariance: (3, 3) of its x, y and theta in M. speed: (2,) m/s and rad/s, from odometry.
     stage: number of views in the map it is relative to. new_ids: (u,) tags seen on the way that are not in the map
-    yet, p_MU: (u, 2) where they seem to be, m. places: in how many places of its map, or of the one that it began with,
-    the robot may be, 0 for none or any, -1 where it knows.
+    yet, p_MU: (u, 2) their estimated places, m. places: number of possible places of the robot in its map or in its
+    known map, 0 for none or any, -1 if its place is known.
     """
 
     stamp: float
@@ -157,11 +157,10 @@ ADRIFT = 2.0
 
 @message
 class Hypotheses:
-    """In which places of the map K that it began with a session may be, none once it knows; or of a robot that is lost
-    in its own map, in which of that what it has mapped since may be.
+    """Possible places of a session in its known map K, empty once the place is known; or, for a robot lost in its own
+    map, of the part mapped since in that map.
 
-    X_KM: (k, 3) poses of its frame there, probability: (k,) of each. surfaces: (p, 4) of the map, m in K,
-    with normals.
+    X_KM: (k, 3) poses of the frame in K, probability: (k,) of each. surfaces: (p, 4) of the map, m in K, with normals.
     """
 
     X_KM: Annotated[FloatArray, "k", 3]
@@ -170,16 +169,16 @@ class Hypotheses:
 
     @property
     def likely(self) -> int:
-        """How many of them are likely."""
+        """The number of likely places."""
         return int(np.count_nonzero(self.probability > LIKELY))
 
 
 @message
 class SaidPose:
-    """A pose that somebody says the robot has, in the world W of the map that the session began with.
+    """The robot's pose as stated by a person, in the world W of the map that the session began with.
 
-    stamp: s, when it was said. count: how many times so far. X_WB: (3,), m and rad. sigma: (2,) how far off that may
-    be, standard deviations in m and rad.
+    stamp: s, time of the statement. count: number of statements so far. X_WB: (3,), m and rad. sigma: (2,) its standard
+    deviations, m and rad.
     """
 
     stamp: float = -math.inf
@@ -203,7 +202,7 @@ WALLS_BELOW = -(1 << 40)
 
 
 def is_tag(ids: IntArray) -> BoolArray:
-    """Which landmarks (n,) are tags, not walls."""
+    """Return a mask of the landmarks (n,) that are tags, not walls."""
     return np.asarray(ids >= WALLS_BELOW)
 
 
@@ -211,19 +210,19 @@ def is_tag(ids: IntArray) -> BoolArray:
 class MapEstimate:
     """The Gaussian of landmarks and departure pose after a view (MAP and its marginal covariance).
 
-    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m; of a wall the angle of its normal, rad,
-    and its distance along that from its anchor, m. anchor: (n, 2) m, and reach: (n, 2) how far the wall has been seen
-    along its normal turned left by 90 degrees, m from there; zero of a tag. X_MD: (3,) the last departure pose.
-    local: (m,) rows of the landmarks known jointly, ascending: all of a small map's, those round the last departure of
-    a large one's. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of
-    each landmark, where it is not local as it was when the robot was last near. X_MA: (k, 3) arrival poses of all
-    views. observation: the newest view's. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's
-    objective). doubtful: (d,) ids, ascending, of tags that were seen but are not known to be at any one place, whether
-    they are landmarks or not. doubtful_places: (d, 2) where each of these was seen most, in M, m. frame_worth:
-    information of one frame in a long sequence, as a share of an independent one's; below 1 where the noise is
-    correlated in time. tag_error: (2,) standard deviation of the tags' constant errors of range, m, and bearing, rad.
-    shared: (q,) the parameters that all keyframes share (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q, q) their
-    covariance with (p_ML[local] row by row, X_MD, shared). by_walls: whether walls tell the pose at every view, too.
+    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m; for a wall the angle of its normal, rad,
+    and its distance along the normal from its anchor, m. anchor: (n, 2) m, and reach: (n, 2) extent of the wall along
+    its normal turned left by 90 degrees, m from the anchor; zero for a tag. X_MD: (3,) the last departure pose. local:
+    (m,) rows of the jointly known landmarks, ascending: all in a small map, those around the last departure in a large
+    one. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of each
+    landmark; if it is not local, from when the robot was last near. X_MA: (k, 3) arrival poses of all views.
+    observation: of the newest view. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's objective).
+    doubtful: (d,) ids, ascending, of doubtful tags, landmarks or not. doubtful_places: (d, 2) the best supported place
+    of each, in M, m. frame_worth: information of one frame in a long sequence, as a share of an independent one's;
+    below 1 if the noise is correlated in time. tag_error: (2,) standard deviations of the tags' constant errors of
+    range, m, and bearing, rad. shared: (q,) the shared parameters (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q,
+    q) their covariance with (p_ML[local] row by row, X_MD, shared). by_walls: True if walls also determine the pose at
+    every view.
     """
 
     stage: int
@@ -249,12 +248,12 @@ class MapEstimate:
 
     @property
     def is_doubtful(self) -> BoolArray:
-        """Which landmarks (n,) are."""
+        """Mask of the landmarks (n,) that are doubtful."""
         return np.isin(self.ids, self.doubtful)
 
     @property
     def places(self) -> FloatArray:
-        """(n, 2) where in M each landmark is, m; of a wall the point on it that is nearest to its anchor."""
+        """The places (n, 2) of the landmarks in M, m; for a wall its point nearest to the anchor."""
         walls = ~is_tag(self.ids)
         angle, distance = self.p_ML[walls].T
         places = self.p_ML.copy()
@@ -273,36 +272,36 @@ class MapEstimate:
 
     @property
     def is_adrift(self) -> bool:
-        """Whether the robot is lost in the map: what it has seen lately lies somewhere, and the rest elsewhere."""
+        """Whether the robot is lost in the map: the place of its newest part relative to the rest is unknown."""
         return bool(np.trace(self.covariance[-3:-1, -3:-1]) > ADRIFT**2)
 
     @property
     def is_joint(self) -> bool:
-        """Whether all landmarks are known jointly."""
+        """Whether all landmarks are jointly known."""
         return len(self.local) == len(self.ids)
 
     @property
     def is_local(self) -> BoolArray:
-        """Which landmarks (n,) are known jointly."""
+        """Mask of the jointly known landmarks (n,)."""
         return self.local_entry >= 0
 
     @property
     def local_entry(self) -> IntArray:
-        """The place of each landmark (n,) among those known jointly, -1 for the others."""
+        """The index of each landmark (n,) among those jointly known, -1 for the others."""
         entry = np.full(len(self.ids), -1)
         entry[self.local] = np.arange(len(self.local))
         return entry
 
     @property
     def joint_covariance(self) -> FloatArray:
-        """(2m + 3 + q, 2m + 3 + q) of (p_ML[local] row by row, X_MD, shared)."""
+        """The covariance (2m + 3 + q, 2m + 3 + q) of (p_ML[local] row by row, X_MD, shared)."""
         m = len(self.covariance)
         joint = np.empty((m + len(self.shared), m + len(self.shared)))
         joint[:m, :m], joint[:, m:], joint[m:, :m] = self.covariance, self.with_shared, self.with_shared[:m].T
         return joint
 
     def of_landmarks(self, keep: BoolArray) -> MapEstimate:
-        """The map with some of its landmarks (n,) only, and with all its views."""
+        """Return the map with some of its landmarks (n,) only, and with all its views."""
         joint = keep[self.local]
         rows = np.append(np.repeat(joint, 2), np.ones(3, dtype=np.bool_))
         with_parameters = np.append(rows, np.ones(len(self.shared), dtype=np.bool_))
@@ -319,9 +318,8 @@ class MapEstimate:
         )
 
     def given_shared(self) -> MapEstimate:
-        """The map as uncertain as it is if the shared parameters were known, for planning: a look has the same errors
-        of scale and mount as the map, so a formula that takes its noise to be independent would have it take them off
-        again and again."""
+        """The map with its uncertainty given the shared parameters, for planning: a look has the same errors of scale
+        and mount as the map, so a formula that assumes independent noise would predict that each look reduces them."""
         if not len(self.shared):
             return self
         m, of_local = len(self.covariance), np.arange(len(self.local))
@@ -334,7 +332,7 @@ class MapEstimate:
 
     @property
     def local_p_ML(self) -> FloatArray:
-        """The places of the landmarks known jointly, (m, 2)."""
+        """The values p_ML (m, 2) of the jointly known landmarks."""
         return self.p_ML[self.local]
 
 
@@ -342,7 +340,7 @@ class MapEstimate:
 class TfgMap:
     """The topological feature graph resolved in the map frame: what planning and pictures need.
 
-    stage: number of views in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, but for those that
+    stage: number of views in it. segments: (m, 4) obstacle surface pieces x0, y0, x1, y1 in M, m, without those that
     have drifted (see `tfg_drake.tfg.overlap`). segment_kind: (m,) 0 edge, of a wall or between two tags, 1
     surface with a tag at one end, 2 surface without a landmark. segment_ids: (m, 2) ids of the landmarks that it joins:
     the wall that it lies on, twice, or the tags where it begins and ends, -1 where there is none. A tag without a
@@ -355,8 +353,7 @@ class TfgMap:
     star_offsets[j]:star_offsets[j + 1] in M, counter-clockwise round star_centers[j]. star_centers: (k, 2). given_up:
     (g, 2) points of open frontier that were tried in vain as often as the explorer tries, wide enough for the robot,
     given_up_length: (g,) m, given_up_normal: (g, 2). inspected: m of surface that was seen well enough to find a tag
-    there. keep_out: (o, 4) what surrounds and fills the areas that the robot must not enter, m in M: it sees across
-    them.
+    there. keep_out: (o, 4) segments that surround and fill the keep-out areas, m in M; they do not block sight.
     """
 
     stage: int
@@ -380,17 +377,17 @@ class TfgMap:
 
     @property
     def obstacles(self) -> FloatArray:
-        """Segments that the robot must keep clear of, (m + o, 4), m in M: surfaces and keep_out."""
+        """The segments that the robot must keep clear of, (m + o, 4), m in M: surfaces and keep_out."""
         return _freeze(np.vstack([self.segments, self.keep_out])) if len(self.keep_out) else self.segments
 
 
 @message
 class GridMap:
-    """An occupancy grid in the map frame, of the baselines that keep one.
+    """An occupancy grid in the map frame, for the grid methods.
 
     stage: number of views. stamp: s, of the newest scan in it. resolution: side of a cell, m. origin: (2,) the
-    corner of cell [0, 0] with the least x and y, in M, m. probability: (h, w) of each cell being occupied, 0.5 where
-    nothing was ever measured; rows go along y, columns along x.
+    corner of cell [0, 0] with the least x and y, in M, m. probability: (h, w) of occupancy, 0.5 for unmeasured cells;
+    rows run along y, columns along x.
     """
 
     stage: int
@@ -404,16 +401,16 @@ class GridMap:
 class Roadmap:
     """The probabilistic roadmap of one stage, in the map frame.
 
-    stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from where
-    the robot stands, along edges. enterable: (n,) there is room enough for the robot all the way, though perhaps not
-    for its uncertainty. entry: (n,) of those the last reachable node on the way, -1 of others. travel_time: (n,)
-    expected s from the robot, turns included, inf where unreachable, travel_length: (n,) m. home_time and home_length:
-    (n,) the same between each node and where the robot began, empty unless it must come home. driven: m, so far.
-    frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
-    TfgMap.frontiers; looked up only for places where the robot fits and has not turned yet. ids: (n,) ascending, of the
-    nodes, which keep them from stage to stage; empty where an id is the index. once_open: (n,) all the way there was
-    room enough for the robot when it was seen to be free, but surfaces cross it since; empty for none. need: (n,) m,
-    the clearance that a way needs by the robot's deviation at each node; empty where it is not known.
+    stage. points: (n, 2) m. edges: (e, 2) node indices, those within the chance constraint. reachable: (n,) from the
+    robot's place, along edges. enterable: (n,) the whole way has room for the robot, though perhaps not for its
+    uncertainty. entry: (n,) the last reachable node on the way to each enterable one, -1 for others. travel_time: (n,)
+    expected time from the robot, s, turns included, inf if unreachable, travel_length: (n,) m. home_time and
+    home_length: (n,) the same between each node and the start, empty unless the robot must return home. driven: m, so
+    far. frontier_offsets: (n + 1,), frontier_index: node i sees the rows frontier_index[frontier_offsets[i]:...] of
+    TfgMap.frontiers; computed only for places where the robot fits and has not turned yet. ids: (n,) ascending, of the
+    nodes, constant from stage to stage; empty if an id is the index. once_open: (n,) the whole way was free with room
+    for the robot, but surfaces cross it now; empty for none. need: (n,) m, the clearance that a way needs for the
+    robot's deviation at each node; empty if unknown.
     """
 
     stage: int
@@ -434,11 +431,11 @@ class Roadmap:
     need: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def node_ids(self, nodes: IntArray) -> IntArray:
-        """The ids of nodes: a node keeps its id from stage to stage, its index it does not keep."""
+        """Return the ids of nodes, which are constant from stage to stage, unlike their indices."""
         return self.ids[nodes] if len(self.ids) else nodes
 
     def nodes(self, node_ids: IntArray) -> IntArray:
-        """The nodes of these ids, -1 for those that are not in this roadmap."""
+        """Return the nodes with these ids, -1 for those that are not in this roadmap."""
         ids = self.node_ids(np.arange(len(self.points)))
         if not len(ids):
             return np.full(len(node_ids), -1)
@@ -446,7 +443,7 @@ class Roadmap:
         return np.where(ids[rows.clip(max=len(ids) - 1)] == node_ids, rows, -1)
 
     def reaches(self, node_ids: IntArray, within: float = math.inf) -> BoolArray:
-        """Whether the nodes of these ids are in this roadmap and can be reached, by a way within so many metres."""
+        """Return whether the nodes with these ids are in this roadmap and reachable by a way within a length, m."""
         nodes = self.nodes(node_ids)
         near = self.reachable & (self.travel_length <= within)
         return np.asarray((nodes >= 0) & np.append(near, False)[nodes])
@@ -454,19 +451,19 @@ class Roadmap:
 
 @message
 class GoalChoice:
-    """The goal chosen at one stage and the field it was chosen from.
+    """The goal chosen at one stage, and its candidates.
 
     stage. node: its id in the roadmap, -1 for none. p_MG: (2,). candidates: (c,) ids of the nodes evaluated,
     exploitation, exploration, pose_price: (c,) nats (gain = exploitation + exploration, price included in it).
-    value: (c,) what was maximised. verdict: "goal", "look" to turn where the robot stands, or how the mission ends:
-    "complete", "stuck" or "budget", where there is a node as soon as the robot is there, home. reason: one sentence.
-    latest_arrival: s, when the robot is not at the goal by then, it must turn back. spent: what it was chosen for has
-    been seen on the way: the next goal can be chosen at once. look: (l,) headings, rad in M, that the robot is to look
-    in at the goal, without any all round. looked_again: (t,) ids of the nodes to which the robot has gone back before
-    the mission ends, for a passage that was too narrow or a tag that is doubtful.
-    longest_way: m from where it was chosen: by a longer one the robot would not come home within its budget.
-    explored: s, since when nothing has been left to explore: goals are looked round at for accuracy alone; else inf.
-    tour: (s,) ids of the candidates to be visited in this order, the goal first; empty where no tour was planned.
+    value: (c,) the maximised value. verdict: "goal", "look" to turn in place, or the outcome of the mission,
+    "complete", "stuck" or "budget", which takes effect once the robot is at the node, if there is one: home. reason:
+    one sentence. latest_arrival: s, time by which the robot must be at the goal or turn back. spent: the goal's
+    frontiers have been seen on the way, so the next goal can be chosen at once. look: (l,) headings, rad in M, in which
+    the robot looks at the goal; empty for all around. looked_again: (t,) ids of the nodes to which the robot has
+    returned before the mission ends, for a passage that was too narrow or a doubtful tag. longest_way: m from the place
+    of the choice; after a longer way the robot could not return home within its budget. explored: s, since when nothing
+    has been left to explore and goals serve accuracy alone; otherwise inf. tour: (s,) ids of the candidates to visit in
+    this order, the goal first; empty without a tour.
     """
 
     stage: int
@@ -490,13 +487,13 @@ class GoalChoice:
 
     @property
     def is_explored(self) -> bool:
-        """Whether nothing is left to explore: then landmarks all over a large map are to be known jointly."""
+        """Whether nothing is left to explore; then landmarks all over a large map must be jointly known."""
         return math.isfinite(self.explored)
 
 
 @message
 class Path:
-    """A path to follow. id: grows with every new path. stage. points: (n, 2) in M, m; empty where none was found."""
+    """A path to follow. id: increases with every new path. stage. points: (n, 2) in M, m; empty if none was found."""
 
     id: int
     stage: int
@@ -505,16 +502,15 @@ class Path:
 
 @message
 class MissionStatus:
-    """Where the mission stands.
+    """The status of the mission.
 
-    phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (what was
-    seen is being solved), "choose", "plan", "follow", "done", or "paused". stage: views in the map.
-    since: s, when the phase began. resume_phase: where a pause goes back to, "" otherwise. outcome: "" until done, then
-    complete, stuck, budget or interrupted; from outside a mission ends by time_limit, battery or fault. reason: one
-    sentence, where it is done or paused. replans: paths asked for after the first since the robot last stood and
-    looked. path_id: the path being followed. failures: goals in a row that could not be reached. moving: after a
-    glance; the robot drives on along its path until there is a new one. changes: goals left for others on the way since
-    the robot last stood and looked.
+    phase: "observe" (turning in place at a goal), "glance" (looking ahead for a moment on the way), "map" (solving the
+    observation), "choose", "plan", "follow", "done", or "paused". stage: number of views in the map. since: s, start of
+    the phase. resume_phase: the phase after a pause, "" otherwise. outcome: "" until done, then complete, stuck, budget
+    or interrupted; from outside a mission ends by time_limit, battery or fault. reason: one sentence, if done or
+    paused. replans: number of paths requested after the first since the robot last stood and looked. path_id: the
+    current path. failures: number of consecutive unreachable goals. moving: the robot continues along its path after a
+    glance until there is a new one. changes: number of goals replaced on the way since the robot last stood and looked.
     """
 
     phase: str
@@ -531,7 +527,7 @@ class MissionStatus:
 
     @property
     def drives(self) -> bool:
-        """Whether the robot is to follow its path."""
+        """Whether the robot follows its path."""
         return self.phase in ("follow", "glance") or (self.moving and self.phase in ("map", "choose", "plan"))
 
 
@@ -539,8 +535,8 @@ class MissionStatus:
 class FollowerStatus:
     """The progress of the follower. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
 
-    turn_done: the turn of the running observation is complete. stalled: it has been told to move for some time and has
-    not: something holds it up. left: m of the path ahead.
+    turn_done: the turn of the current observation is complete. stalled: the robot has not moved for some time although
+    commanded to. left: m of the path ahead.
     """
 
     stamp: float
@@ -553,8 +549,8 @@ class FollowerStatus:
 
 @message
 class PathStatus:
-    """Whether the rest of the path with this id is free of what the scan sees. unreachable: no path leads to the goal,
-    of a planner that leaves it to the goal selector to choose another at once."""
+    """The state of the path with this id. free: no obstacle in the scan blocks the rest of it. unreachable: no path
+    leads to the goal, and the planner leaves it to the goal selector to choose another at once."""
 
     path_id: int
     free: bool
