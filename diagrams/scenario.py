@@ -344,7 +344,7 @@ def ApplyWorldFile(
     result = copy.deepcopy(scenario)
     source = "world" if path is None else str(path)
     try:
-        if path is not None and not _IsScenario(Path(path)):
+        if path is not None and not IsScenario(Path(path)):
             world = load_map(Path(path), scenario.robot.radius, tag_spacing, start, scenario.seed)
         else:
             world = MakeWorld((result if path is None else LoadScenario(path)).world)
@@ -359,7 +359,7 @@ def ApplyWorldFile(
 _MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
 
 
-def _IsScenario(path: Path) -> bool:
+def IsScenario(path: Path) -> bool:
     """Return True if a world file is a scenario (or the name of a shipped one), not a map to import."""
     if not path.is_file():
         return path.suffix in ("", ".yaml", ".yml")

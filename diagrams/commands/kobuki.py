@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tfg_drake.diagrams.commands import command
@@ -99,7 +100,9 @@ def _drive_ahead(device: Device) -> str:
 
 @kobuki_app.command()
 def emulate(
-    world: Annotated[str, option("none|SCENARIO", "The world: an empty plane, or that of a scenario.")] = "none",
+    world: Annotated[
+        str, option("none|SCENARIO|MAP", "The world: an empty plane, or that of a scenario or map file.")
+    ] = "none",
     sensors: Annotated[
         bool, flag("--sensors", "Also emulate an RPLidar on its own device, and a network camera.")
     ] = False,
@@ -161,11 +164,12 @@ def _own_sensors(emulator: Emulator, name: str, world: World) -> Iterator[dict[s
 
 
 def _place(name: str) -> tuple[Scenario, World]:
-    """Return the scenario of a name and its world; an empty plane for `none`."""
-    from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario
+    """Return the scenario of a name and its world; an empty plane for `none`, a tag every metre for a map file."""
+    from tfg_drake.diagrams.scenario import IsScenario, LoadScenario, MakeWorld, PrepareScenario, Scenario
     from tfg_drake.hardware.emulation.emulator import empty_plane
 
     if name == "none":
         return Scenario(), empty_plane()
-    scenario = LoadScenario(name)
+    is_scenario = IsScenario(Path(name))
+    scenario = LoadScenario(name) if is_scenario else PrepareScenario("house", world=name, tag_spacing=1.0)
     return scenario, MakeWorld(scenario.world)

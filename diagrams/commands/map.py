@@ -277,6 +277,7 @@ def locate(map_file: MapArgument, other: OtherMap) -> None:
     none = 1.0 - float(places.probability.sum())
     print(f"{'it begins elsewhere' if none < 1.0 else 'it is not found in this map'}: probability {none:.2g}")
     if places.found() is None:
+        print(f"that is not sure: a place counts as found from a probability of {1.0 - WRONG:g} on")
         raise typer.Exit(1)
 
 

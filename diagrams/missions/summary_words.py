@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any
 
 from tfg_drake.percent import percent
+from tfg_drake.planning.openings import REACH
 
 # So many openings are named on a screen and on the page, those with the most unknown behind them; all are counted.
 ON_SCREEN, ON_PAGE = 3, 20
@@ -84,7 +85,7 @@ def left_open_rows(summary: dict[str, Any], named: int = ON_SCREEN) -> list[tupl
     counts = Counter(one["why"] for one in openings)
     rows = [("left open", ", ".join(f"{count} {why}" for why, count in counts.most_common()) or "nothing")]
     for one in openings[:named]:
-        (x, y), behind, why = one["p_WO"], f"{one['unknown_m2']:.0f} m2 unknown behind", one["why"]
+        (x, y), behind, why = one["p_WO"], f"{one['unknown_m2']:.0f} m2 unknown within {REACH:g} m", one["why"]
         if one["missing_m"]:
             why = f"the way there is {why} by {one['missing_m']:.2f} m to either side"
         rows.append(("", f"{one['width_m']:.1f} m wide at ({x:.1f}, {y:.1f}), {behind}: {why}"))

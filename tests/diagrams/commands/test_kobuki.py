@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tfg_drake.diagrams.commands.kobuki import _place
 from tfg_drake.hardware.emulation.emulator import Emulator, empty_plane
 from tfg_drake.hardware.kobuki.codec import BaseControl
 
@@ -163,3 +164,10 @@ def test_help(call, command):
     code, out, _ = call("kobuki", command, "--help")
     assert code == 0
     assert "Usage: tfg-drake kobuki" in out
+
+
+def test_the_world_of_a_map_file_has_tags(tmp_path):
+    (tmp_path / "room.vectormap.txt").write_text("0,0,5,0\n5,0,5,4\n5,4,0,4\n0,4,0,0\n")
+    scenario, world = _place(str(tmp_path / "room.vectormap.txt"))
+    assert len(world.tag_ids) > 10
+    assert scenario.world.walls == world.walls.tolist()

@@ -31,9 +31,9 @@ def test_reasons_are_counted_and_the_first_openings_named():
         ("left open", "2 tried in vain, 1 too narrow for the robot"),
         (
             "",
-            "0.4 m wide at (1.0, -2.0), 12 m2 unknown behind: the way there is too narrow for the robot by 0.03 m"
+            "0.4 m wide at (1.0, -2.0), 12 m2 unknown within 4 m: the way there is too narrow for the robot by 0.03 m"
             " to either side",
         ),
-        ("", "0.4 m wide at (2.0, -2.0), 12 m2 unknown behind: tried in vain"),
+        ("", "0.4 m wide at (2.0, -2.0), 12 m2 unknown within 4 m: tried in vain"),
     ]
     assert [name for name, _ in rows[3:]] == ["unseen room"]
