@@ -24,9 +24,9 @@ def test_ezdxf_reads_the_map_back(small_map):
         found = [flat(line.dxf.start, line.dxf.end).tolist() for line in space.query(f'LINE[layer=="{layer}"]')]
         expected = tfg.segments[some].reshape(-1, 2, 2).tolist()
         np.testing.assert_allclose(sorted(found), sorted(expected), atol=1e-9)
-    (frontier,) = space.query('POINT[layer=="frontier"]')
+    (frontier,) = space.query('POINT[layer=="FRONTIER"]')
     np.testing.assert_allclose(flat(frontier.dxf.location), [[5.0, 1.0]], atol=1e-9)
-    for layer, rows in (("tag", [0, 1, 2]), ("doubtful_tag", [3])):
+    for layer, rows in (("TAG", [0, 1, 2]), ("DOUBTFUL_TAG", [3])):
         points = space.query(f'POINT[layer=="{layer}"]')
         np.testing.assert_allclose(flat(*(point.dxf.location for point in points)), p_WL[rows])
         ends = flat(*(line.dxf.end for line in space.query(f'LINE[layer=="{layer}"]')))
