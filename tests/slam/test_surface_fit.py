@@ -35,9 +35,10 @@ def test_along_a_bare_wall_and_where_nothing_is_what_was_known_before_stays():
     start = np.array([0.07, 0.05, 0.02])
     found, *_ = Surfaces(wall).fitted(wall[np.abs(wall[:, 0]) < 2.0], start, LOOSE, 2 * GATES)
     np.testing.assert_allclose(found, [0.07, 0.0, 0.0], atol=2e-3)
-    nothing, _, share = Surfaces(np.empty((0, 4))).fitted(wall, start, LOOSE, GATES)
-    assert np.array_equal(nothing, start)
-    assert share == 0.0
+    for known, seen in ((np.empty((0, 4)), wall), (wall, np.empty((0, 4)))):
+        nothing, _, share = Surfaces(known).fitted(seen, start, LOOSE, GATES)
+        assert np.array_equal(nothing, start)
+        assert share == 0.0
 
 
 def test_what_looks_the_other_way_is_another_surface():

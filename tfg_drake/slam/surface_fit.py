@@ -50,7 +50,7 @@ class Surfaces:
         X: (3,) the prior pose, with information (3, 3). gates: m, one per step.
         """
         there, total, share = X, information, 0.0
-        for gate in gates if len(self.points) else ():
+        for gate in gates if len(self.points) and len(query) else ():
             p = moved_points(there, query)
             n, e, met = self._beside(p, max(NEAR, gate))
             lever = p[:, :2] - there[:2]
