@@ -61,3 +61,15 @@ def test_a_way_takes_longer_where_the_robot_must_turn():
     assert ahead.time[1] == pytest.approx(straight[1], abs=0.05)
     assert behind.time[1] > straight[1] + 2.5 / ROBOT.max_turn_rate + ROBOT.max_speed / ROBOT.max_acceleration
     assert ahead.time[3] == pytest.approx(straight[3] + 2.0 * np.arctan(0.25) / ROBOT.max_turn_rate, abs=0.05)
+
+
+def test_a_robot_in_a_slit_goes_back_as_it_came_though_it_comes_nearer_to_a_wall():
+    points, nodes = np.array([[-0.05, 0.0], [0.2, 0.0], [2.0, 0.0]]), np.array([[1, 2]])
+    driven = Edges(nodes, np.ones(1, dtype=bool), np.ones(1, dtype=bool), np.array([0.2]), np.zeros(1))
+    state = replace(empty_roadmap(), ids=np.arange(3), points=points, sigma=np.zeros(3), edges=driven)
+    slit = replace(
+        empty_map(), segments=np.array([[-0.5, 0.23, 0.1, 0.23], [0.1, 0.205, 0.9, 0.205], [0.9, 0.2, 2.0, 0.2]])
+    )
+    assert routes(state, slit, np.zeros(3), ROBOT, PLANNER).predecessor.tolist() == [3, 3, 1]
+    shut = replace(slit, segments=np.vstack([slit.segments, [0.1, -1.0, 0.1, 1.0]]))
+    assert routes(state, shut, np.zeros(3), ROBOT, PLANNER).predecessor.tolist() == [3, -1, -1]

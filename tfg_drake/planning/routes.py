@@ -65,7 +65,7 @@ def routes(
     cost: of edges. With planner.risk "path" risk also adds to the cost, with the weight that reaches most nodes, and
     nodes not reached within planner.collision_probability count as unreachable; ways kept open although too narrow are
     exempt. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. A robot that stands too
-    near a surface may still leave if it hardly comes nearer.
+    near a surface may still leave if it hardly comes nearer, or by the way with the most room if there is no other.
     """
     n = len(state.points)
     if n == 0:
@@ -81,7 +81,9 @@ def routes(
     at_ease = required_clearance(robot.radius, state.sigma, planner.collision_probability)[edges.nodes].max(axis=1)
     lacks = np.maximum(0.0, at_ease - edges.clearance)
     weight = np.where(is_open, cost(length, has) + TIGHT * np.ceil(lacks / NODE_MARGIN), np.inf)
-    links, links_has = _connect(state, tfg, X_MB, robot, obstacles)
+    leads = np.zeros(n, dtype=np.bool_)
+    leads[edges.nodes[is_open]] = True
+    links, links_has = _connect(state, tfg, X_MB, robot, obstacles, leads)
     links_length = np.hypot(*(state.points[links] - X_MB[:2]).T)
     links_weight = cost(links_length, links_has)
     if planner.risk == "path":
@@ -187,9 +189,15 @@ def _travel(
 
 
 def _connect(
-    state: RoadmapState, tfg: TfgMap, X_MB: FloatArray, robot: RobotConfig, obstacles: FloatArray | None
+    state: RoadmapState,
+    tfg: TfgMap,
+    X_MB: FloatArray,
+    robot: RobotConfig,
+    obstacles: FloatArray | None,
+    leads: BoolArray,
 ) -> tuple[IntArray, FloatArray]:
-    """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m."""
+    """Nodes the robot can drive to directly (l,), and the clearance of the way there (l,), m. leads: (n,) mask of the
+    nodes from which it can go on."""
     here = X_MB[:2]
     distance = np.hypot(*(state.points - here).T)
     near = np.flatnonzero(distance <= EDGE_LENGTH)
@@ -202,10 +210,13 @@ def _connect(
     lines = np.hstack([np.broadcast_to(here, (len(near), 2)), state.points[near]])
     has = clearance(lines, segments, COMFORT)
     ok = has >= min(robot.radius + NODE_MARGIN, 0.95 * own)
+    on = leads[near]
+    if not (ok & on).any():
+        ok |= on & (has == has[on].max(initial=0.0)) & (has > 0.0)
     free = ok.copy()
     free[ok] = in_free_space(lines[ok], tfg)
     # Outside the space it has seen the robot may still drive where no surface is in the way.
-    chosen = free if free.any() else ok
+    chosen = free if (free & on).any() else ok
     return near[chosen].astype(np.int64), has[chosen]
 
 
