@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 # Time between two looks at a real robot's mission, and at the wishes of a page, simulated s; of wall time while its
 # clock is held.
 WATCHED_STEP = 0.125
-# Wall time between two looks at the area seen, s: of a large building it takes a tenth of a second.
-AREA_INTERVAL = 5.0
+# Share of the time that looks at the area seen take at most: of a large building one takes a tenth of a second.
+AREA_SHARE = 0.02
 
 _log = logging.getLogger("tfg_drake.run")
 
@@ -160,7 +160,8 @@ class MissionRunner:
             return
         mission, wall_time = self._mission, time.monotonic() - self._mission.wall_start
         if mission.outcome or wall_time >= self._next_area:
-            self._area, self._next_area = _seen_area(mission), wall_time + AREA_INTERVAL
+            began, self._area = time.monotonic(), _seen_area(mission)
+            self._next_area = wall_time + (time.monotonic() - began) / AREA_SHARE
         status = mission.status
         self._request.on_progress(
             Progress(
