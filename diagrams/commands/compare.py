@@ -14,6 +14,18 @@ from tfg_drake.diagrams.missions import run_folder
 from tfg_drake.diagrams.screen import Screen
 
 
+def _seeds(text: str) -> range:
+    """Return the seeds of an option's value, N or A:B."""
+    first, _, last = text.rpartition(":")
+    try:
+        seeds = range(int(first or 0), int(last))
+    except ValueError:
+        bad_input(f"--seeds {text}: must be a number of seeds, or A:B for A to B - 1")
+    if seeds.start < 0 or not seeds:
+        bad_input(f"--seeds {text}: must be 1 or more")
+    return seeds
+
+
 def compare(
     scenario: Annotated[str, argument(None, "A shipped scenario or a YAML file.")] = "paper",
     world: command.World = None,
@@ -22,7 +34,7 @@ def compare(
     methods: Annotated[
         str, option("NAME,...", "The methods; the first is the reference for the others.")
     ] = "tfg,tfg-nearest,grid-nearest",
-    seeds: Annotated[int, option("N", "Run every method on the seeds 0 to N - 1.")] = 10,
+    seeds: Annotated[str, option("N|A:B", "Run every method on the seeds 0 to N - 1, or A to B - 1.")] = "10",
     max_time: command.MaxTime = 3600.0,
     settings: command.Settings = None,
     jobs: Annotated[int | None, option("N", "Run N missions at a time [default: 1].")] = None,
@@ -30,11 +42,10 @@ def compare(
     out: Annotated[Path | None, option("DIR", "Output folder [default: runs/<time>-compare-<scenario>].")] = None,
 ) -> None:
     """Compare methods on the same seeds and write a report. With the same DIR, continue an interrupted comparison."""
-    if seeds < 1:
-        bad_input(f"--seeds {seeds}: must be 1 or more")
+    each_seed = _seeds(seeds)
     for setting in settings or []:
         if setting.split("=")[0].strip() == "seed":
-            bad_input(f"--set {setting}: the seeds are 0 to one less than --seeds; leave it out")
+            bad_input(f"--set {setting}: the seeds are those of --seeds; leave it out")
     if jobs is not None and jobs < 1:
         bad_input(f"--jobs {jobs}: must be 1 or more")
     if jobs is not None and ray is not None:
@@ -48,7 +59,7 @@ def compare(
 
         name = run_folder.run_name(scenario, world)
         place = command.parse_start(start)
-        of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in range(seeds)]
+        of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in each_seed]
         compared = parse_methods(methods, of_seed[0])
         given: dict[str, Any] = {"name": name, "world_name": str(world or scenario), "max_time": max_time}
         # All methods of a seed run before the next seed, so that a partial report compares equal seeds.

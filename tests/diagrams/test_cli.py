@@ -40,7 +40,7 @@ from tfg_drake.slam import estimator
         ),
         ("explore --tag-spacing 0", "--tag-spacing 0: must be greater than 0 m"),
         ("explore --tag-spacing 1e-4", "--tag-spacing 0.0001: must be 0.05 m at least; tags are no smaller"),
-        ("compare --set seed=5", "--set seed=5: the seeds are 0 to one less than --seeds; leave it out"),
+        ("compare --set seed=5", "--set seed=5: the seeds are those of --seeds; leave it out"),
         ("explore --seed -1", "--seed -1: must be between 0 and 2147483647"),
         ("explore --page-port 70000", "port 70000: must be between 1 and 65535"),
         ("explore --start 1,2", "--start 1,2: must be X,Y,YAW in metres and radians, such as 1.5,2,0"),

@@ -15,7 +15,7 @@ FORMATS = (".png", ".pdf")
 _TOLD = {"png": ("Software",), "pdf": ("Creator", "Producer", "CreationDate")}
 
 
-def write_figure(path: Path, figure: Figure, dpi: float = 160.0, bounds: str | None = None) -> None:
+def write_figure(path: Path, figure: Figure, dpi: float = 160.0, *, bounds: str | None = None) -> None:
     """Write a figure as a PNG or PDF, by the file's suffix, atomically, without the metadata that would differ from
     version to version or day to day. bounds: "tight" cuts empty margins off.
 

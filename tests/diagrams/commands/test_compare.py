@@ -10,15 +10,22 @@ from pathlib import Path
 import pytest
 
 from tfg_drake.comparison.runs import Run
+from tfg_drake.diagrams.commands.compare import _seeds
 from tfg_drake.diagrams.missions import comparison_report, sweep
 from tfg_drake.diagrams.missions.comparison_report import closing_lines
 from tfg_drake.mission.interruption import NAMES
+
+
+def test_seeds_are_a_number_or_a_range():
+    assert (_seeds("3"), _seeds("40:42")) == (range(3), range(40, 42))
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
         ("--seeds 0", "--seeds 0: must be 1 or more"),
+        ("--seeds 5:5", "--seeds 5:5: must be 1 or more"),
+        ("--seeds few", "--seeds few: must be a number of seeds, or A:B for A to B - 1"),
         ("--jobs 0", "--jobs 0: must be 1 or more"),
         ("--max-time 0", "--max-time 0: must be greater than 0 s"),
         ("--tag-spacing -1", "--tag-spacing -1: must be greater than 0 m"),
