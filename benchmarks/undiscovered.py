@@ -154,13 +154,13 @@ def judged(lines: list[dict[str, Any]], kinds: tuple[str, ...]) -> Iterator[tupl
                     yield mission, area, float(probability), moment["largest_m2"] >= area
 
 
-def table(lines: list[dict[str, Any]], kinds: tuple[str, ...], areas: tuple[float | None, ...]) -> None:
-    """Prints the bins of what was stated of rooms of some areas, m^2, None: of all together."""
+def table(lines: list[dict[str, Any]], kinds: tuple[str, ...], areas: tuple[float, ...]) -> None:
+    """Prints the bins of what was stated of rooms of some areas, m^2."""
     rows = np.array(list(judged(lines, kinds)))
     rng = np.random.default_rng(0)
     print(f"{'area':>8s} {'stated':>12s} {'cuts':>6s} {'mean stated':>12s} {'were there':>11s} {'95 %':>14s}")
     for area in areas:
-        some = rows if area is None else rows[rows[:, 1] == area]
+        some = rows[rows[:, 1] == area]
         for low, high in itertools.pairwise(BINS):
             ours = some[(some[:, 2] >= low) & ((some[:, 2] < high) | (high == 1.0))]
             if not len(ours):
@@ -169,11 +169,23 @@ def table(lines: list[dict[str, Any]], kinds: tuple[str, ...], areas: tuple[floa
             anew = sums[rng.integers(len(lines), size=(DRAWN_ANEW, len(lines)))].sum(axis=1)
             shares = anew[anew[:, 1] > 0, 0] / anew[anew[:, 1] > 0, 1]
             interval = "{:.2f} to {:.2f}".format(*np.percentile(shares, [2.5, 97.5]))
-            name = "all" if area is None else f"{area:g} m2"
             print(
-                f"{name:>8s} {f'{low:g} to {high:g}':>12s} {len(ours):6d} {ours[:, 2].mean():12.2f}"
+                f"{f'{area:g} m2':>8s} {f'{low:g} to {high:g}':>12s} {len(ours):6d} {ours[:, 2].mean():12.2f}"
                 f" {ours[:, 3].mean():11.2f} {interval:>14s}"
             )
+
+
+def all_areas(lines: list[dict[str, Any]], kinds: dict[str, str]) -> None:
+    """Prints the bins of rooms of all areas, columns for each kind of cut: how many, stated on average, were there."""
+    print(f"{len(lines)} missions " + "".join(f"{when:>26s}" for when in kinds.values()))
+    print(f"{'stated':>11s} " + f"{'n':>10s}{'mean':>8s}{'there':>8s}" * len(kinds))
+    each = [np.array(list(judged(lines, (kind,)))) for kind in kinds]
+    for low, high in itertools.pairwise(BINS):
+        of_bin = [some[(some[:, 2] >= low) & ((some[:, 2] < high) | (high == 1.0))] for some in each]
+        cells = [
+            f"{len(one):10d}{one[:, 2].mean():8.2f}{one[:, 3].mean():8.2f}" if len(one) else 26 * " " for one in of_bin
+        ]
+        print(f"{f'{low:g} to {high:g}':>11s} " + "".join(cells))
 
 
 def fit(lines: list[dict[str, Any]]) -> None:
@@ -222,9 +234,7 @@ def main() -> None:
         print(f"\n{len(others)} missions, {when}, each area")
         table(others, (kind,), model.AREAS)
     print()
-    for kind, when in kinds.items():
-        print(f"{len(others)} missions, {when}")
-        table(others, (kind,), (None,))
+    all_areas(others, kinds)
 
 
 if __name__ == "__main__":

@@ -192,8 +192,9 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     begin = adrift(graph) + 1
     mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed) and not begin
-    sigma, carried = FROM_HERE if state.is_kidnapped else (DRIFTED, CARRIED)
-    prior = None if anywhere else Prior(expected, sigma, carried, A_METRE)
+    # A resumed robot most probably stands where it stood; any other place is as unlikely as to be carried there.
+    sigma, carried = FROM_HERE if state.is_kidnapped and not math.isnan(state.placed) else (DRIFTED, CARRIED)
+    prior = Prior(expected, sigma, carried, A_METRE)
     found, places = _where((known, mapped), seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         return state
@@ -275,7 +276,8 @@ def found_again(
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags
     mapped = seen_by_keyframes(graph, range(j if j >= 0 else k))
     begun = at if lost else graph.X_MN[j + 1]
-    prior, earlier = Prior(begun, *FROM_HERE, A_METRE, begun), state.hypotheses.X_KM
+    sigma, carried = (DRIFTED, CARRIED) if math.isnan(state.placed) else FROM_HERE
+    prior, earlier = Prior(begun, sigma, carried, A_METRE, begun), state.hypotheses.X_KM
     found, places = _where((known, mapped), seen, prior, earlier, is_growing=True)
     if found is None:
         left = places.probability > WRONG
