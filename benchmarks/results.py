@@ -276,7 +276,7 @@ def printed(name: str, data: Path | None, out: Path) -> str | None:
         if done.returncode:
             print(f"{name}: exit code {done.returncode}", flush=True)
             return None
-        table = done.stdout.rstrip().rsplit("\n\n", 1)[-1].splitlines()
+        table = done.stdout.rstrip().rsplit("\n\n", 1)[-1].strip("\n").splitlines()
         # Columns of the same names are named once.
         lines += [f"$ python benchmarks/{arguments}  # {version()}", *(one for one in table if one not in lines)]
     return "\n".join(["```", *lines, "```", ""])
