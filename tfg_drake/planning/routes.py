@@ -211,8 +211,9 @@ def _connect(
     has = clearance(lines, segments, COMFORT)
     ok = has >= min(robot.radius + NODE_MARGIN, 0.95 * own)
     on = leads[near]
-    if not (ok & on).any():
-        ok |= on & (has == has[on].max(initial=0.0)) & (has > 0.0)
+    was_met = obstacles is not None and len(obstacles) > 0  # That is forgotten instead.
+    if not (ok & on).any() and not was_met:
+        ok |= on & (has == has[on].max(initial=0.0)) & (has >= robot.radius)
     free = ok.copy()
     free[ok] = in_free_space(lines[ok], tfg)
     # Outside the space it has seen the robot may still drive where no surface is in the way.
