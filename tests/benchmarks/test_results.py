@@ -28,7 +28,7 @@ def test_a_table_is_what_follows_the_last_empty_line(results, monkeypatch, tmp_p
 
     def run(command, **options):
         asked.append((command, options["cwd"]))
-        return subprocess.CompletedProcess(command, 0, "seed 0\nseed 1\n\nworld  n\nflat   2\n\n")
+        return subprocess.CompletedProcess(command, 0, "seed 0\nseed 1\n\n\nworld  n\nflat   2\n\n")
 
     monkeypatch.setattr(results, "version", lambda: "abc")
     monkeypatch.setattr(results.subprocess, "run", run)
