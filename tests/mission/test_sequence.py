@@ -151,6 +151,13 @@ def test_a_robot_that_is_held_up_gets_a_new_path():
     assert step(again, inputs(14.0, follower=held, path_status=blocked)).phase == "plan"
 
 
+def test_a_glance_does_not_keep_a_robot_that_does_not_move_from_turning():
+    status = dataclasses.replace(following(10.0), phase="glance", moving=True)
+    held = FollowerStatus(10.5, status.path_id, False, False, stalled=True)
+    turns = step(status, inputs(10.5, follower=held))
+    assert (turns.phase, turns.moving, turns.failures) == ("observe", False, status.failures + 1)
+
+
 def test_a_path_that_takes_far_too_long_is_planned_again():
     status = following(10.0)
     path = Path(7, 1, np.array([[0.0, 0.0], [0.5, 0.0]]))

@@ -106,10 +106,13 @@ def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 
 def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
-    held_up = _held_up(status, inputs)
-    if not held_up and inputs.time < status.since + GLANCE_TIME:
+    if _stalled(status, inputs):
+        # What it does not see from here keeps it from moving.
+        return _give_up_goal(status, inputs)
+    in_the_way = _seen_or_felt(status, inputs)
+    if not in_the_way and inputs.time < status.since + GLANCE_TIME:
         return status
-    return _begin(status, inputs, "map", moving=not held_up)
+    return _begin(status, inputs, "map", moving=not in_the_way)
 
 
 def _map(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
@@ -169,8 +172,12 @@ def _follow(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _held_up(status: MissionStatus, inputs: MissionInputs) -> bool:
     """True if something is in the way, or the base does not move for any reason."""
+    return _seen_or_felt(status, inputs) or _stalled(status, inputs)
+
+
+def _stalled(status: MissionStatus, inputs: MissionInputs) -> bool:
     follower = inputs.follower()
-    return _seen_or_felt(status, inputs) or (follower.path_id == status.path_id and follower.stalled)
+    return follower.path_id == status.path_id and follower.stalled
 
 
 def _seen_or_felt(status: MissionStatus, inputs: MissionInputs) -> bool:
