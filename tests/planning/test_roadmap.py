@@ -447,17 +447,21 @@ def test_to_a_bold_robot_only_what_it_would_touch_is_in_the_way():
 
 def test_passages_are_the_middle_of_narrow_gaps():
     segments = frozen(two_rooms(0.8))
-    found = passages(segments, 0.5, 1.5)
+    found, width = passages(segments, 0.5, 1.5)
     assert np.hypot(*found.T).min() < 1e-9
     assert np.hypot(*(found - [0.5, 0.0]).T).min() < 1e-9
-    assert len(passages(segments, 0.9, 0.95)) == 0
-    assert len(passages(frozen(np.zeros((0, 4))), 0.5, 1.5)) == 0
+    np.testing.assert_allclose(width[np.hypot(*found.T) < 1e-9], 0.8)
+    for none, *limits in ((segments, 0.9, 0.95), (frozen(np.zeros((0, 4))), 0.5, 1.5)):
+        found, width = passages(none, *limits)
+        assert found.shape == (0, 2)
+        assert width.shape == (0,)
 
 
 def test_a_gap_between_an_end_and_the_side_of_a_wall_is_a_passage_too():
     segments = frozen([[-5.0, 0.0, 5.0, 0.0], [0.0, 0.8, 0.0, 3.0]])
-    found = passages(segments, 0.5, 1.5)
+    found, width = passages(segments, 0.5, 1.5)
     np.testing.assert_allclose(found, [[0.5, 0.4], [0.0, 0.4], [-0.5, 0.4]], atol=1e-12)
+    np.testing.assert_allclose(width, 0.8)
 
 
 def test_an_old_node_without_room_keeps_none_from_the_middle_of_a_narrow_door():
@@ -471,6 +475,23 @@ def test_an_old_node_without_room_keeps_none_from_the_middle_of_a_narrow_door():
     estimate, tfg = known(two_rooms(0.5), [(-4, 0, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)
     np.testing.assert_allclose(state.points[nearest(state, (0.0, 0.0))], [0.0, 0.0], atol=0.02)
+
+
+def test_a_node_beside_the_way_through_a_narrow_door_keeps_none_from_it():
+    beside = np.array([[-0.5, 0.2], [0.5, 0.2]])
+    state = replace(
+        empty_roadmap(),
+        anchor=np.zeros(2, dtype=int),
+        ids=np.arange(2),
+        next_id=2,
+        p_AN=beside - [-4.0, 0.0],
+        points=beside,
+        sigma=np.zeros(2),
+    )
+    estimate, tfg = known(two_rooms(0.48), [(-4, 0, 0)])
+    state = extend(state, tfg, estimate, PARAMETERS)
+    for x in (-0.5, 0.0, 0.5):
+        np.testing.assert_allclose(state.points[nearest(state, (x, 0.0))], [x, 0.0], atol=0.02)
 
 
 def test_an_empty_map_has_a_roadmap_of_open_space():

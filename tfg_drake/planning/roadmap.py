@@ -51,9 +51,10 @@ FRONTIER_DARTS = 5
 HALF_GAP = 0.475
 # Interval at which the robot's way is noted, m.
 DRIVEN_STEP = 0.1
-# How far the chords of the way driven may stray from it, m, and how near an old node stands for a new one on it, m.
+# How far the chords of the way driven may stray from it, m, and how near, from least to most, an old node stands for a
+# new one on it, m.
 CHORD = 0.01
-SAME_NODE = 0.15
+CLOSEST, SAME_NODE = 0.02, 0.15
 # Where nothing else leads to a place, the robot goes as near to surfaces as this probability of a collision allows, if
 # that is more than planner.collision_probability: the scan watches every path anyway. A detour, m, that spares it an
 # edge that lacks up to NODE_MARGIN of the room that it should have, another for each NODE_MARGIN more.
@@ -225,8 +226,9 @@ def _gaps(ends: FloatArray, segments: FloatArray, narrowest: float, widest: floa
     return found[:count].copy()
 
 
-def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArray:
-    """Return places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m on either side along the passage.
+def passages(segments: FloatArray, narrowest: float, widest: float) -> tuple[FloatArray, FloatArray]:
+    """Return places in narrow gaps, (p, 2), m: the middle of each gap and 0.5 m on either side along the passage; and
+    the width of the gap of each (p,), m.
 
     A gap joins an end of one of the segments (m, 4) with the nearest point of another, is between narrowest and widest
     (m) wide, and nothing is nearer to its middle than its two sides.
@@ -235,11 +237,10 @@ def passages(segments: FloatArray, narrowest: float, widest: float) -> FloatArra
     ends = ends[np.lexsort(ends.T[::-1])]
     ends = ends[np.append(True, (ends[1:] != ends[:-1]).any(axis=1))[: len(ends)]]
     gaps = _gaps(ends, segments, narrowest, widest)
-    if not len(gaps):
-        return np.zeros((0, 2))
     middle, across = 0.5 * (gaps[:, :2] + gaps[:, 2:]), gaps[:, 2:] - gaps[:, :2]
-    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / np.hypot(*across.T)[:, None]
-    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2)
+    width = np.hypot(*across.T)
+    along = 0.5 * np.stack([-across[:, 1], across[:, 0]], axis=1) / width[:, None]
+    return np.stack([middle + along, middle, middle - along], axis=1).reshape(-1, 2), np.repeat(width, 3)
 
 
 def in_free_space(edges: FloatArray, tfg: TfgMap) -> BoolArray:
@@ -267,7 +268,9 @@ def _darts_in_stars(rng: np.random.Generator, tfg: TfgMap, first: int, stop: int
 def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Places for new nodes (p, 2), m in M, the most wanted first, with the spacing (p,) that each must keep, and
     whether they lie in free space for sure (p,)."""
-    gaps = passages(tfg.obstacles, 2 * (radius + NODE_MARGIN), 2 * SPACING)
+    gaps, width = passages(tfg.obstacles, 2 * (radius + NODE_MARGIN), 2 * SPACING)
+    # Another node stands for one in a gap only where there is room for that.
+    apart = np.clip(0.5 * width - radius - NODE_MARGIN, CLOSEST, PASSAGE_SPACING)
     normal = np.repeat(tfg.frontier_normal, FRONTIER_DARTS, axis=0)
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     back, aside = rng.uniform(0.45, 1.6, (len(normal), 1)), rng.uniform(-0.6, 0.6, (len(normal), 1))
@@ -277,7 +280,7 @@ def _proposals(rng: np.random.Generator, tfg: TfgMap, radius: float) -> tuple[Fl
     older = _darts_in_stars(rng, tfg, 0, stars - 1, OLDER_DARTS)
     groups = [gaps, fringe, newest, older]
     sizes = [len(group) for group in groups]
-    spacing = np.repeat([PASSAGE_SPACING, FRONTIER_SPACING, SPACING, SPACING], sizes)
+    spacing = np.append(apart, np.repeat([FRONTIER_SPACING, SPACING, SPACING], sizes[1:]))
     return np.concatenate(groups), spacing, np.repeat([False, False, True, True], sizes)
 
 
@@ -305,7 +308,7 @@ def _travelled_nodes(
         chain = np.vstack([driven, view])
         chain = chain[chords(chain)]
     room = clearance(np.hstack([chain, chain]), segments, 1.0)
-    near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, 0.02, SAME_NODE)
+    near_enough = np.clip(room - radius - 2.0 * NODE_MARGIN, CLOSEST, SAME_NODE)
     way = _standing_for(chain, near_enough, nodes)
     new = way > np.maximum.accumulate(np.append(len(nodes) - 1, way))[:-1]
     end = int(way[-1])
