@@ -197,7 +197,8 @@ def fork(
     Args:
         run: the folder of a simulated run, or its Run from `load_run`.
         stage: number of the stage, from 1 on.
-        goal: (2,) another goal in W, m: the robot drives to the nearest reachable place and looks around.
+        goal: (2,) another goal in W, m: the robot drives to the nearest reachable place, at most 0.5 m away, and looks
+            around.
         candidate: or the number of another candidate, 1 for the one with the most gain.
 
     The simulator's system is the mission's diagram with "station" and "explorer"; its Context can be cloned. The robot
@@ -231,8 +232,8 @@ def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot,
 class Exploration:
     """A running or finished mission. A notebook displays its `figure`.
 
-    scenario: the Scenario that defines it. Its Drake objects: simulator (advance it by `advance`, which also records
-    trajectory and stages); diagram, which contains station, explorer and recorders; station; explorer; context, the
+    scenario: the Scenario that defines it. Its Drake objects: simulator (advance it by `advance`, which also notes
+    the stages); diagram, which contains station, explorer and recorders; station; explorer; context, the
     diagram's root Context. stages: one row per stage, as in a run's stages.jsonl. folder: the run's folder, summary:
     the contents of its summary.json; both None if no files are kept.
     """
@@ -266,17 +267,18 @@ class Exploration:
     @property
     def status(self) -> MissionStatus:
         """The mission's status."""
-        return self._mission.status
+        return self._mission.look("mission", MissionStatus)
 
     @property
     def map(self) -> MapEstimate | None:
         """The tags and views in the map frame M; None before the first view, and for grid methods."""
-        return self._mission.map
+        now = self._mission.look_for("map", MapEstimate)
+        return now if now is not None and now.stage else None
 
     @property
     def tfg(self) -> TfgMap | None:
-        """The surfaces, free space and frontiers in M."""
-        return self._mission.tfg
+        """The surfaces, free space and frontiers in M; None for grid methods."""
+        return self._mission.look_for("tfg", TfgMap)
 
     @property
     def X_WM(self) -> FloatArray:
@@ -335,4 +337,4 @@ class Exploration:
 
     def __repr__(self) -> str:
         landmarks = landmark_counts(len(self.map.ids) if self.map is not None else 0, self._mission.walls)
-        return f"<{self._title}, {len(self.stages)} stages, {landmarks}>"
+        return f"<{self._title}, {self.status.stage} stages, {landmarks}>"

@@ -67,7 +67,8 @@ def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scena
     try:
         inspect.signature(factory or usual).bind(scenario)
     except TypeError as error:
-        raise TypeError(f"{role}: must be a function of a scenario: {error}; write lambda scenario: ...") from None
+        given = f"{role}: is called with the scenario and nothing else: {error}"
+        raise TypeError(f"{given}; write lambda scenario: ...") from None
     part = (factory or usual)(scenario)
     if not isinstance(part, System):
         raise TypeError(f"{role}: its function must return a Drake System, not {type(part).__name__}")

@@ -38,7 +38,7 @@ class PrmPlanner(LeafSystem):
 
     local_roadmap is the part of roadmap that planning needs at a stage, with the same ids: on a large map the nodes
     near the newest view, see `tfg_drake.planning.local`. Then roadmap is computed only for display.
-    Parameters, including the seed of the samples, and inputs determine the roadmap.
+    Parameters, including the seed of the samples, and all inputs so far determine the roadmap.
     """
 
     def __init__(self, parameters: RoadmapParameters) -> None:

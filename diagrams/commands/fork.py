@@ -24,7 +24,10 @@ def fork(
     run: Annotated[Path, argument("RUN", "The folder of a simulated run.")],
     stage: Annotated[int, option("N", "The stage whose goal is changed.")],
     goal: Annotated[
-        str | None, option("X,Y", "Drive to the reachable place nearest to this one in the world frame, m.")
+        str | None,
+        option(
+            "X,Y", "Drive to the reachable place nearest to this one, at most 0.5 m from it, in the world frame, m."
+        ),
     ] = None,
     candidate: Annotated[
         int | None, option("K", "Or drive to the stage's K-th candidate; 1 has the most gain.")

@@ -130,7 +130,8 @@ class Fork:
                 f"; the nearest is ({', '.join(f'{v:.2f}' for v in places[distance.argmin()])})" if len(places) else ""
             )
             x, y = self._goal
-            raise ForkError(f"goal {x:g},{y:g}: no place known at stage {self.stage} that can be reached{near}")
+            place = f"no place within {NEXT_TO_GOAL:g} m that is known to be reachable at stage {self.stage}"
+            raise ForkError(f"goal {x:g},{y:g}: {place}{near}")
         return int(roadmap.node_ids(reachable[[distance.argmin()]])[0])
 
 

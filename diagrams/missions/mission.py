@@ -27,7 +27,7 @@ from tfg_drake.diagrams.missions.truth import Truth
 from tfg_drake.diagrams.parts import OUTPUTS
 from tfg_drake.diagrams.robots import RECORDED, SIMULATED, Robot
 from tfg_drake.diagrams.scenario import MakeWorld, MapFrame, Scenario
-from tfg_drake.geometry.se2 import compose, pose_at, transform
+from tfg_drake.geometry.se2 import between, compose, pose_at, transform
 from tfg_drake.mapfile.message_arrays import to_arrays
 from tfg_drake.mapfile.saved_map import SavedMap, whole_map
 from tfg_drake.messages import (
@@ -80,6 +80,8 @@ STAGE_FIELDS += ("realised_gain", "time_s", "entropy_nats", "landmarks")
 STEP = 1.0
 # A robot that observes this near to its goal was there, m.
 AT_GOAL = 0.3
+# A simulated robot begins this near to the world's start, m and rad.
+AT_START = 0.01
 
 T = TypeVar("T")
 
@@ -246,12 +248,25 @@ class Mission:
                 for name, kind in ports.items():
                     if not isinstance(kind, int):
                         self.look_for(name, kind)
+            if self._before is None:
+                self._check_start()
             self.observe()
         except (Exception, SystemExit) as error:
             if self._before is None or isinstance(error, CheckpointError):
                 raise
             # Anything may come of values that are not what they should be.
             raise self._before.complaint(error) from error
+
+    def _check_start(self) -> None:
+        """Raises ValueError where a simulated robot does not begin at the world's start, by which poses in W go."""
+        if self.truth is None or self.world is None:
+            return
+        begins, start = self.truth.pose(self._context), self.world.start
+        if np.abs(between(start, begins)).max() > AT_START:
+            at, told = (", ".join(f"{value:g}" for value in pose) for pose in (begins, start))
+            raise ValueError(
+                f"truth.pose begins at ({at}), not at world.start ({told}), m and rad: let one be the other"
+            )
 
     def state(self) -> dict[str, tuple[Any, Any]]:
         """All that a mission needs to go on from here, between two instants: annotation and value of each part."""
@@ -658,7 +673,7 @@ class Mission:
         if self.pose is None or self.truth is None:
             return math.nan
         X_WB = compose(self.X_WM, pose_at(self.pose, self.time))
-        return float(np.linalg.norm(X_WB[:2] - self.truth.position(self._context)))
+        return float(np.linalg.norm(X_WB[:2] - self.truth.pose(self._context)[:2]))
 
     def look(self, port: str, kind: type[T]) -> T:
         """The message at an output of the explorer now. Raises TypeError where it is of another kind."""

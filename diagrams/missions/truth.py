@@ -43,9 +43,9 @@ class Truth:
         assert isinstance(now, WorldNow)
         return now.world
 
-    def position(self, root: Context) -> FloatArray:
-        """The robot's p_WB (2,), m."""
-        return self._eval("truth.pose", root)[:2]
+    def pose(self, root: Context) -> FloatArray:
+        """The robot's X_WB (3,), m and rad."""
+        return self._eval("truth.pose", root)[:3]
 
     def poses(self, root: Context, end_time: float) -> tuple[FloatArray, FloatArray]:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, up to the end (s)."""

@@ -67,6 +67,21 @@ def test_in_steps_it_is_the_same_mission(tmp_path):
     assert steps.stages == whole.stages
 
 
+def test_what_it_says_is_of_now_also_when_the_simulator_was_advanced():
+    house = tfg_drake.explore(bare(), until=0.0)
+    assert (house.map, house.status.stage) == (None, 0)
+    house.simulator.AdvanceTo(8.0)
+    assert house.status.stage == house.map.stage == house.tfg.stage == house.look("map").stage > 0
+    assert f"{house.status.stage} stages" in repr(house)
+
+
+def test_a_plant_begins_where_the_world_says():
+    world = MakeWorld(bare().world)
+    elsewhere = dataclasses.replace(world, start=np.array([0.1, 0.0, 0.0]) + world.start)
+    with pytest.raises(ValueError, match=r"^truth.pose begins at \(.*\), not at world.start \(.*\), m and rad: "):
+        tfg_drake.explore(bare(), plant=lambda scenario: DifferentialDrivePlant(elsewhere, scenario.robot), until=0.0)
+
+
 def test_a_page_is_served_meanwhile(tmp_path, capsys):
     tfg_drake.explore(bare(), page=True, out=tmp_path / "run", until=1.0)
     assert "page: http://localhost:" in capsys.readouterr().out
@@ -83,7 +98,7 @@ def test_an_instance_is_no_factory(role, tmp_path):
     with pytest.raises(TypeError, match=f"{role}: its function must return a Drake System, not int"):
         tfg_drake.explore(bare(), **{role: lambda _scenario: 3})
     with pytest.raises(
-        TypeError, match=rf"^{role}: must be a function of a scenario: .*; write lambda scenario: \.\.\.$"
+        TypeError, match=rf"^{role}: is called with the scenario and nothing else: .*; write lambda scenario: \.\.\.$"
     ):
         tfg_drake.explore(bare(), **{role: SlamEstimator})
 

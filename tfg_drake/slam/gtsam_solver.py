@@ -38,8 +38,9 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
     Factor 0 is the prior of S(0), factor j + 1 keyframe j; the pieces of surface that tie poses follow. All but the
     prior are `CustomFactor`s, which GTSAM cannot serialise. They omit the constant errors of tags (graph.tag_error).
 
-    The values are those of the last solve, with later landmarks at their first estimate. They are the optimum if tags
-    have no constant errors; otherwise `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
+    The values are the map. Of a run they are the optimum if tags have no constant errors. Of a mission under way they
+    are those of the last solve, with later landmarks at their first estimate, and that stops before the optimum:
+    `gtsam.LevenbergMarquardtOptimizer(*map_graph(graph))` finds it.
     """
     return named_graph(graph, [L(row) for row in range(len(graph.ids))])
 

@@ -79,7 +79,8 @@ def test_a_goal_is_the_place_next_to_it(original):
     choice = look(simulator, "goal", GoalChoice)
     assert choice.reason == "It was asked for at stage 3."
     with pytest.raises(
-        ForkError, match=r"goal 50,50: no place known at stage 3 that can be reached; the nearest is \("
+        ForkError,
+        match=r"goal 50,50: no place within 0.5 m that is known to be reachable at stage 3; the nearest is \(",
     ):
         fork(original.folder, 3, goal=(50.0, 50.0))
 
