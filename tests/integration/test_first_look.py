@@ -13,7 +13,7 @@ from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
 
 ALL_ROUND = "scan.field_of_view=6.2831"
 UPSIDE_DOWN = (
-    r"scans turn against the odometry .*: the scanner is mounted upside down or mirrored, .*hardware\.scanner\.flip"
+    r"scans turn against the odometry .*: if the scanner is mounted upside down or mirrored, .*hardware\.scanner\.flip"
 )
 
 

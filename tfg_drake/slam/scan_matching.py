@@ -367,7 +367,9 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
     if travels and abs(yaw) > max(LEAST_YAW, sure[3]):
         verdict = replace(verdict, yaw=yaw)
         degrees = math.degrees(yaw)
-        told["mount_yaw"] = f"the scanner looks {degrees:.1f} degrees farther to the left than was said: see its mount"
+        told["mount_yaw"] = (
+            f"the scanner looks {degrees:.1f} degrees farther to the left than was said: the map is corrected for it"
+        )
     return replace(verdict, notes=tuple(Note(kind, found.begun, text) for kind, text in told.items()))
 
 
@@ -380,8 +382,9 @@ def _refusal(found: Comparison) -> str:
     if turning >= TELL and turns >= EXPLAINED * turning:
         if found.turn + sure[0] < -0.1:
             return (
-                f"{AGAINST} ({found.turn:.2f} times as far): the scanner is mounted upside down or mirrored, or the "
-                "wheels are; --set hardware.scanner.flip=true if it is the scanner"
+                f"{AGAINST} ({found.turn:.2f} times as far): if the scanner is mounted upside down or mirrored, --set "
+                "hardware.scanner.flip=true; if the odometry's yaw falls in left turns, mend that: by flip the map would "
+                "be mirrored"
             )
         if abs(found.turn) + sure[0] < 0.15:
             return (
