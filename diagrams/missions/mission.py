@@ -580,8 +580,12 @@ class Mission:
             "pushes": [dataclasses.asdict(one) for one in scenario.disturbances if not self.robot.real],
         }
         camera: dict[str, float] | None = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
-        if self.robot.name == RECORDED:  # Nobody drives it, and its scans are all that is looked at.
-            camera, told["wheels"] = None, False
+        if self.robot.name == RECORDED:  # Nobody drives it.
+            told["wheels"] = False
+        if (
+            self.robot.name == RECORDED or scenario.explorer.landmarks == "walls"
+        ):  # Its scans are all that is looked at.
+            camera = None
         layer = scene.walls(self.world) if self.world is not None else {}
         timeline.write("world", 0.0, layer, **told, camera=camera)
         timeline.write("frame", 0.0, {"pose": self.X_WM.astype(np.float32)})

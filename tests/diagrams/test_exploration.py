@@ -14,6 +14,7 @@ from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
 import tfg_drake
+from benchmarks.timelines import read_timeline
 from examples.estimator import MakeTruthEstimator
 from tests.diagrams.rooms import QUICK_LOOK, ROOM, lasting, room, tagged
 from tfg_drake import kernels
@@ -73,6 +74,13 @@ def test_what_it_says_is_of_now_also_when_the_simulator_was_advanced():
     house.simulator.AdvanceTo(8.0)
     assert house.status.stage == house.map.stage == house.tfg.stage == house.look("map").stage > 0
     assert f"{house.status.stage} stages" in repr(house)
+
+
+@pytest.mark.parametrize(("landmarks", "drawn"), [("both", True), ("walls", False)])
+def test_a_robot_that_maps_no_tags_has_no_camera_on_its_page(landmarks, drawn, tmp_path):
+    tfg_drake.explore(bare(), settings=[f"explorer.landmarks={landmarks}"], out=tmp_path / "run", until=0.1)
+    (world,) = [one for one in read_timeline(tmp_path / "run") if one.layer == "world"]
+    assert (world.told["camera"] is not None) == drawn
 
 
 def test_a_plant_begins_where_the_world_says():

@@ -382,9 +382,9 @@ def _refusal(found: Comparison) -> str:
     if turning >= TELL and turns >= EXPLAINED * turning:
         if found.turn + sure[0] < -0.1:
             return (
-                f"{AGAINST} ({found.turn:.2f} times as far): if the scanner is mounted upside down or mirrored, --set "
-                "hardware.scanner.flip=true; if the odometry's yaw falls in left turns, mend that: by flip the map would "
-                "be mirrored"
+                f"{AGAINST} ({found.turn:.2f} times as far): if the scanner is mounted upside down or mirrored, "
+                "--set hardware.scanner.flip=true; if the odometry's yaw falls in left turns, mend that: flip would "
+                "mirror the map"
             )
         if abs(found.turn) + sure[0] < 0.15:
             return (
