@@ -119,6 +119,8 @@ def export(
 
     map_server also writes an image, and a mask of the run's keep-out areas, beside OUT; gtsam also writes .values.
     """
+    import numpy as np
+
     from tfg_drake.mapfile.summary import landmark_counts
 
     if name is None:
@@ -146,8 +148,11 @@ def export(
         mask = _write_mask(saved, map_file, out) if name == "map_server" else []
     files = [out, out.with_suffix(BESIDE[name]), *mask] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    walls = len(saved.graph.ids) - len(saved.ids)
-    print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), walls)}, {size / 1e3:.0f} kB")
+    walls = np.setdiff1d(saved.graph.ids, saved.ids)
+    unseen = np.count_nonzero(~np.isin(walls, saved.tfg.segment_ids))
+    if unseen and len(saved.graph.sessions) > 1 and name not in (*OF_TAGS, *OF_GRAPH):
+        print(f"{map_file}: {unseen} walls of the known map are not drawn, as this session has not seen them")
+    print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), len(walls))}, {size / 1e3:.0f} kB")
 
 
 def _check_not_empty(saved: SavedMap, map_file: Path, name: str) -> None:
