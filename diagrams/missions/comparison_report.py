@@ -23,6 +23,7 @@ from tfg_drake.diagrams.missions.errors import KnownWorld
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
+from tfg_drake.io.commit import commit
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray
@@ -50,13 +51,14 @@ def write_comparison(
     methods = list(dict.fromkeys(task.method.name for task in tasks))
     write_atomic(out / "runs.csv", to_csv(runs))
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))
+    of_commit = f" of commit {own}" if (own := commit()) else ""
     comparison = Comparison(
         title=f"{' against '.join(methods) if len(methods) < 3 else f'{len(methods)} methods'} in {tasks[0].name}",
         methods=methods,
         runs=runs,
         planned=len(tasks),
         command=command,
-        versions=f"tfg-drake {__version__}, Python {platform.python_version()}, {packages};"
+        versions=f"tfg-drake {__version__}{of_commit}, Python {platform.python_version()}, {packages};"
         f" {platform.system()} on {platform.machine()}.",
     )
     pictures = list(_pictures(methods, runs, scenarios, out))

@@ -17,6 +17,7 @@ from tfg_drake.diagrams.missions.run_folder import RunFolder
 from tfg_drake.diagrams.missions.summary_words import title
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.saved_grid import save_grid
+from tfg_drake.io.commit import commit
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
@@ -143,6 +144,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
     return {
         "schema": SCHEMA,
         "version": __version__,
+        "commit": commit(),
         "scenario": mission.request.name,
         "world": mission.request.world,
         "seed": mission.scenario.seed,

@@ -35,6 +35,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
 from tfg_drake.grid.gmapping import best_particle
 from tfg_drake.hardware.recordings import load_recording
+from tfg_drake.io.commit import commit
 from tfg_drake.messages import FloatArray, IntArray, Observation
 from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.surface_fit import poses_by_surfaces
@@ -108,6 +109,7 @@ def run_slam(
         summary = {
             "schema": SCHEMA,
             "version": __version__,
+            "commit": commit(),
             "dataset": str(dataset),
             "name": name,
             **estimated(loaded, dataset, name, folder.path, say),

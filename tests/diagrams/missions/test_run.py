@@ -26,7 +26,7 @@ from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.trajectory import read_tum
 
-_FIELDS = """schema version scenario world seed method outcome reason sim_time_s resumed_at_s notes wall_time_s
+_FIELDS = """schema version commit scenario world seed method outcome reason sim_time_s resumed_at_s notes wall_time_s
 cpu_time_s real_time_factor distance_m stages landmarks_present landmarks_reachable landmarks_mapped
 landmarks_doubtful landmarks_extra walls_mapped landmark_rmse_m landmark_error_max_m landmark_rmse_aligned_m
 least_known changes landmark_entropy_nats landmark_anees landmark_nees pose_anees online_pose_anees position_error_m
