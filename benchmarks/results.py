@@ -210,7 +210,7 @@ def of_missions(name: str, options: argparse.Namespace) -> str | None:
     if name == EXPLORED:
         columns += [(METHOD, *NEES), *((OTHER, head, read) for head, read in CELLS[name])]
     heads = [
-        f"`--tables {name}`, `{version()}`",
+        f"`results.py --tables {name}`, `{version()}`",
         "seeds",
         *(f"{method}: {head}" if method == OTHER else head for method, head, _ in columns),
     ]
