@@ -303,7 +303,10 @@ def align(
             print(f"tag {tag}: {distance:.3f} m off{', looks wrong and does not count' if wrong else ''}")
         print(f"scale: lengths of the map are off by {round(100.0 * scale, 2) + 0.0:+.2f} %, and stay so")
     elif plan is not None and tags is None:
-        saved = in_plan(_load(map_file), load_map_server(plan))
+        saved, off = in_plan(_load(map_file), load_map_server(plan))
+        if len(off):
+            half, most = sorted(off)[len(off) // 2], sorted(off)[9 * len(off) // 10]
+            print(f"walls: half of them within {half:.3f} m of the plan's, nine tenths within {most:.3f} m")
     else:
         bad_input("name either --tags or --plan; see tfg-drake map align --help")
     _save(saved, out)

@@ -100,8 +100,10 @@ def plan_of(room):
 
 
 def test_the_walls_of_a_plan_tell_where_the_map_lies():
-    found = in_plan(in_room(ROOM, range(6), HERE), plan_of(ROOM))
+    found, off = in_plan(in_room(ROOM, range(6), HERE), plan_of(ROOM))
     np.testing.assert_allclose(found.X_WM, HERE, atol=1e-6)
+    assert len(off) == len(found.tfg.segments) > 0
+    np.testing.assert_allclose(off, 0.0, atol=1e-6)
 
 
 def test_a_plan_of_something_else_is_refused():

@@ -11,6 +11,7 @@ import numpy as np
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.alignment import align
+from tfg_drake.geometry.distance import point_distance
 from tfg_drake.io.files import FileError, read_text
 from tfg_drake.mapfile.placement import Standing, by_walls, standing_in
 from tfg_drake.mapfile.saved_map import SavedMap
@@ -75,9 +76,12 @@ def in_survey(saved: SavedMap, survey: MapEstimate) -> Surveyed:
     return Surveyed(replace(saved, X_WM=X_WM), ids, np.hypot(*(p - p_WL).T), ~right, scale)
 
 
-def in_plan(saved: SavedMap, plan: OccupancyMap) -> SavedMap:
-    """The map with its frame M where the walls of a plan have it. Raises BadInput where they do not tell it."""
+def in_plan(saved: SavedMap, plan: OccupancyMap) -> tuple[SavedMap, FloatArray]:
+    """The map with its frame M where the walls of a plan have it, and how far the middle of each piece of its surfaces
+    (m,) is from those walls, m. Raises BadInput where they do not tell it."""
     found = by_walls(Standing(plan.walls, np.empty((0, 3))), standing_in(saved))
     if found is None:
         raise BadInput("the walls of the map fit the plan nowhere, or in several places: align it by tags")
-    return replace(saved, X_WM=found.X)
+    segments = saved.tfg.segments
+    middle = se2.transform(found.X, 0.5 * (segments[:, :2] + segments[:, 2:]))
+    return replace(saved, X_WM=found.X), point_distance(middle, plan.walls)
