@@ -30,10 +30,13 @@ if TYPE_CHECKING:
 
 def ConnectStation(builder: DiagramBuilder, station: System, explorer: System) -> None:
     """Connect the station's outputs to the explorer's inputs of the same names, and the explorer's command and pose to
-    the station."""
-    for name in (explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())):
-        if of_station(name):
-            builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
+    the station. Raises TypeError where the station lacks some of the outputs."""
+    names = [explorer.get_input_port(i).get_name() for i in range(explorer.num_input_ports())]
+    asked = [name for name in names if of_station(name)]
+    if missing := [name for name in asked if not station.HasOutputPort(name)]:
+        raise TypeError(f"station: lacks the output ports {', '.join(missing)}; see MakeTurtlebotStation")
+    for name in asked:
+        builder.Connect(station.GetOutputPort(name), explorer.GetInputPort(name))
     builder.Connect(explorer.GetOutputPort(COMMANDED), station.GetInputPort(COMMANDED))
     if station.HasInputPort("base.pose") and explorer.HasOutputPort("pose"):
         builder.Connect(explorer.GetOutputPort("pose"), station.GetInputPort("base.pose"))

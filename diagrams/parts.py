@@ -12,7 +12,7 @@ from pathlib import Path as FilePath
 from pydrake.systems.framework import Diagram, PortDataType, System
 
 from tfg_drake.diagrams.scenario import Scenario, ScenarioError
-from tfg_drake.messages import FollowerStatus, GoalChoice, MapEstimate, Path, PathStatus, PoseEstimate
+from tfg_drake.messages import FollowerStatus, GoalChoice, Hazards, MapEstimate, Path, PathStatus, PoseEstimate
 
 # A diagram needs a part of its own, and a scenario says of what: so a part is given as a function that makes one.
 Factory = Callable[[Scenario], System]
@@ -23,6 +23,7 @@ OUTPUTS: dict[str, dict[str, type | int]] = {
     "goal_selector": {"goal": GoalChoice},
     "planner": {"path": Path, "path_status": PathStatus},
     "follower": {"velocity_commanded": 2, "follower_status": FollowerStatus},
+    "plant": {"pose": 5, "hazards": Hazards},
 }
 
 

@@ -126,6 +126,17 @@ def test_an_instance_is_no_factory(role, tmp_path):
             "goal_selector ConstantVectorSource: lacks the output port goal, a message GoalChoice; it has y0",
         ),
         (
+            "plant",
+            lambda _: ConstantVectorSource([0.0]),
+            "plant ConstantVectorSource: lacks the output port pose, a vector of size 5; it has y0",
+        ),
+        (
+            "station",
+            lambda _: ConstantVectorSource([0.0]),
+            "station: lacks the output ports base.odometry, tags.detections, scan.ranges, base.hazards, base.enabled; "
+            "see MakeTurtlebotStation",
+        ),
+        (
             "follower",
             lambda _: PoseAsVelocity(),
             "follower PoseAsVelocity: its output port velocity_commanded must carry a vector of size 2, not a vector "
