@@ -105,8 +105,9 @@ def main() -> None:
                     out.write(json.dumps(row) + "\n")
                 print(*(f"{key} {value}" for key, value in row.items()), flush=True)
     print(f"\n{'world':16s} sessions found  wrong  median s  last s  position m  NEES")
-    for name in dict.fromkeys(row["world"] for row in rows):
-        some = [row for row in rows if row["world"] == name]
+    worlds_of = [row["world"].partition("_")[0] for row in rows]
+    for name in dict.fromkeys(worlds_of):
+        some = [row for row, world in zip(rows, worlds_of, strict=True) if world == name]
         at = np.array([row["found_at_s"] for row in some if row["found_at_s"] is not None] or [np.nan])
         error, nees = (np.mean([row[key] for row in some]) for key in ("error_m", "nees"))
         print(

@@ -110,13 +110,13 @@ def main() -> None:
             file.write(json.dumps(row) + "\n")
         done.append(row)
         print(*(f"{key} {value}" for key, value in row.items()), flush=True)
-    print("\nsession  found s  moved  told rightly  falsely  RMSE m  of a fresh map m  NEES")
-    for row in done[1:]:
-        found = np.nan if row["found_at_s"] is None else row["found_at_s"]
-        print(
-            f"{row['session']:7d} {found:8.1f} {row['moved']:6d} {row['told']:13d}"
-            f" {len(row['false']):8d} {row['rmse_m']:7.4f} {row['fresh_rmse_m']:17.4f} {row['nees']:5.2f}"
-        )
+    print("\nsessions  last found s  moved  told rightly  falsely  RMSE m  of a fresh map m  NEES")
+    later = done[1:]
+    found = max(np.inf if row["found_at_s"] is None else row["found_at_s"] for row in later)
+    rmse, fresh, nees = (np.mean([row[key] for row in later]) for key in ("rmse_m", "fresh_rmse_m", "nees"))
+    moved, told = (sum(row[key] for row in later) for key in ("moved", "told"))
+    false = sum(len(row["false"]) for row in later)
+    print(f"{len(later):8d} {found:13.1f} {moved:6d} {told:13d} {false:8d} {rmse:7.4f} {fresh:17.4f} {nees:5.2f}")
 
 
 if __name__ == "__main__":
