@@ -22,9 +22,12 @@ METHOD = '''"""The paper's rules without one: {rule}."""
 from tfg_drake.diagrams.methods import MakePaperExplorer
 from tfg_drake.planning.paper_rules import PaperRules
 
+RULES = PaperRules({rule}=False)
+SETTINGS = RULES.settings()
+
 
 def MakeExplorer(scenario):
-    return MakePaperExplorer(scenario, PaperRules({rule}=False))
+    return MakePaperExplorer(scenario, RULES)
 '''
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ def explore(
     Args:
         scenario: name of a shipped scenario, a YAML file, or a Scenario in memory.
         seed: seed of all random numbers; None for the scenario's own.
-        settings: changes of the scenario, such as "explorer.stop_gain=10".
+        settings: changes of the scenario, such as "explorer.stop_gain=10". Not of what the method fixes.
         world: other walls, as `tfg-drake explore --world`.
         tag_spacing: distance between the tags to place, m; None removes all tags; by default the scenario's tags.
         start: (x, y, yaw) of the start in W, m and rad.
@@ -148,19 +148,20 @@ def explore(
         raise MethodError(f"{method}: has parts of its own; with {'=, '.join(own)}= leave method out")
     if before is not None and before.own and method == "tfg" and not own:
         raise BadInput(f"{resume}: its method, {before.method}, is somebody's own; give it or its parts again")
-    robot, explorer = SIMULATED, None
+    robot: Robot = SIMULATED
+    explorer: Method | None = None
     if station is not None:
         made = MakePart("station", station, station, loaded)
         recording = RecordingOf(made)
         if recording is None:
-            robot, loaded = _robot_of(made, loaded, enable)
+            explorer = _explorer_of(method, own)
+            robot, loaded = _robot_of(made, explorer.Fixed(loaded), enable)
         else:
             robot, request = RecordedRobot(recording, made), dataclasses.replace(request, name=recording.name)
             loaded = RecordedScenario(recording, loaded)
             explorer = MappingMethod("walls" if method == "tfg" else method, length_of(recording), **own)
-    if explorer is None:
-        explorer = Method("own", functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
-    explorer.Check(loaded)
+    explorer = explorer or _explorer_of(method, own)
+    explorer.Check(loaded, settings)
     if plant is not None:
         robot = dataclasses.replace(robot, MakeStation=functools.partial(MakeTurtlebotStation, plant=plant))
     if before is not None and before.robot != robot.name:
@@ -217,6 +218,11 @@ def fork(
         raise ForkError(f"stage {stage}: the mission ended before it")
     check_same(run, mission.stages, stage)
     return mission.simulator
+
+
+def _explorer_of(method: str, own: dict[str, Any]) -> Method:
+    """Return a method by its name, or the method tfg with a user's own parts."""
+    return Method("own", functools.partial(MakeTfgExplorer, **own)) if own else FindMethod(method)
 
 
 def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot, Scenario]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from pydrake.systems.framework import Diagram
 
 from tfg_drake.diagrams.explorer import Wiring
@@ -25,9 +23,7 @@ def MakeGridExplorer(scenario: Scenario, *, weighted: bool = False) -> Diagram:
     weighted: goals by the weighted sum of grid entropy and pose uncertainty (the paper's eq. 1), not the nearest
     frontier.
     """
-    # The first look is for the heading of a map of tags: scan matching gains nothing from it.
-    robot, explorer = scenario.robot, dataclasses.replace(scenario.explorer, first_look=0.0, first_turns=1)
-
+    robot, explorer = scenario.robot, scenario.explorer
     keep_out = MakeKeepOut(scenario)
 
     def choose(grid: GridMap, pose: PoseEstimate, tried: TriedPlaces) -> tuple[GoalChoice, TriedPlaces]:

@@ -47,7 +47,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
 def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
     """The scenario within the limits of the robot, and of what its scanner and camera see, without its world: that is
     another one, and the frame of the start is W. Of a robot without tags walls are the landmarks; raises DeviceError
-    where these are to be tags alone."""
+    where landmarks or gain are of tags alone."""
     bounded = copy.deepcopy(scenario)
     bounded.world = WorldConfig()
     bounded.robot.max_speed, bounded.robot.max_turn_rate = devices.limits.speed, devices.limits.turn_rate
@@ -55,8 +55,10 @@ def Bounded(scenario: Scenario, devices: RobotDevices) -> Scenario:
     bounded.robot.max_turn_acceleration = devices.limits.turn_acceleration
     bounded.scan.least_range = max(scenario.scan.least_range, devices.least_range)
     if devices.tags is None:
-        if scenario.explorer.landmarks == "tags":
-            raise DeviceError("explorer.landmarks=tags: the robot has no source of tags; give --tags, or leave it out")
+        for key, usual in (("landmarks", ("walls", "both")), ("gain", ("exact",))):
+            if (value := getattr(scenario.explorer, key)) not in usual:
+                mend = "give --tags, or leave it out"
+                raise DeviceError(f"explorer.{key}={value}: the robot has no source of tags; {mend}")
         bounded.explorer.landmarks = "walls"
     if devices.view is not None:
         bounded.tags.field_of_view = min(scenario.tags.field_of_view, devices.view.field_of_view)

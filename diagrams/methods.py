@@ -2,14 +2,14 @@
 
 A method of one's own is a Python file with a function MakeExplorer(scenario) -> Diagram. It is named by its path
 wherever a method is named; so is the keys.csv that a run with the method manual leaves, whose keys are pressed once
-more.
+more. SETTINGS in such a Python file are the settings that the method fixes, such as ["explorer.goal=random"].
 """
 
 from __future__ import annotations
 
 import dataclasses
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from tfg_drake.diagrams.driven_explorers import MakeManualExplorer, MakeScripted
 from tfg_drake.diagrams.explorer import MakeGoalSelector, MakePlanner, MakeTfgExplorer
 from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
 from tfg_drake.diagrams.parts import PartsOf
-from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario
+from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario, ScenarioError
 from tfg_drake.mission.manual_drive import DriveError, read_drive
 from tfg_drake.planning import paper_rules, roadmap
 from tfg_drake.planning.paper_rules import PaperRules
@@ -36,7 +36,8 @@ class Method:
     have a drive. keeps_budget: it minds explorer.budget_* and explorer.return_home. has_candidates: its goal_selector
     is an InfoGainGoalSelector, whose choice can be changed (`fork`). needs_keys: somebody must press keys meanwhile.
     needs_tags: it maps nothing else.
-    knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is one.
+    knows_map: it can begin with one (explorer.known_map). source: the path of its file, if there is one. settings:
+    those of the scenario that it fixes, as for `--set`.
 
     The diagram's inputs are base.odometry, base.hazards, tags.detections, scan.ranges (messages), base.enabled, pause,
     stop and recall (vectors of size 1) and requested_goal (a RequestedGoal), as many of them as it wants: without
@@ -53,6 +54,7 @@ class Method:
     needs_tags: bool = False
     source: str = ""
     knows_map: bool = True
+    settings: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
         """Another process finds it by its name or its file."""
@@ -63,9 +65,15 @@ class Method:
         """True where the method reads explorer.parts; a method of one's own is taken to do so."""
         return self.has_candidates or self.source.endswith(".py") or self.name == "own"
 
-    def Check(self, scenario: Scenario) -> None:
-        """Raises MethodError where the scenario lacks what the method needs, ScenarioError where the robot must not be
-        where it starts."""
+    def Fixed(self, scenario: Scenario) -> Scenario:
+        """The scenario with the settings that the method fixes: by it the explorer is made."""
+        return ApplySettings(scenario, self.settings) if self.settings else scenario
+
+    def Check(self, scenario: Scenario, settings: Sequence[str] | str = ()) -> None:
+        """Raises MethodError where the scenario lacks what the method needs, or where a user's `settings` of it are not
+        those that the method fixes; ScenarioError where the robot must not be where it starts, or where the gain counts
+        tags and the world has none."""
+        self._CheckSettings(scenario, [settings] if isinstance(settings, str) else settings)
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
         if self.needs_tags and scenario.world.walls and not scenario.world.tags:
@@ -78,11 +86,26 @@ class Method:
             raise MethodError(f"{self.name}: cannot begin with a map; leave --map out, or take another method: tfg")
         if (parts := PartsOf(scenario)) and not self.takes_parts:
             raise MethodError(f"{self.name}: takes no explorer.parts.{next(iter(parts))}; take another method: tfg")
+        explorer = self.Fixed(scenario).explorer
+        without = "the world has none; --tag-spacing 1 places some" if not scenario.world.tags else ""
+        if explorer.landmarks == "walls":
+            without = "explorer.landmarks=walls maps none"
+        if explorer.gain != "exact" and scenario.world.walls and without:
+            raise ScenarioError(f"explorer.gain={explorer.gain}: counts tags alone, and {without}, or take exact")
         MakeKeepOut(scenario)
+
+    def _CheckSettings(self, scenario: Scenario, settings: Sequence[str]) -> None:
+        fixed = self.Fixed(scenario)
+        for own in self.settings:
+            key = own.partition("=")[0]
+            given = [setting for setting in settings if setting.partition("=")[0] == key]
+            if given and ApplySettings(fixed, given) != fixed:
+                raise MethodError(f"{self.name}: fixes {own}; leave {given[-1]} out, or take another method: tfg")
 
 
 def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Diagram:
-    """The explorer of MakeTfgExplorer for a scenario, with those of the paper's rules that hold, by default all."""
+    """The explorer of MakeTfgExplorer for a scenario, with those of the paper's rules that hold, by default all; it has
+    the settings of these, whatever the scenario says."""
     rules = rules or PaperRules()
     frontiers = paper_rules.frontiers_between_landmarks if rules.frontiers else None
     cost = paper_rules.cost_of_edge if rules.path_cost else roadmap.cost_of_edge
@@ -90,9 +113,10 @@ def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Di
     return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)
 
 
-def _TfgWith(goal: str, *settings: str) -> Callable[[Scenario], Diagram]:
-    return lambda scenario: MakeTfgExplorer(ApplySettings(scenario, [f"explorer.goal={goal}", *settings]))
-
+# What a method may fix; all else is of the world, the same for all methods.
+_OWN_SECTIONS = ("explorer.", "planner.", "grid.")
+# The first look is for the heading of a map of tags: scan matching gains nothing from it.
+_GRID_SETTINGS = ("explorer.first_look=0", "explorer.first_turns=1")
 
 METHODS = {
     method.name: method
@@ -102,19 +126,28 @@ METHODS = {
         # Most information gain, as the paper has it, on the TFG; nothing is mapped on the way there.
         Method(
             "tfg-argmax",
-            _TfgWith("argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
+            MakeTfgExplorer,
             has_candidates=True,
+            settings=("explorer.goal=argmax", "explorer.glance_period=0", "explorer.path_keyframe_period=0"),
         ),
         # The paper's rules as printed: goals, gain, frontiers, path cost; tags are mapped at goals only.
-        Method("paper", MakePaperExplorer, has_candidates=True, needs_tags=True),
+        Method(
+            "paper", MakePaperExplorer, has_candidates=True, needs_tags=True, settings=tuple(PaperRules().settings())
+        ),
         # The nearest frontier on the TFG.
-        Method("tfg-nearest", _TfgWith("nearest_frontier"), has_candidates=True),
+        Method("tfg-nearest", MakeTfgExplorer, has_candidates=True, settings=("explorer.goal=nearest_frontier",)),
         # The paper's baseline: GMapping and the nearest frontier.
-        Method("grid-nearest", MakeGridExplorer, keeps_budget=False, knows_map=False),
+        Method("grid-nearest", MakeGridExplorer, keeps_budget=False, knows_map=False, settings=_GRID_SETTINGS),
         # The weighted sum of grid entropy and pose uncertainty (the paper's eq. 1) on GMapping's map.
-        Method("weighted", partial(MakeGridExplorer, weighted=True), keeps_budget=False, knows_map=False),
+        Method(
+            "weighted",
+            partial(MakeGridExplorer, weighted=True),
+            keeps_budget=False,
+            knows_map=False,
+            settings=_GRID_SETTINGS,
+        ),
         # Any place within reach, on the TFG.
-        Method("random", _TfgWith("random"), has_candidates=True),
+        Method("random", MakeTfgExplorer, has_candidates=True, settings=("explorer.goal=random",)),
         # The scenario's drive, as a human operator would go, on the TFG.
         Method("scripted", MakeScriptedExplorer, needs_drive=True, keeps_budget=False),
         # Somebody at the keys, on the TFG.
@@ -123,11 +156,11 @@ METHODS = {
 }
 
 
-def NamedMethod(option: str, name_or_path: str, scenario: Scenario) -> Method:
-    """The method that an option of the command line names, for a scenario. Raises BadInput."""
+def NamedMethod(option: str, name_or_path: str, scenario: Scenario, settings: Sequence[str] = ()) -> Method:
+    """The method that an option of the command line names, for a scenario with a user's settings. Raises BadInput."""
     try:
         method = FindMethod(name_or_path)
-        method.Check(scenario)
+        method.Check(scenario, settings)
     except MethodError as error:
         raise BadInput(f"{option} {error}") from None
     return method
@@ -149,11 +182,19 @@ def FindMethod(name_or_path: str) -> Method:
         what = "file" if path.suffix == ".py" else "method"
         raise MethodError(f"{name_or_path}: no such {what}; name a .py file or one of {', '.join(METHODS)}")
     try:
-        make = runpy.run_path(name_or_path, run_name=path.stem).get("MakeExplorer")
+        names = runpy.run_path(name_or_path, run_name=path.stem)
     except (Exception, SystemExit) as error:
         raise MethodError(f"{name_or_path}: cannot be imported: {type(error).__name__}: {error}") from error
+    make, settings = names.get("MakeExplorer"), names.get("SETTINGS", ())
     if not callable(make):
         raise MethodError(
             f"{name_or_path}: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"
         )
-    return Method(path.stem, make, source=str(path.resolve()))
+    if not isinstance(settings, list | tuple) or not all(str(one).startswith(_OWN_SECTIONS) for one in settings):
+        sections = ", ".join(_OWN_SECTIONS)
+        raise MethodError(f'{name_or_path}: SETTINGS must be a list such as ["explorer.goal=random"], of {sections}')
+    try:
+        ApplySettings(Scenario(), settings)
+    except ScenarioError as error:
+        raise MethodError(f"{name_or_path}: SETTINGS: {str(error).removeprefix('--set ')}") from None
+    return Method(path.stem, make, source=str(path.resolve()), settings=tuple(settings))

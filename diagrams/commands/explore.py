@@ -129,7 +129,8 @@ def explore(
             loaded = request.scenario
         if robot != "sim" and replayed is None:
             link(loaded, robot, links)
-        explorer = NamedMethod("--method", method, loaded)
+        explorer = NamedMethod("--method", method, loaded, settings or [])
+        loaded = explorer.Fixed(loaded)
         if explorer.needs_keys and robot != "sim":
             bad_input(f"--method {explorer.name}: is for a simulated robot; leave --robot out")
         cockpit, real = None, robot in ROBOTS

@@ -141,7 +141,8 @@ _LOGS = list[tuple[FloatArray, FloatArray]]
 class MissionRequest:
     """A mission as it is asked for, by the command line, Python, a comparison or a fork.
 
-    scenario: everything that defines the run, the seed included. method: what explores. robot: what it drives. name:
+    scenario: everything that defines the run, the seed included, but for the settings that the method fixes. method:
+    what explores. robot: what it drives. name:
     what the run is called in titles and the folder's name; world_name: the world's, "" for the same. out_dir: the run's
     folder, made if missing; runs/<time>-<name>-<seed> by default.
 
@@ -202,7 +203,7 @@ class Mission:
     ) -> None:
         """writer: where the station's ports are recorded, timeline: where the picture is."""
         keep_to_one_thread()
-        scenario, robot = request.scenario, request.robot
+        scenario, robot = request.method.Fixed(request.scenario), request.robot
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._context: Context | None = None  # until the diagram is built

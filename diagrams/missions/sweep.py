@@ -63,14 +63,14 @@ def _receipt(task: MissionRequest) -> dict[str, Any]:
     return {**named, **run}
 
 
-def parse_methods(text: str, scenario: Scenario) -> list[Method]:
-    """The methods that a list such as "tfg,mine.py" names.
+def parse_methods(text: str, scenario: Scenario, settings: Sequence[str] = ()) -> list[Method]:
+    """The methods that a list such as "tfg,mine.py" names. settings: the user's, which are in the scenario.
 
     Raises BadInput for one that there is not, or that the scenario lacks something for.
     """
     methods: list[Method] = []
     for word in (word.strip() for word in text.split(",")):
-        method = NamedMethod("--methods", word, scenario)
+        method = NamedMethod("--methods", word, scenario, settings)
         if method.needs_keys:
             mend = "name the keys.csv of a run that was driven by hand"
             raise SweepError(f"--methods {word}: nobody is at the keys; {mend}")

@@ -343,6 +343,9 @@ def test_a_method_that_there_is_not_or_that_lacks_something_is_refused(call, roo
     code, _, err = call("explore", room, "--method", "scripted")
     complaint = "scripted: the scenario has no drive; give it one, a list of [x, y] under `drive:`"
     assert (code, err) == (2, f"tfg-drake: --method {complaint}\n")
+    code, _, err = call("explore", "house", "--method", "paper", "--set", "explorer.goal=random")
+    complaint = "paper: fixes explorer.goal=argmax; leave explorer.goal=random out, or take another method: tfg"
+    assert (code, err) == (2, f"tfg-drake: --method {complaint}\n")
 
 
 def test_a_mistake_outside_the_simulation_is_one_line_too(call, monkeypatch, room, tmp_path):

@@ -409,3 +409,10 @@ def test_time_does_not_run_backwards():
     with pytest.raises(ValueError, match=r"^-3 s: must be 0 or more; time does not run backwards$"):
         house.advance(-3)
     assert house.time == 0.0
+
+
+def test_what_the_method_fixes_is_in_the_scenario_and_not_to_be_set():
+    mission = tfg_drake.explore(bare(), method="paper", until=0.0)
+    assert (mission.scenario.explorer.gain, mission.scenario.explorer.landmarks) == ("paper", "tags")
+    with pytest.raises(MethodError, match=r"^paper: fixes explorer.gain=paper; leave explorer.gain=exact out, or take"):
+        tfg_drake.explore(bare(), method="paper", settings=["explorer.gain=exact"], until=0.0)

@@ -7,7 +7,7 @@ import pytest
 
 from tfg_drake.diagrams.explorer import SENSED
 from tfg_drake.diagrams.methods import METHODS, FindMethod, MethodError
-from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, PrepareScenario
+from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario, PrepareScenario, ScenarioError
 
 ROOT = Path(__file__).parents[2]
 
@@ -44,6 +44,16 @@ def test_a_method_of_ones_own_takes_less_than_60_lines():
         ("empty.py", "", "empty.py: has no MakeExplorer(scenario) that returns the explorer's diagram; define it"),
         ("broken.py", "1 / 0", "broken.py: cannot be imported: ZeroDivisionError: division by zero"),
         ("leaves.py", "raise SystemExit(4)", "leaves.py: cannot be imported: SystemExit: 4"),
+        (
+            "sensor.py",
+            "MakeExplorer = print\nSETTINGS = ['tags.range=20']",
+            'sensor.py: SETTINGS must be a list such as ["explorer.goal=random"], of explorer., planner., grid.',
+        ),
+        (
+            "far.py",
+            "MakeExplorer = print\nSETTINGS = ['explorer.solver=far']",
+            "far.py: SETTINGS: explorer.solver=far: explorer.solver: must be one of dissection, gtsam, is far",
+        ),
     ],
 )
 def test_what_is_no_method_is_refused_in_one_line(name, text, complaint, tmp_path, monkeypatch):
@@ -70,3 +80,58 @@ def test_what_a_method_does_not_mind_is_refused(setting):
             FindMethod(name).Check(scenario)
         key = setting.split("=")[0]
         assert str(caught.value) == (f"{name}: does not mind explorer.{key}; leave it out, or take another method: tfg")
+
+
+def test_a_method_has_the_settings_that_it_fixes_whatever_the_scenario_says():
+    scenario = ApplySettings(LoadScenario("house"), ["explorer.goal=random", "explorer.stop_gain=3"])
+    fixed = {name: METHODS[name].Fixed(scenario).explorer for name in METHODS}
+    goals = {"tfg-argmax": "argmax", "paper": "argmax", "tfg-nearest": "nearest_frontier"}
+    assert {name: one.goal for name, one in fixed.items()} == dict.fromkeys(METHODS, "random") | goals
+    assert {one.stop_gain for one in fixed.values()} == {3.0}
+    assert [(fixed[name].first_look, fixed[name].first_turns) for name in ("paper", "weighted")] == [(0.0, 1)] * 2
+    assert (fixed["paper"].gain, fixed["paper"].landmarks, fixed["paper"].path_keyframe_period) == ("paper", "tags", 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "complaint"),
+    [
+        ("paper", ["explorer.glance_period=1"], "fixes explorer.glance_period=0; leave explorer.glance_period=1 out"),
+        (
+            "tfg-nearest",
+            ["explorer.goal=nearest_frontier", "explorer.goal=tour"],
+            "fixes explorer.goal=nearest_frontier; leave explorer.goal=tour out",
+        ),
+        ("grid-nearest", "explorer.first_look=2", "fixes explorer.first_look=0; leave explorer.first_look=2 out"),
+    ],
+)
+def test_another_value_of_what_a_method_fixes_is_refused(name, settings, complaint):
+    with pytest.raises(MethodError) as caught:
+        FindMethod(name).Check(LoadScenario("house"), settings)
+    assert str(caught.value) == f"{name}: {complaint}, or take another method: tfg"
+
+
+def test_the_value_that_a_method_fixes_may_be_set_as_may_all_else():
+    settings = ["explorer.goal=tour", "explorer.goal=argmax", "explorer.glance_period=0.0", "explorer.stop_gain=3"]
+    FindMethod("paper").Check(LoadScenario("house"), settings)
+
+
+def test_a_file_says_what_it_fixes(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("MakeExplorer = print\nSETTINGS = ['explorer.goal=random']\n")
+    method = FindMethod(str(file))
+    assert method.Fixed(LoadScenario("house")).explorer.goal == "random"
+    with pytest.raises(MethodError, match=r"mine: fixes explorer.goal=random; leave explorer.goal=tour out"):
+        method.Check(LoadScenario("house"), ["explorer.goal=tour"])
+
+
+@pytest.mark.parametrize("gain", ["paper", "authors", "limit"])
+def test_a_gain_of_tags_alone_is_refused_where_none_are_mapped(gain):
+    settings, mend = [f"explorer.gain={gain}"], ", or take exact"
+    FindMethod("tfg").Check(PrepareScenario("house", settings))
+    told = f"explorer.gain={gain}: counts tags alone, and "
+    with pytest.raises(ScenarioError) as caught:
+        FindMethod("tfg").Check(PrepareScenario("house", settings, tag_spacing=np.inf))
+    assert str(caught.value) == f"{told}the world has none; --tag-spacing 1 places some{mend}"
+    with pytest.raises(ScenarioError) as caught:
+        FindMethod("tfg").Check(PrepareScenario("house", [*settings, "explorer.landmarks=walls"]))
+    assert str(caught.value) == f"{told}explorer.landmarks=walls maps none{mend}"

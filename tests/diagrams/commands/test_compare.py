@@ -31,6 +31,11 @@ def test_seeds_are_a_number_or_a_range():
         ("--tag-spacing -1", "--tag-spacing -1: must be greater than 0 m"),
         ("--jobs 2 --ray local", "--jobs and --ray exclude each other; a cluster knows how many missions it can run"),
         ("--methods tfg,tfg", "--methods tfg,tfg: names tfg twice; name each once"),
+        (
+            "house --methods tfg,tfg-nearest --set explorer.goal=random",
+            "--methods tfg-nearest: fixes explorer.goal=nearest_frontier; leave explorer.goal=random out, "
+            "or take another method: tfg",
+        ),
         ("--out /dev/null", "--out /dev/null: is a file; name a folder"),
     ],
 )

@@ -62,3 +62,8 @@ def test_where_there_is_no_source_of_tags_walls_are_the_landmarks(scenario):
     assert str(error.value) == (
         "explorer.landmarks=tags: the robot has no source of tags; give --tags, or leave it out"
     )
+    gain_of_tags = copy.deepcopy(scenario)
+    gain_of_tags.explorer.gain = "limit"
+    with pytest.raises(DeviceError) as error:
+        Bounded(gain_of_tags, tagless)
+    assert str(error.value) == "explorer.gain=limit: the robot has no source of tags; give --tags, or leave it out"

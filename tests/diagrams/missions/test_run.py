@@ -2,6 +2,7 @@ import gc
 import json
 import math
 import os
+import shutil
 import signal
 import threading
 
@@ -9,14 +10,16 @@ import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
+import tfg_drake
 from benchmarks.timelines import read_timeline
 from tests.diagrams.rooms import lasting, room
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
 from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run_folder import make_run_folder
-from tfg_drake.diagrams.scenario import LoadScenario
+from tfg_drake.diagrams.scenario import DumpScenario, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.mission.clock import Clock
@@ -368,3 +371,19 @@ def test_a_method_without_every_port_is_shown_too(name, tmp_path):
     scenario.drive = [[4.0, 1.5]]
     arguments = {"method": FindMethod(name), "meshcat": meshcat, "max_time": 2.0, "out_dir": tmp_path}
     assert run.run_mission(scenario, **arguments).summary["outcome"] == "time_limit"
+
+
+def test_the_scenario_of_a_run_has_what_its_method_fixed(tmp_path):
+    result = run.run_mission(room(), method=FindMethod("tfg-argmax"), out_dir=tmp_path / "run", max_time=12.0)
+    kept = LoadScenario(tmp_path / "run" / "scenario.yaml")
+    assert (kept.explorer.goal, kept.explorer.glance_period) == ("argmax", 0.0)
+    assert next(iter(read_timeline(result.folder))).told["rule"] == "argmax"
+    # As runs had it when it was what had been asked for.
+    shutil.copytree(result.folder, tmp_path / "before")
+    (tmp_path / "before" / "scenario.yaml").write_text(DumpScenario(room()))
+    for folder in (result.folder, tmp_path / "before"):
+        assert tfg_drake.load_run(folder).stages == result.stages
+        tfg_drake.fork(folder, len(result.stages))  # Refused where it comes out otherwise.
+    whole = run.run_mission(room(), method=FindMethod("tfg-argmax"), out_dir=tmp_path / "whole", max_time=16.0)
+    after = run.run_mission(cut_short(result.folder).request, method=FindMethod("tfg-argmax"), max_time=16.0)
+    assert (after.stages, len(after.stages) > len(result.stages)) == (whole.stages, True)
