@@ -45,7 +45,7 @@ def comparison():
     return Comparison("a against b", ["a", "b"], runs, 8, "tfg-drake compare --seeds 4", "tfg-drake 1, Python 3.")
 
 
-def test_pairs_are_seeds_that_both_finished(comparison):
+def test_pairs_are_seeds_on_which_neither_failed(comparison):
     time = MEASURES[0].read
     first, other = values(comparison.runs, "a", time), values(comparison.runs, "b", time)
     assert list(other) == [0, 3]
@@ -59,6 +59,7 @@ def test_tables(comparison):
     assert outcomes.rows == [["a", "4", "4", "0", "0", "0", "4"], ["b", "4", "1", "1", "1", "1", "3"]]
     figures = {row[0]: row[1:] for row in found["Figures"].rows}
     assert figures["map error, RMSE of tags (m)"] == ["0.0200 ± 0.0000 (0.0200 to 0.0200)", "-"]
+    assert re.fullmatch(r"205 ± 4 \(.*\), n = 2", figures["time (s)"][1])
     assert figures["CPU idle at real time (%)"][0].startswith("75.4 ± ")
     ratios = found["Ratio to a"]
     assert list(ratios.header) == ["", "b (2 pairs)"]
@@ -70,6 +71,27 @@ def test_tables(comparison):
         ["b", "3", "stuck"],
     ]
     assert found["Runs that did not complete"].rows[1][3] == "killed by SIGKILL"
+
+
+def test_a_figure_of_fewer_runs_or_pairs_says_of_how_many():
+    cut = {"outcome": "time_limit", "sim_time_s": 36.0, "explored_s": None}
+    runs = [run("a", seed, **(cut if seed else {"sim_time_s": 31.0, "explored_s": 31.0})) for seed in range(3)]
+    runs += [run("b", seed, explored_s=17.0 + 5.0 * (seed == 1)) for seed in range(3)]
+    comparison = Comparison("a against b", ["a", "b"], runs, 6, "", "")
+    found = {table.title: table for table in tables(comparison)}
+    explored, time = (
+        next(one.label for one in MEASURES if one.read(summary(explored_s=9.0, sim_time_s=8.0)) == value)
+        for value in (9.0, 8.0)
+    )
+    cells = {title: {row[0]: row[1:] for row in found[title].rows} for title in found if title != "Outcomes"}
+    assert cells["Figures"][explored][0] == "31, n = 1"
+    assert "n =" not in cells["Figures"][explored][1] + cells["Figures"][time][0]
+    assert list(found["Difference to a"].header) == ["", "b (3 pairs)"]
+    assert cells["Difference to a"][explored] == ["-14, 1 pair"]
+    assert cells["Ratio to a"][explored] == ["0.548, 1 pair"]
+    assert "pair" not in cells["Difference to a"][time][0]
+    assert "<td>31, n = 1</td>" in page(comparison, [])
+    assert "neither the method nor a failed, whatever ended the mission" in markdown(comparison, [])
 
 
 def test_every_outcome_of_a_mission_has_a_column():

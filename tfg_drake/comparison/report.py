@@ -104,14 +104,15 @@ def tables(comparison: Comparison) -> list[Table]:
     return found
 
 
-def text(mean: Spread, measure: Measure) -> str:
-    """Mean, spread and interval: "0.147 ± 0.115 (0.101 to 0.192)", "-" for no run."""
+def text(mean: Spread, measure: Measure, runs: int = 0) -> str:
+    """Mean, spread and interval: "0.147 ± 0.115 (0.101 to 0.192)", "-" for no run; ", n = 2" where more, `runs`, were
+    made."""
     if not mean.n:
         return "-"
-    value = measure.shown(mean.mean.value)
+    value, few = measure.shown(mean.mean.value), f", n = {mean.n}" if mean.n < runs else ""
     if mean.n == 1:
-        return value
-    return f"{value} ± {mean.std:.{measure.digits}f} {_bounds(mean.mean, measure.shown)}"
+        return value + few
+    return f"{value} ± {mean.std:.{measure.digits}f} {_bounds(mean.mean, measure.shown)}{few}"
 
 
 def _introduction(comparison: Comparison) -> list[str]:
@@ -145,13 +146,15 @@ def _outcome_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
 
 
 def _figures_table(methods: Sequence[str], runs: Sequence[Run]) -> Table:
-    rows = []
+    rows, made = [], Counter(run.method for run in runs)
     for measure in _measures(runs):
-        spreads = [spread(sample(runs, method, measure.read)) for method in methods]
-        rows.append([measure.label, *(text(one, measure) for one in spreads)])
+        spreads = {method: spread(sample(runs, method, measure.read)) for method in methods}
+        rows.append([measure.label, *(text(one, measure, made[method]) for method, one in spreads.items())])
     note = (
         "Mean ± standard deviation over the runs (n - 1), and the 95 % interval of the mean: Efron's BCa bootstrap, "
-        f"{RESAMPLES} resamples; of fewer than {_ENOUGH} runs it is too narrow to be quoted."
+        f"{RESAMPLES} resamples; of fewer than {_ENOUGH} runs it is too narrow to be quoted. n: the runs that have the"
+        " figure, where others lack it, such as the time until nothing was left of a mission that did not get there."
+        " The figures of two methods may then be of different seeds."
     )
     return Table("Figures", note, ("", *methods), rows)
 
@@ -171,9 +174,14 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
     for measure in _measures(runs):
         mine = values(runs, first, measure.read)
         both = [paired(mine, values(runs, method, measure.read)) for method in others]
-        differences.append([measure.label, *(_signed(difference(*one), measure.digits, len(one[0])) for one in both)])
-        ratios.append([measure.label, *(_times(ratio(*one)) for one in both)])
-    on = f"Over the seeds on which both the method and {first} finished"
+        few = [_few(len(one[0]), pairs[method]) for one, method in zip(both, others, strict=True)]
+        cells = [_signed(difference(*one), measure.digits, len(one[0]), n) for one, n in zip(both, few, strict=True)]
+        differences.append([measure.label, *cells])
+        ratios.append([measure.label, *(_times(ratio(*one), n) for one, n in zip(both, few, strict=True))])
+    on = (
+        f"Over the seeds on which neither the method nor {first} failed, whatever ended the mission, less those where"
+        " one lacks the figure (then with the number of pairs that are left)"
+    )
     bold = f"Bold: the interval leaves out zero, from {_ENOUGH} pairs on, as of fewer it is too narrow"
     return [
         Table(
@@ -187,19 +195,24 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
     ]
 
 
-def _signed(one: Interval, digits: int, pairs: int) -> str:
+def _few(pairs: int, of: int) -> str:
+    """What is said of a figure of fewer pairs than its column has."""
+    return "" if pairs == of else f", {pairs} pair{'s' if pairs != 1 else ''}"
+
+
+def _signed(one: Interval, digits: int, pairs: int, few: str) -> str:
     if math.isnan(one.value):
         return "-"
     shown = f"{{:+.{digits}f}}".format
-    cell = f"{shown(one.value)} {_bounds(one, shown)}".strip()
+    cell = f"{shown(one.value)} {_bounds(one, shown)}".strip() + few
     return f"**{cell}**" if pairs >= _ENOUGH and (one.low > 0.0 or one.high < 0.0) else cell
 
 
-def _times(one: Interval) -> str:
+def _times(one: Interval, few: str) -> str:
     if math.isnan(one.value):
         return "-"
     shown = ("{:,.0f}" if one.value >= 100.0 else "{:#.3g}").format
-    return f"{shown(one.value)} {_bounds(one, shown)}".strip()
+    return f"{shown(one.value)} {_bounds(one, shown)}".strip() + few
 
 
 def _bounds(one: Interval, shown: Callable[[float], str]) -> str:
