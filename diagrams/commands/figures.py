@@ -16,7 +16,8 @@ def figures(
     out: Annotated[Path, option("DIR", "Output folder.")] = Path("figures"),
 ) -> None:
     """Reproduce the paper's figures and tables with our own missions: gains, priors, the TFG, its growth, maps,
-    coverage, errors, a disturbance, Tables I and II, and paper.md, which compares each with the paper."""
+    coverage, errors, a disturbance, Tables I and II, and paper.md, which compares each with the paper. With the same
+    DIR, continue an interrupted call."""
     command.make_writable(out)
     with Screen("loading") as show:
         wait_for_kernels(show, command.interruption)
@@ -28,9 +29,12 @@ def figures(
             return command.interruption.is_set()
 
         with claimed(out):
-            files = write_figures(out, on_stage)
-            if not command.interruption.is_set():
-                files.append(write_tables(out, command.interruption, show))
+            files, missing = write_figures(out, on_stage, command.interruption), ["the figures of one mission"]
+            if files:
+                page, missing = write_tables(out, command.interruption, show)
+                files.append(page)
     for file in files:
         print(file)
+    if missing:
+        print(f"not whole: {'; '.join(missing)}; the same command in the same folder goes on")
     command.end_unless_interrupted()

@@ -84,14 +84,20 @@ def stages_of(scenario: Scenario, on_stage: Callable[[int, float], bool]) -> tup
     return stages, stamps, transform(inverse(mission.X_WM), X_WB[:, :2])
 
 
-def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[Path]:
-    """Run a mission in `paper` and write the figures; returns the files.
+def write_figures(
+    folder: Path, on_stage: Callable[[int, float], bool], interrupted: threading.Event | None = None
+) -> list[Path]:
+    """Run a mission in `paper` by the method tfg and write the figures; returns the files, none if interrupted.
+
+    on_stage: see `stages_of`.
 
     Raises:
         OSError: a file cannot be written.
     """
     scenario = LoadScenario("paper")
     stages, stamps, p_MB = stages_of(scenario, on_stage)
+    if interrupted is not None and interrupted.is_set():
+        return []
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
     parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]
@@ -104,10 +110,10 @@ def write_figures(folder: Path, on_stage: Callable[[int, float], bool]) -> list[
     return [path for name, figure in figures.items() for path in write_formats(folder, name, figure)]
 
 
-def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> Path:
+def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str], object]) -> tuple[Path, list[str]]:
     """Run RUNS missions of each method of Table II in `paper`, and one of each of DISTURBED after a push with a gyro
     that feels it and with one that does not, less those that are in the folder; compare them, and write the tables and
-    `paper.md`, the page of all.
+    `paper.md`, the page of all. Returns that file, and a line for each comparison whose missions are not all there.
 
     show: is told how far they are.
 
@@ -115,7 +121,7 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         SweepError: the folder holds other missions.
         OSError: a file cannot be written.
     """
-    scenarios = [PrepareScenario("paper", seed=seed) for seed in range(RUNS)]
+    scenarios, missing = [PrepareScenario("paper", seed=seed) for seed in range(RUNS)], list[str]()
 
     def compared(name: str, scenarios: Sequence[Scenario], world: str, methods: Sequence[str]) -> list[Run]:
         asked = [MissionRequest(one, name=world, world_name=world, max_time=LONGEST) for one in scenarios]
@@ -124,6 +130,8 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
         sweep.mkdir(parents=True, exist_ok=True)
         runs = run_sweep(tasks, sweep, 1, None, interrupted, show)
         write_comparison(runs, tasks, sweep, "tfg-drake figures", show)
+        if (done := sum(run.summary is not None for run in runs)) < len(tasks):
+            missing.append(f"{name}: {done} of {len(tasks)} missions are done")
         return runs
 
     runs = compared("table-2", scenarios, "paper", COMPARED)
@@ -134,8 +142,13 @@ def write_tables(folder: Path, interrupted: threading.Event, show: Callable[[str
     scenario, world = scenarios[0], MakeWorld(scenarios[0].world)
     width, height = np.ptp(world.walls.reshape(-1, 2), axis=0)
     parameters = parameter_table((width, height), len(world.tag_ids), scenario.tags, scenario.scan, scenario.grid)
-    write_atomic(folder / "tables.md", f"{parameters}\n{performance_table(runs, 'paper')}")
-    shown = "\n\n".join(f"## {title}\n\n![{title}]({file})\n\nThe paper: {says}" for file, title, says in PAGE)
+    write_atomic(folder / "tables.md", f"{parameters}\n{performance_table(runs, 'paper', RUNS)}")
+    parts = ["# The paper's figures, from missions of our own"]
+    if missing:
+        parts.append(f"**Not whole.** {'; '.join(missing)}. The same command in the same folder goes on.")
+    for file, title, says in PAGE:
+        picture = f"![{title}]({file})" if (folder / file).is_file() else f"Missing: {file}."
+        parts += [f"## {title}", picture, f"The paper: {says}"]
     page = folder / "paper.md"
-    write_atomic(page, f"# The paper's figures, from missions of our own\n\n{shown}\n\nThe tables: tables.md.\n")
-    return page
+    write_atomic(page, "\n\n".join([*parts, "The tables: tables.md."]) + "\n")
+    return page, missing

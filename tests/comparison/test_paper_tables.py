@@ -30,12 +30,15 @@ def test_parameters_stand_beside_the_papers():
 
 def test_performance_is_mean_and_deviation_over_the_runs():
     runs = [run("tfg", seed, 100.0 + seed, {"landmarks": 274, "poses": 60}) for seed in range(3)]
-    runs.append(run("grid-nearest", 0, 80.0, {"cells": 900000}))
-    table = performance_table(runs, "paper")
-    assert "| running time (s) | 2433 ± 546 | 101 ± 1 | 2293 ± 375 | 80 |" in table
-    assert "| variables | 274 | 334 ± 0 | 800000 | 900000 |" in table
-    assert "here over 3 of `paper`" in table
+    runs += [run("grid-nearest", seed, 80.0, {"cells": 900000}) for seed in range(3)]
+    table = performance_table(runs, "paper", 3)
+    assert "| running time (s) | 2433 ± 546 | 101 ± 1 | 2293 ± 375 | 80 ± 0 |" in table
+    assert "| variables | 274 | 334 ± 0 | 800000 | 900000 ± 0 |" in table
+    assert "here over 3 of `paper`\n\n|" in table
+    table = performance_table(runs[:4], "paper", 3)
+    assert "| running time (s) | 2433 ± 546 | 101 ± 1 | 2293 ± 375 | 80, n = 1 |" in table
+    assert "here over 3 of `paper`\n\nPartial: 4 of 6 missions are done.\n\n|" in table
 
 
 def test_a_method_without_runs_has_a_dash():
-    assert "| running time (s) | 2433 ± 546 | - | 2293 ± 375 | - |" in performance_table([], "paper")
+    assert "| running time (s) | 2433 ± 546 | - | 2293 ± 375 | - |" in performance_table([], "paper", 4)

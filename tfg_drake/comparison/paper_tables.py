@@ -43,21 +43,24 @@ def parameter_table(
     return markdown_table(Table("Table I: simulation parameters", "", ("", "paper", "here"), rows)) + "\n"
 
 
-def performance_table(runs: Sequence[Run], scenario: str) -> str:
-    """Table II, performance, as Markdown: mean ± standard deviation over the runs of METHODS."""
+def performance_table(runs: Sequence[Run], scenario: str, seeds: int) -> str:
+    """Table II, performance, as Markdown: mean ± standard deviation over the runs of METHODS. seeds: how many there are
+    to be; a cell of fewer runs says of how many it is."""
     ours, baseline = METHODS
     rows = [
-        (one.label, paper_tfg, _cell(runs, ours, one), paper_grid, _cell(runs, baseline, one))
+        (one.label, paper_tfg, _cell(runs, ours, one, seeds), paper_grid, _cell(runs, baseline, one, seeds))
         for one, paper_tfg, paper_grid in _PAPER
     ]
-    number = len({run.seed for run in runs})
-    title = f"Table II: performance, the paper over 4 runs in a world of its own, here over {number} of `{scenario}`"
+    done = sum(run.summary is not None for run in runs)
+    note = f"Partial: {done} of {len(METHODS) * seeds} missions are done." if done < len(METHODS) * seeds else ""
+    title = f"Table II: performance, the paper over 4 runs in a world of its own, here over {seeds} of `{scenario}`"
     header = ("", "TFG active SLAM, paper", "`tfg`, here", "grid map frontier, paper", "`grid-nearest`, here")
-    return markdown_table(Table(title, "", header, rows)) + "\n"
+    return markdown_table(Table(title, note, header, rows)) + "\n"
 
 
-def _cell(runs: Sequence[Run], method: str, measure: Measure) -> str:
+def _cell(runs: Sequence[Run], method: str, measure: Measure, seeds: int) -> str:
     one = spread(sample(runs, method, measure.read))
     if not one.n:
         return "-"
-    return measure.shown(one.mean.value) + (f" ± {one.std:.{measure.digits}f}" if one.n > 1 else "")
+    few = f", n = {one.n}" if one.n < seeds else ""
+    return measure.shown(one.mean.value) + (f" ± {one.std:.{measure.digits}f}" if one.n > 1 else "") + few
