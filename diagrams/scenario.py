@@ -123,8 +123,13 @@ def _Load(
     path: Path | None, data: str | None, scenario_name: str | None, defaults: Scenario | None, above: tuple[Path, ...]
 ) -> Scenario:
     source = "scenario" if path is None else str(path)
+    if path is not None and path.name.endswith(_PLANS):
+        given = "it" if path.suffix == ".txt" else "the map_server .yaml that names it"
+        raise ScenarioError(f"{source}: is a floor plan, not a scenario; give {given} by --world")
     text = _ReadText(path) if path is not None else typing.cast(str, data)
     tree = _Parse(text, source)
+    if path is not None and isinstance(tree, dict) and _MAP_KEYS & tree.keys():
+        raise ScenarioError(f"{source}: is a floor plan, not a scenario; give it by --world")
     if scenario_name is not None:
         if not isinstance(tree, dict) or scenario_name not in tree:
             names = ", ".join(map(str, tree)) if isinstance(tree, dict) else "none"
@@ -355,7 +360,8 @@ def ApplyWorldFile(
     return result
 
 
-# What tells a map_server file from a scenario.
+# Names of walls and of a map_server file's image; and what tells such a file from a scenario.
+_PLANS = (".vectormap.txt", ".pgm", ".pgm.gz", ".png")
 _MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
 
 

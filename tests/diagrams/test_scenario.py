@@ -52,6 +52,20 @@ def complaint(call, *arguments, **keywords) -> str:
     return message
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "given"),
+    [
+        ("lab.vectormap.txt", "0,0,6,0", "it"),
+        ("lab.yaml", "image: lab.pgm\nresolution: 0.05", "it"),
+        ("lab.pgm", "P2", "the map_server .yaml that names it"),
+    ],
+)
+def test_a_floor_plan_in_the_place_of_a_scenario_is_told_its_option(tmp_path, name, text, given):
+    (tmp_path / name).write_text(text)
+    told = f"{tmp_path / name}: is a floor plan, not a scenario; give {given} by --world"
+    assert complaint(LoadScenario, tmp_path / name) == told
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_tag_of_a_shipped_world_is_reachable(name):
     scenario = LoadScenario(name)
