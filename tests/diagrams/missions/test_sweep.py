@@ -1,9 +1,11 @@
+import dataclasses
 import errno
 import importlib.util
 import json
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
 import sys
 import threading
@@ -14,12 +16,21 @@ import pytest
 
 from tests.diagrams.rooms import lasting
 from tfg_drake.bad_input import BadInput
-from tfg_drake.diagrams.methods import METHODS
+from tfg_drake.diagrams.methods import METHODS, FindMethod
 from tfg_drake.diagrams.missions import ray_sweep
 from tfg_drake.diagrams.missions.mission import MissionRequest
-from tfg_drake.diagrams.missions.sweep import SweepError, folder_of, open_sweep, parse_methods, run_local, run_one
+from tfg_drake.diagrams.missions.sweep import (
+    SweepError,
+    _receipt,
+    folder_of,
+    open_sweep,
+    parse_methods,
+    run_local,
+    run_one,
+)
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.io.extras import pip_install
+from tfg_drake.io.files import write_atomic
 from tfg_drake.mission.interruption import NAMES
 
 ROOM = """
@@ -102,6 +113,28 @@ def test_finished_runs_are_not_run_again(one_job, tmp_path):
     assert [run.summary for run in open_sweep(tasks(), out)] == [run.summary for run in one_job[0].values()]
     # More seeds and methods may be asked for.
     assert len(open_sweep(tasks(3, ("tfg", "tfg-nearest")), out)) == 2
+
+
+def test_runs_of_other_seeds_may_be_copied_from_another_folder(one_job, tmp_path):
+    first, second = tmp_path / "a", tmp_path / "b"
+    for task, out in zip(tasks(), (first, second), strict=True):
+        out.mkdir()
+        assert open_sweep([task], out) == []
+        shutil.copytree(folder_of(task, one_job[1]), folder_of(task, out))
+    shutil.copytree(second / "runs", first / "runs", dirs_exist_ok=True)
+    assert [run.seed for run in open_sweep(tasks(), first)] == [0, 1]
+
+
+def test_after_an_edit_of_its_file_a_method_is_run_again(one_job, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("MakeExplorer = print\n")
+    mine = dataclasses.replace(tasks(1)[0], method=FindMethod(str(file)))
+    out = tmp_path / "out"
+    shutil.copytree(one_job[0][0].folder, folder_of(mine, out))
+    write_atomic(folder_of(mine, out) / "task.json", json.dumps(_receipt(mine)))
+    assert len(open_sweep([mine], out)) == 1
+    file.write_text("MakeExplorer = input\n")
+    assert open_sweep([mine], out) == []
 
 
 @pytest.mark.parametrize("name", ["task.json", "summary.json"])
