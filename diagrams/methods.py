@@ -73,7 +73,8 @@ class Method:
         """Raises MethodError where the scenario lacks what the method needs, or where a user's `settings` of it are not
         those that the method fixes; ScenarioError where the robot must not be where it starts, or where the gain counts
         tags and the world has none."""
-        self._CheckSettings(scenario, [settings] if isinstance(settings, str) else settings)
+        if refused := self.Refused(scenario, [settings] if isinstance(settings, str) else settings):
+            raise MethodError(refused)
         if self.needs_drive and not scenario.drive:
             raise MethodError(f"{self.name}: the scenario has no drive; give it one, a list of [x, y] under `drive:`")
         if self.needs_tags and scenario.world.walls and not scenario.world.tags:
@@ -94,13 +95,15 @@ class Method:
             raise ScenarioError(f"explorer.gain={explorer.gain}: counts tags alone, and {without}, or take exact")
         MakeKeepOut(scenario)
 
-    def _CheckSettings(self, scenario: Scenario, settings: Sequence[str]) -> None:
+    def Refused(self, scenario: Scenario, settings: Sequence[str]) -> str:
+        """Why a user's settings cannot be those that the method fixes, "" if they can."""
         fixed = self.Fixed(scenario)
         for own in self.settings:
             key = own.partition("=")[0]
             given = [setting for setting in settings if setting.partition("=")[0] == key]
             if given and ApplySettings(fixed, given) != fixed:
-                raise MethodError(f"{self.name}: fixes {own}; leave {given[-1]} out, or take another method: tfg")
+                return f"{self.name}: fixes {own}; leave {given[-1]} out, or take another method: tfg"
+        return ""
 
 
 def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Diagram:

@@ -66,17 +66,22 @@ def _receipt(task: MissionRequest) -> dict[str, Any]:
 def parse_methods(text: str, scenario: Scenario, settings: Sequence[str] = ()) -> list[Method]:
     """The methods that a list such as "tfg,mine.py" names. settings: the user's, which are in the scenario.
 
-    Raises BadInput for one that there is not, or that the scenario lacks something for.
+    Raises BadInput for one that there is not, or that the scenario lacks something for, and for a setting that all of
+    them fix to another value.
     """
     methods: list[Method] = []
     for word in (word.strip() for word in text.split(",")):
-        method = NamedMethod("--methods", word, scenario, settings)
+        method = NamedMethod("--methods", word, scenario)
         if method.needs_keys:
             mend = "name the keys.csv of a run that was driven by hand"
             raise SweepError(f"--methods {word}: nobody is at the keys; {mend}")
         if method.name in [one.name for one in methods]:
             raise SweepError(f"--methods {text}: names {method.name} twice; name each once")
         methods.append(method)
+    for setting in settings:
+        refused = [method.Refused(scenario, [setting]) for method in methods]
+        if all(refused):
+            raise SweepError(f"--methods {refused[0]}")
     return methods
 
 

@@ -32,9 +32,8 @@ def test_seeds_are_a_number_or_a_range():
         ("--jobs 2 --ray local", "--jobs and --ray exclude each other; a cluster knows how many missions it can run"),
         ("--methods tfg,tfg", "--methods tfg,tfg: names tfg twice; name each once"),
         (
-            "house --methods tfg,tfg-nearest --set explorer.goal=random",
-            "--methods tfg-nearest: fixes explorer.goal=nearest_frontier; leave explorer.goal=random out, "
-            "or take another method: tfg",
+            "house --methods random,tfg-nearest --set explorer.goal=argmax",
+            "--methods random: fixes explorer.goal=random; leave explorer.goal=argmax out, or take another method: tfg",
         ),
         ("--out /dev/null", "--out /dev/null: is a file; name a folder"),
     ],

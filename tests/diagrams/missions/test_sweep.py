@@ -208,7 +208,10 @@ def test_an_interrupt_ends_all_at_once(tmp_path):
 
 
 def test_methods_are_named():
-    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == [METHODS["tfg"], METHODS["grid-nearest"]]
+    both = [METHODS["tfg"], METHODS["grid-nearest"]]
+    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM)) == both
+    # The grid method fixes that: it counts for the other one.
+    assert parse_methods("tfg, grid-nearest", LoadScenario(data=ROOM), ["explorer.first_look=2"]) == both
     example = Path(__file__).parents[3] / "examples" / "goal_selector.py"
     (own,) = parse_methods(f"{example}", LoadScenario(data=ROOM))
     assert (own.name, own.source) == ("goal_selector", str(example))
