@@ -7,8 +7,11 @@ import logging
 import numpy as np
 import pytest
 
+from tests.slam.test_scan_lines import ANGLES, CONFIG
+from tfg_drake.config import OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, TagDetections, replace
+from tfg_drake.simulation.laser_scanner import scan
 from tfg_drake.slam.estimator import (
     _found_meanwhile,
     begin_turn,
@@ -18,8 +21,10 @@ from tfg_drake.slam.estimator import (
     pose_estimate,
     process_detections,
     process_odometry,
+    process_scan,
 )
 from tfg_drake.slam.estimator_state import KIDNAPPED, initial_state, opened
+from tfg_drake.slam.shared import by_data_sheet
 
 TURN = 201
 LEG = 150
@@ -106,6 +111,28 @@ def test_a_robot_that_was_moved_finds_itself(after_three_turns, slip, when, capl
     assert tour.error()[0] < 0.1
     assert tour.map_rmse() < 0.08
     assert "left out of the map" not in caplog.text
+
+
+@pytest.mark.parametrize("push", [0.0, 0.35, -0.35])
+def test_a_robot_pushed_in_a_corridor_knows_how_little_it_knows(push, caplog):
+    """Two walls do not tell where along them it is: the deviation of its position grows, and a note says so."""
+    corridor = np.array([[-2.0, -1.0, 60.0, -1.0], [60.0, 1.0, -2.0, 1.0], [-2.0, 1.0, -2.0, -1.0]])
+    sheet, rng = by_data_sheet(OdometryConfig(), TagSensorConfig(), ScanConfig()), np.random.default_rng(3)
+    X_WB, X_OB, stamp = np.zeros(3), np.zeros(3), 0.0
+    state = process_odometry(initial_state(OdometryConfig(), 5.0, sheet), Odometry(0.0, X_OB, np.zeros(2)))
+    looks = 3 * [(0.6, 0.0, 6.0, False), (0.0, 0.3, 1.0, True), (0.0, -0.3, 1.0, True)]
+    for k, (speed, rate, seconds, is_turn) in enumerate([(0.0, 0.6, 10.5, True), (0.0, -0.6, 10.5, True), *looks]):
+        state = begin_turn(state, stamp) if is_turn else state
+        for i in range(round(seconds / 0.05)):
+            stamp, moved = round(stamp + 0.05, 6), np.array([0.05 * speed, 0.0, 0.05 * rate])
+            pushed = np.array([-0.2, push, 0.0]) * (push != 0.0 and k == 5 and i == 100)
+            X_WB, X_OB = se2.compose(se2.compose(X_WB, moved), pushed), se2.compose(X_OB, moved)
+            state = process_scan(state, scan(corridor, X_WB, stamp, ANGLES, rng.normal(size=len(ANGLES)), CONFIG))
+            state = process_odometry(state, Odometry(stamp, X_OB, np.array([speed, rate])))
+        state = end_turn(state, stamp) if is_turn else state
+    told = pose_estimate(state)
+    assert np.hypot(*(X_WB - told.X_MB)[:2]) < 2.0 * np.sqrt(np.trace(told.covariance[:2, :2]))
+    assert ("do not tell another one" in caplog.text) == (push != 0.0)
 
 
 def test_a_clean_drive_raises_no_alarm(drive, caplog):

@@ -29,6 +29,7 @@ from tfg_drake.messages import (
     TagDetections,
     replace,
 )
+from tfg_drake.notes import take_note
 from tfg_drake.slam.estimator_state import (
     KIDNAPPED,
     EstimatorState,
@@ -197,7 +198,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     prior = Prior(expected, sigma, carried, A_METRE)
     found, places = _where((known, mapped), seen, prior, is_growing=True)
     if not by_surfaces and found is None:
-        return state
+        by_walls = not (rows_of(seen[0].ids, known.ids)[1].any() or state.is_kidnapped or begin)
+        return _drifted(state, newest) if at_last and by_walls else state
     here = not state.is_kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
     # One that is lost, and maps apart, cannot be more lost.
     if here or (begin and found is None and not state.is_kidnapped):
@@ -224,6 +226,18 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     placed = stamp if anywhere else state.placed
     state = replace(state, localizer=localizer, placed=placed, contradictions=0.0, suspect=None)
     return begun_elsewhere(state, replace(newest, X_MB=found.X, sigma=PLACED))
+
+
+def _drifted(state: EstimatorState, newest: Stretch) -> EstimatorState:
+    """Return the state of a robot whose pose walls contradict that do not tell its place, as those of a corridor: it
+    has drifted, by as much as is likelier than that somebody has carried it."""
+    estimate = state.map
+    assert estimate is not None
+    take_note("slip", state.stamp, "walls contradict the pose and do not tell another one; the map may be bent here")
+    X_MB = se2.compose(newest.X_MB, se2.between(newest.begin.X_OB, state.instant.X_OB))
+    localizer = placed_localizer(estimate, state.walls, X_MB, DRIFTED)
+    state = replace(state, localizer=localizer, contradictions=0.0, suspect=None)
+    return begun_elsewhere(state, replace(newest, sigma=DRIFTED))
 
 
 def doubted(state: EstimatorState) -> EstimatorState:
