@@ -8,7 +8,8 @@ from typing import Any
 from tfg_drake.percent import percent
 from tfg_drake.planning.openings import REACH
 
-# So many openings are named on a screen and on the page, those with the most unknown behind them; all are counted.
+# So many openings are named on a screen and on the page, those with the most unknown behind them; all are counted. The
+# screen has as many notes.
 ON_SCREEN, ON_PAGE = 3, 20
 
 
@@ -66,7 +67,15 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows += [("map", known), ("pose error", error), ("coverage", coverage), ("safety", safety)]
     if changes := summary["changes"]:
         rows.append(("known map", _changed(changes)))
-    return [*rows, *left_open_rows(summary)]
+    return [*rows, *note_rows(summary["notes"] or []), *left_open_rows(summary)]
+
+
+def note_rows(notes: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """The first notes, as rows of a table: a name, or "", and a value."""
+    told = [("" if one["time_s"] is None else f"{one['time_s']:.0f} s: ") + one["text"] for one in notes[:ON_SCREEN]]
+    if len(notes) > ON_SCREEN:
+        told.append(f"{len(notes) - ON_SCREEN} more in summary.json")
+    return [("" if row else "notes", text) for row, text in enumerate(told)]
 
 
 def _changed(changes: dict[str, Any]) -> str:

@@ -37,6 +37,15 @@ def test_its_table_and_title_speak_of_walls(mission):
     assert re.fullmatch(r"pose error 0\.\d{3} m mean from the first drive on, 0\.\d{4} rad mean", error)
 
 
+def test_its_table_has_the_first_notes(mission):
+    notes = [{"kind": "slip", "time_s": 10.0 * k or None, "text": f"note {k}"} for k in range(5)]
+    rows = table_rows(mission[0].summary | {"notes": notes})
+    at = [name for name, _ in rows].index("notes")
+    told = [("notes", "note 0"), ("", "10 s: note 1"), ("", "20 s: note 2"), ("", "2 more in summary.json")]
+    assert rows[at : at + 4] == told
+    assert "notes" not in dict(table_rows(mission[0].summary | {"notes": []}))
+
+
 def test_its_exports_speak_of_walls(mission, call, tmp_path):
     folder, count = mission[0].folder, mission[0].summary["walls_mapped"]
     for name in ("a.svg", "a.g2o", "a.yaml"):
