@@ -67,7 +67,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows += [("map", known), ("pose error", error), ("coverage", coverage), ("safety", safety)]
     if changes := summary["changes"]:
         rows.append(("known map", _changed(changes)))
-    return [*rows, *note_rows(summary["notes"] or []), *left_open_rows(summary)]
+    return [*rows, *note_rows(summary.get("notes") or []), *left_open_rows(summary)]
 
 
 def note_rows(notes: list[dict[str, Any]]) -> list[tuple[str, str]]:
