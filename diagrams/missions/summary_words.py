@@ -72,10 +72,10 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def note_rows(notes: list[dict[str, Any]]) -> list[tuple[str, str]]:
     """The first notes, as rows of a table: a name, or "", and a value."""
-    told = [("" if one["time_s"] is None else f"{one['time_s']:.0f} s: ") + one["text"] for one in notes[:ON_SCREEN]]
+    texts = [("" if one["time_s"] is None else f"{one['time_s']:.0f} s: ") + one["text"] for one in notes[:ON_SCREEN]]
     if len(notes) > ON_SCREEN:
-        told.append(f"{len(notes) - ON_SCREEN} more in summary.json")
-    return [("" if row else "notes", text) for row, text in enumerate(told)]
+        texts.append(f"{len(notes) - ON_SCREEN} more in summary.json")
+    return [("" if row else "notes", text) for row, text in enumerate(texts)]
 
 
 def _changed(changes: dict[str, Any]) -> str:

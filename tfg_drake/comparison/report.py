@@ -196,7 +196,7 @@ def _paired_tables(methods: Sequence[str], runs: Sequence[Run]) -> list[Table]:
 
 
 def _few(pairs: int, of: int) -> str:
-    """What is said of a figure of fewer pairs than its column has."""
+    """The number of pairs, as it follows a figure that has fewer than its column; "" where it has as many."""
     return "" if pairs == of else f", {pairs} pair{'s' if pairs != 1 else ''}"
 
 
