@@ -1,9 +1,7 @@
 """Straight at a wall with a poor scanner: does the filter before the base stop in time?
 
     python benchmarks/approaches.py --count 10000
-    python benchmarks/approaches.py --count 3000 --at end
-    python benchmarks/approaches.py --count 10000 --at edge
-    python benchmarks/approaches.py --count 3000 --at behind
+    python benchmarks/approaches.py --count 3000 --at end edge behind
     python benchmarks/approaches.py --count 300 --at bumper
 
 A robot that is told to drive straight on at 0.3 or 0.5 m/s approaches a wall, or the end of a wall or a post of 5 cm in
@@ -203,28 +201,32 @@ def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=10_000, help="approaches, as many for each row")
-    parser.add_argument("--at", choices=[*OBSTACLES, *ROWS], default="wall", help="what stands in the way")
+    parser.add_argument("--at", choices=[*OBSTACLES, *ROWS], nargs="+", default=["wall"], help="what is in the way")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     heads = f"{'contacts':>9}{'least m':>9}{'median m':>9}{'drove':>7}{'back m':>8}"
     print(f"{'kind':<13}{'rays lost':<12}{'approaches':>11}" + heads)
-    rows = ROWS.get(options.at, [(options.at, loss) for loss in LOSSES])
-    for n, (kind, loss) in enumerate(rows):
-        random = np.random.default_rng([options.seed, n])
-        results = []
-        for _ in range(options.count // len(rows) + 1):
-            approach = MAKERS[options.at](random, kind, loss) if options.at in ROWS else drawn(random, loss, kind)
-            results.append(driven(approach, random))
-        contacts, clearance, distance, back = (np.array(column) for column in zip(*results, strict=True))
-        moved = (back if options.at == "behind" else distance) > 0.05
-        # The bar that is felt first is not to be felt again.
-        touched = int((contacts > (options.at == "bumper")).sum())
-        median = float(np.median(clearance[moved])) if moved.any() else np.nan
-        print(
-            f"{kind:<13}{loss:<12}{len(results):>11}{touched:>9}{clearance.min():>9.3f}{median:>9.3f}{moved.mean():>7.2f}"
-            f"{back.max():>8.2f}",
-            flush=True,
-        )
+    approaches = touches = 0
+    for at in options.at:
+        rows = ROWS.get(at, [(at, loss) for loss in LOSSES])
+        for n, (kind, loss) in enumerate(rows):
+            random = np.random.default_rng([options.seed, n])
+            results = []
+            for _ in range(options.count // len(rows) + 1):
+                approach = MAKERS[at](random, kind, loss) if at in ROWS else drawn(random, loss, kind)
+                results.append(driven(approach, random))
+            contacts, clearance, distance, back = (np.array(column) for column in zip(*results, strict=True))
+            moved = (back if at == "behind" else distance) > 0.05
+            # The bar that is felt first is not to be felt again.
+            touched = int((contacts > (at == "bumper")).sum())
+            approaches, touches = approaches + len(results), touches + touched
+            median = float(np.median(clearance[moved])) if moved.any() else np.nan
+            print(
+                f"{kind:<13}{loss:<12}{len(results):>11}{touched:>9}{clearance.min():>9.3f}{median:>9.3f}"
+                f"{moved.mean():>7.2f}{back.max():>8.2f}",
+                flush=True,
+            )
+    print(f"\n{touches} of {approaches} approaches end in a contact")
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ def main() -> None:
     parser.add_argument("--pieces", type=int, default=100)
     options = parser.parse_args()
     options.runs.mkdir(parents=True, exist_ok=True)
+    claims = []
     for name in options.logs.split(","):
         halves(options.data, options.runs, name)
         _, whole = read_tum(run_of(options.data, options.runs, name) / "trajectory.tum")
@@ -94,8 +95,9 @@ def main() -> None:
             some = (wrong >= low) & (wrong < high) & (probability > 0.0)
             if some.any():
                 told.append(f"{low:g} to {high:g}: {1.0 - right[some].mean():.3f} of {some.sum()}")
-        claims = f"{name}: {len(rows)} pieces, {claimed.sum()} claimed, {np.sum(claimed & right)} of them right"
-        print(f"{claims}; wrong where stated {', '.join(told)}", flush=True)
+        claims.append(f"of {name} {claimed.sum()} of {len(rows)}, {np.sum(claimed & right)} rightly")
+        print(f"{claims[-1]}; wrong where stated {', '.join(told)}", flush=True)
+    print(f"\nclaimed {'; '.join(claims)}")
 
 
 if __name__ == "__main__":

@@ -214,7 +214,7 @@ def main() -> None:
     options = parser.parse_args()
     stages = recorded(options.scenario)[-1 - options.stages : -1]
     print("   landmarks     TFG ms  roadmap ms    goal ms    path ms     all ms  over the first  all of the map ms")
-    least = math.nan
+    least, over = math.nan, []
     for landmarks in [0, *options.landmarks]:
         rows, sizes = [], []
         for asked in stages:
@@ -226,6 +226,8 @@ def main() -> None:
         least = median[4] if math.isnan(least) else least
         columns = "".join(f"{value:>11.1f}" for value in median[:5])
         print(f"{max(sizes):12}{columns}{median[4] / least:>16.2f}{median[5]:>19.1f}", flush=True)
+        over.append(f"of {max(sizes)} {median[4] / least:.2f}")
+    print(f"\na stage of planning on maps of as many landmarks takes, over the first: {', '.join(over)}")
 
 
 if __name__ == "__main__":

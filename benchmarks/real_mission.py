@@ -1,13 +1,12 @@
 """A whole mission of a real robot's explorer against an emulated robot in real time, beside simulated missions.
 
     python benchmarks/real_mission.py kobuki --world house --simulated 3
-    python benchmarks/real_mission.py ros2 --world house --simulated 3
-    python benchmarks/real_mission.py without_ros --world house --simulated 3
-    python benchmarks/real_mission.py without_tags --world house --simulated 0
+    python benchmarks/real_mission.py ros2 without_ros without_tags --world house --simulated 0
 
 Starts `tfg-drake kobuki emulate` or `tfg-drake ros2 emulate`, then `tfg-drake explore --robot` for that robot, enables
 the wheels and waits for the end. The emulator is asked for its true pose ten times a second, and the run is measured by
-it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run.
+it as a simulated one is by its own truth: the explorer does not know it. Prints a line a run; what is in --out is not
+run again.
 
 `without_ros` is a Kobuki with an RPLidar and a camera of its own, as docs/map_my_house.md has it: the camera is
 calibrated and looked through first; on the way its stream ends and comes again, and the scanner's cable is pulled and
@@ -120,8 +119,11 @@ def _calibrated(camera: str, board: str, out: Path) -> list[str]:
 
 
 def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> dict[str, Any]:
-    """The figures of one mission in real time."""
+    """The figures of one mission in real time, which are kept beside its folder."""
     out.parent.mkdir(parents=True, exist_ok=True)
+    kept = out.with_suffix(".json")
+    if kept.exists():
+        return json.loads(kept.read_text())
     emulator = Emulator(robot, world, out.parent)
     robot = "kobuki" if robot.startswith("without") else robot
     arguments = [*emulator.arguments, "--max-time", f"{max_time:g}", "--set", f"hardware.max_speed={speed}"]
@@ -150,7 +152,7 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
     p_WL = scene.start[:2] + saved.p_ML @ rotation(scene.start[2]).T
     p_WL_true = scene.p_WT[[row_of[tag] for tag in saved.ids.tolist()]]
     summary = json.loads((out / "summary.json").read_text())
-    return {
+    figures = {
         "outcome": summary["outcome"],
         "time": summary["sim_time_s"],
         "distance": emulator.truth[-1]["distance"],
@@ -161,6 +163,8 @@ def real(robot: str, world: str, speed: float, max_time: float, out: Path) -> di
         "aligned": metrics.landmark_rmse_aligned(p_WL, p_WL_true),
         "contacts": emulator.truth[-1]["contacts"],
     }
+    kept.write_text(json.dumps(figures))
+    return figures
 
 
 def _press(keys: IO[str]) -> None:
@@ -198,7 +202,7 @@ def line(name: str, figures: dict[str, Any]) -> str:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("robot", choices=("kobuki", "ros2", "without_ros", "without_tags"))
+    parser.add_argument("robots", choices=("kobuki", "ros2", "without_ros", "without_tags"), nargs="+")
     parser.add_argument("--speed", type=float, default=0.3, help="limit of both, m/s")
     parser.add_argument("--world", default="house")
     parser.add_argument("--max-time", type=float, default=3600.0)
@@ -207,7 +211,8 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = options.out or Path(temporary)
-        rows = [line(options.robot, real(options.robot, options.world, options.speed, options.max_time, out / "real"))]
+        mission = options.world, options.speed, options.max_time
+        rows = [line(robot, real(robot, *mission, out / robot)) for robot in options.robots]
         for seed in range(options.simulated):
             folder = out / f"seed{seed}"
             rows.append(line(f"seed {seed}", simulated(options.world, options.speed, seed, options.max_time, folder)))

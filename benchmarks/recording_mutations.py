@@ -276,11 +276,11 @@ def main() -> None:
     rows = [one for one in rows if one["seed"] in seeds]
     counts = collections.Counter((one["mutation"], one["class"]) for one in rows)
     print(f"{'':12}" + "".join(f"{name:>9}" for name in CLASSES))
-    for name in [*dict.fromkeys(one["mutation"] for one in rows), "all"]:
-        some = [sum(n for (of, is_a), n in counts.items() if is_a == one and name in (of, "all")) for one in CLASSES]
-        print(f"{name:12}" + "".join(f"{n:9}" for n in some))
-    if options.good:
-        print(f"told something: {sum(bool(one['notes']) for one in rows)} of {len(rows)}")
+    for name in dict.fromkeys(one["mutation"] for one in rows):
+        print(f"{name:12}" + "".join(f"{counts[name, one]:9}" for one in CLASSES))
+    all_of = collections.Counter(one["class"] for one in rows)
+    told = f"; {sum(bool(one['notes']) for one in rows)} told something" if options.good else ""
+    print(f"\nof {len(rows)} drives: " + ", ".join(f"{all_of[one]} {one}" for one in CLASSES) + told)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def stated(saved: SavedMap, starts: IntArray, X_MB: FloatArray, own: FloatArray,
 
 
 def held(name: str, data: Path, runs: Path) -> str:
-    """The line that is printed of a log."""
+    """How many of the judged relations of a log lie in their stated region."""
     folder = run_of(data, runs, name)
     saved, relations = load_map(folder), read_relations(data / f"{name}.relations.gz")
     recording = load_laser_recording(data / f"{name}.clf.bz2")
@@ -116,10 +116,8 @@ def held(name: str, data: Path, runs: Path) -> str:
     total = covariance[judged] + own(sigma)
     squared = np.einsum("ki,kij,kj->k", error[judged], np.linalg.inv(total), error[judged])
     deviation = np.sqrt(np.median(np.trace(covariance[judged, :2, :2], axis1=1, axis2=2) / 2.0))
-    return (
-        f"{name:<8}own {TOLD.get(name, sigma[0]):.4f} m, {sigma[1]:.4f} rad; stated {deviation:.4f} m; "
-        f"{np.mean(squared < chi2.ppf(SHARE, 3)):.3f} of {len(squared)} within their region"
-    )
+    print(f"{name:<8}own {TOLD.get(name, sigma[0]):.4f} m, {sigma[1]:.4f} rad; stated {deviation:.4f} m", flush=True)
+    return f"{np.mean(squared < chi2.ppf(SHARE, 3)):.3f} of {len(squared)} relations in {name}"
 
 
 def main() -> None:
@@ -128,8 +126,8 @@ def main() -> None:
     parser.add_argument("runs", type=Path)
     parser.add_argument("--logs", default="aces,intel,fr079")
     options = parser.parse_args()
-    for name in options.logs.split(","):
-        print(held(name, options.data, options.runs), flush=True)
+    shares = [held(name, options.data, options.runs) for name in options.logs.split(",")]
+    print(f"\nin their stated region of {100 * SHARE:g} %: {', '.join(shares)}")
 
 
 if __name__ == "__main__":

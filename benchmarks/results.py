@@ -37,7 +37,8 @@ DATA, SEED, PLAN = "DATA", "SEED", "PLAN"
 # Arguments of the benchmarks that print a table, several by " + ".
 PRINTED: dict[str, str] = {
     "relations": f"relations.py {DATA}/radish --methods walls --out relations.jsonl",
-    "mapex": f"mapex.py {DATA}/mapex --methods nearest exact ours --out mapex.jsonl",
+    "mapex": f"mapex.py {DATA}/mapex --methods nearest exact tour --out mapex.jsonl"
+    f" + mapex.py {DATA}/mapex --methods ours --out mapex_ours.jsonl",
     "regret": "regret.py --seeds 2 --out regret --tours tours",
     "stated": "offices.py --rows offices --out stated.jsonl"
     " + offices.py --rows 'people, glass' --seeds 10 --out stated.jsonl + look_alikes.py --seeds 3 --out stated.jsonl",
@@ -50,15 +51,12 @@ PRINTED: dict[str, str] = {
     " + relocation.py house --map flat/flat-map --starts 10 --out other",
     "pieces": f"located_pieces.py {DATA}/radish regions --pieces 100",
     "sessions": "sessions.py",
-    "carried": "disturbances.py carry --scenario house --seeds 10 --out carried.jsonl"
-    " + disturbances.py carry --scenario house_real --seeds 20 --out carried.jsonl"
-    " + disturbances.py carry --scenario paper --seeds 20 --out carried.jsonl",
-    "mutations": "recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl",
-    "kills": "kills.py",
-    "robots": " + ".join(
-        f"real_mission.py {robot} --simulated 0" for robot in ("kobuki", "ros2", "without_ros", "without_tags")
-    ),
-    "approaches": " + ".join(f"approaches.py --count 3000 --at {what}" for what in ("wall", "end", "edge", "behind")),
+    "carried": "disturbances.py carry --scenario house house_real paper --seeds 20 --out carried.jsonl",
+    "mutations": "recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl"
+    " + recording_mutations.py --good --first 300 --seeds 30 --rows good.jsonl",
+    "kills": "kills.py --out kills",
+    "robots": "real_mission.py kobuki ros2 without_ros without_tags --simulated 0 --out robots",
+    "approaches": "approaches.py --count 3000 --at wall end edge behind",
     "sizes": "planning_map_size.py --stages 4 + map_size.py --goals 8",
 }
 
@@ -263,7 +261,7 @@ def replaced(text: str, name: str, table: str) -> str:
 def printed(name: str, data: Path | None, out: Path) -> str | None:
     """A table that a benchmark prints, with its command and version; None where it needs data that is not there, or
     fails."""
-    lines: list[str] = []
+    tables: dict[str, list[str]] = {}
     for arguments in PRINTED[name].split(" + "):
         if data is None and DATA in arguments:
             print(f"{name}: needs --data", flush=True)
@@ -276,7 +274,11 @@ def printed(name: str, data: Path | None, out: Path) -> str | None:
         if done.returncode:
             print(f"{name}: exit code {done.returncode}", flush=True)
             return None
-        table = done.stdout.rstrip().rsplit("\n\n", 1)[-1].strip("\n").splitlines()
+        tables[arguments] = done.stdout.rstrip().rsplit("\n\n", 1)[-1].strip("\n").splitlines()
+    if all(len(table) == 1 for table in tables.values()):
+        return "\n".join([*(f"- `{arguments}`, `{version()}`: {line}." for arguments, (line,) in tables.items()), ""])
+    lines: list[str] = []
+    for arguments, table in tables.items():
         # Columns of the same names are named once.
         lines += [f"$ python benchmarks/{arguments}  # {version()}", *(one for one in table if one not in lines)]
     return "\n".join(["```", *lines, "```", ""])

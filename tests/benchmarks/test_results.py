@@ -42,6 +42,15 @@ def test_a_table_is_what_follows_the_last_empty_line(results, monkeypatch, tmp_p
     assert asked[0][1] == tmp_path / "runs"
 
 
+def test_tables_of_one_line_are_a_list(results, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(results, "version", lambda: "abc")
+    monkeypatch.setitem(results.PRINTED, "kills", "kills.py + kills.py --scenario paper")
+    done = subprocess.CompletedProcess([], 0, "a row\n\n20 of 20\n")
+    monkeypatch.setattr(results.subprocess, "run", lambda *_, **__: done)
+    lines = ["- `kills.py`, `abc`: 20 of 20.", "- `kills.py --scenario paper`, `abc`: 20 of 20."]
+    assert results.printed("kills", None, tmp_path).splitlines() == lines
+
+
 def test_a_table_without_its_data_or_of_a_benchmark_that_fails_is_left_alone(results, monkeypatch, tmp_path) -> None:
     assert results.printed("pieces", None, tmp_path) is None
     monkeypatch.setattr(results.subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 1, "x"))
