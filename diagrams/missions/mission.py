@@ -141,10 +141,9 @@ _LOGS = list[tuple[FloatArray, FloatArray]]
 class MissionRequest:
     """A mission as it is asked for, by the command line, Python, a comparison or a fork.
 
-    scenario: everything that defines the run, the seed included, but for the settings that the method fixes. method:
-    what explores. robot: what it drives. name:
-    what the run is called in titles and the folder's name; world_name: the world's, "" for the same. out_dir: the run's
-    folder, made if missing; runs/<time>-<name>-<seed> by default.
+    scenario: everything that defines the run, the seed included; it gets the settings that the method fixes. method:
+    what explores. robot: what it drives. name: what the run is called in titles and the folder's name; world_name: the
+    world's, "" for the same. out_dir: the run's folder, made if missing; runs/<time>-<name>-<seed> by default.
 
     meshcat: where to draw it; None for no picture in Meshcat. cockpit: the page that shows what is recorded, and asks
     for something; None for none. realtime_rate: simulated s per second at most; 0 for as fast as possible. max_time:
@@ -175,6 +174,9 @@ class MissionRequest:
     notes: Sequence[Note] = ()
     before: Packed | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scenario", self.method.Fixed(self.scenario))
+
     @property
     def world(self) -> str:
         """Its world's name, where that is known."""
@@ -203,7 +205,7 @@ class Mission:
     ) -> None:
         """writer: where the station's ports are recorded, timeline: where the picture is."""
         keep_to_one_thread()
-        scenario, robot = request.method.Fixed(request.scenario), request.robot
+        scenario, robot = request.scenario, request.robot
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._context: Context | None = None  # until the diagram is built

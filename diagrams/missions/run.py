@@ -83,8 +83,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
     """
     request = MissionRequest(request) if isinstance(request, Scenario) else request
     request = dataclasses.replace(request, **given)
-    method, robot, before = request.method, request.robot, request.before
-    scenario = method.Fixed(request.scenario)
+    scenario, method, robot, before = request.scenario, request.method, request.robot, request.before
     name, cockpit = f"{request.name}-{scenario.seed}", request.cockpit
     with open_run_folder(request.out_dir, name, goes_on=before is not None) as folder, folder.logging():
         if before is None:
