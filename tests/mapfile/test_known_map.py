@@ -157,6 +157,20 @@ def test_surfaces_that_came_stand_where_there_was_free_space(small_map):
     assert len(map_changes(after, before)["surfaces_gone"]) == 3
 
 
+def test_a_surface_that_no_view_saw_through_is_not_gone(small_map):
+    before_it, behind_it = ([[-5.0, y], [5.0, y], [5.0, y + 5.0], [-5.0, y + 5.0]] for y in (-4.05, 1.05))
+    tfg = replace(
+        small_map.tfg,
+        segments=np.zeros((0, 4)),
+        star_offsets=np.array([0, 4, 8]),
+        star_vertices=np.array([*before_it, *behind_it]),
+        star_centers=np.array([[0.0, 0.0], [0.0, 4.0]]),
+    )
+    after = replace(small_map, tfg=tfg)
+    before = replace(small_map, tfg=replace(tfg, segments=np.array([[1.0, 1.0, 1.6, 1.0]])))
+    assert map_changes(before, after)["surfaces_gone"] == []
+
+
 def test_a_session_and_the_map_that_it_began_with_count_once(small_map):
     """One is part of the other, though no look of it is left as it was."""
     before = replace(small_map, graph=replace(small_map.graph, sessions=np.array([5])))

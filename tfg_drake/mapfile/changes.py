@@ -8,7 +8,7 @@ import numpy as np
 
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
-from tfg_drake.geometry.star import inside_any
+from tfg_drake.geometry.star import lines_in_one_star
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import rows_of
@@ -16,7 +16,7 @@ from tfg_drake.slam.keyframe import rows_of
 # A tag was moved where it is at least so far from its old place, m, and so many standard deviations of the two.
 MOVED, DEVIATIONS = 0.15, 4.0
 # A piece of surface, this long at most, m, is new, or gone, where all of it is farther than this from what is there in
-# the other map and that has free space half as far before it on both sides.
+# the other map and one view of that saw free space from half as far before it to half as far behind.
 APART = 0.2
 
 
@@ -67,8 +67,8 @@ def _only_in(one: SavedMap, other: SavedMap) -> list[list[float]]:
     apart = np.ones(len(pieces), dtype=bool)
     for point in (pieces[:, :2], middle, pieces[:, 2:]):
         apart &= point_distance(point, other.tfg.segments) > APART
-    for side in (-0.5 * APART, 0.5 * APART):
-        apart &= inside_any(middle + side * normal, other.tfg.star_offsets, other.tfg.star_vertices)
+    across = np.hstack([middle - 0.5 * APART * normal, middle + 0.5 * APART * normal])
+    apart &= lines_in_one_star(across, other.tfg.star_offsets, other.tfg.star_vertices)
     ends = transform(one.X_WM, pieces[apart].reshape(-1, 2)).reshape(-1, 4)
     return [[round(value, 3) for value in piece] for piece in ends.tolist()]
 
