@@ -13,7 +13,7 @@ import typer
 
 from tfg_drake.config import CameraConfig
 from tfg_drake.diagrams.commands import command
-from tfg_drake.diagrams.commands.command import argument, bad_input, option, positive, writing
+from tfg_drake.diagrams.commands.command import argument, bad_input, flag, option, positive, writing
 from tfg_drake.diagrams.screen import Screen
 from tfg_drake.io.files import of_run, write_atomic
 
@@ -292,23 +292,26 @@ def align(
     out: NewMap,
     tags: Annotated[Path | None, option("FILE", "Surveyed tags, a .csv with id,x_m,y_m.")] = None,
     plan: Annotated[Path | None, option("FILE", "A floor plan, a map_server .yaml.")] = None,
+    walls: Annotated[bool, flag("--walls", "Turn it until its own walls lie along the axes.")] = False,
 ) -> None:
-    """Move a map into the frame of surveyed tags or of a floor plan."""
-    from tfg_drake.mapfile.survey import in_plan, in_survey, read_survey
+    """Move a map into the frame of surveyed tags or of a floor plan, or turn it by its own walls."""
+    from tfg_drake.mapfile.survey import along_axes, in_plan, in_survey, read_survey
     from tfg_drake.world.map_server import load_map_server
 
-    if tags is not None and plan is None:
+    if [tags is not None, plan is not None, walls].count(True) != 1:
+        bad_input("name one of --tags, --plan and --walls; see tfg-drake map align --help")
+    if tags is not None:
         saved, ids, off, is_wrong, scale = in_survey(_load(map_file), read_survey(tags))
         for tag, distance, wrong in zip(ids.tolist(), off.tolist(), is_wrong.tolist(), strict=True):
             print(f"tag {tag}: {distance:.3f} m off{', looks wrong and does not count' if wrong else ''}")
         print(f"scale: lengths of the map are off by {round(100.0 * scale, 2) + 0.0:+.2f} %, and stay so")
-    elif plan is not None and tags is None:
+    elif plan is not None:
         saved, off = in_plan(_load(map_file), load_map_server(plan))
         if len(off):
             half, most = sorted(off)[len(off) // 2], sorted(off)[9 * len(off) // 10]
             print(f"walls: half of them within {half:.3f} m of the plan's, nine tenths within {most:.3f} m")
     else:
-        bad_input("name either --tags or --plan; see tfg-drake map align --help")
+        saved = along_axes(_load(map_file))
     _save(saved, out)
     x, y, theta = saved.X_WM
     print(f"{out}: origin of the map at x {x:.3f} m, y {y:.3f} m, heading {theta:.4f} rad")

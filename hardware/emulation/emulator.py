@@ -22,6 +22,7 @@ from tfg_drake.hardware.emulation.sensor_socket import SensorSocket
 from tfg_drake.hardware.kobuki import codec as p
 from tfg_drake.hardware.kobuki.odometry import GYRO_UNIT, METRES_PER_TICK, WHEEL_BASE, velocity
 from tfg_drake.hardware.socket_sensors import sensor_line
+from tfg_drake.messages import FloatArray
 from tfg_drake.mission.operation import Side
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.world.world import World, bare_world
@@ -176,6 +177,13 @@ class Emulator(EmulatedDevice):
         super().unplug()
         self._deframer = p.Deframer()
 
+    def carry(self, X_WB: FloatArray) -> None:
+        """Puts the base elsewhere, at X_WB (3,); its wheels and gyro notice nothing."""
+        with self._lock:
+            state = self.base.state.copy()
+            state[drive.X : drive.THETA + 1] = X_WB
+            self.base.state = state
+
     def report(self) -> dict[str, object]:
         """The truth, as EmulatedRobot has it."""
         with self._lock:
@@ -270,6 +278,11 @@ def order(emulator: Emulator, line: str) -> str | None:
                 base.overcurrent = p.Motor[wheel.upper()]
             case ["clock", ahead] if math.isfinite(float(ahead)):
                 base.clock += float(ahead)
+            case ["carry", pose]:
+                X_WB = np.array([float(one) for one in pose.split(",")])
+                if X_WB.shape != (3,) or not np.isfinite(X_WB).all():
+                    raise ValueError
+                emulator.carry(X_WB)
             case ["stick", "gyro" | "encoders" as sensor]:
                 base.stuck.add(sensor)
             case ["free", "gyro" | "encoders" as sensor]:

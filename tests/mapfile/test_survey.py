@@ -9,8 +9,9 @@ from tests.mapfile.test_merge import HERE, ROOM, in_room, saved
 from tests.slam.rings import ring
 from tfg_drake.bad_input import BadInput
 from tfg_drake.geometry.distance import clearance
+from tfg_drake.geometry.se2 import transform
 from tfg_drake.mapfile.landmark_table import landmark_csv
-from tfg_drake.mapfile.survey import in_plan, in_survey, read_survey
+from tfg_drake.mapfile.survey import along_axes, in_plan, in_survey, read_survey
 from tfg_drake.world.map_server import OccupancyMap
 
 FIRST_LINE = "its first line must be id,x_m,y_m, and each other have a number for each"
@@ -110,3 +111,21 @@ def test_a_plan_of_something_else_is_refused():
     other = [[0.0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
     with pytest.raises(BadInput, match=r"^the walls of the map fit the plan nowhere, or in several places: align it"):
         in_plan(in_room(ROOM, range(6), HERE), plan_of(other))
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.7, 1.4])
+def test_a_map_is_turned_until_its_walls_lie_along_the_axes(turn):
+    askew = dataclasses.replace(in_room(ROOM, range(6), HERE), X_WM=np.array([1.0, 2.0, turn]))
+    there = along_axes(askew)
+    segments = transform(there.X_WM, there.tfg.segments.reshape(-1, 2)).reshape(-1, 4)
+    np.testing.assert_allclose(np.abs(segments[:, 2:] - segments[:, :2]).min(axis=1), 0.0, atol=1e-6)
+    assert abs(there.X_WM[2] - turn) <= np.pi / 4
+    np.testing.assert_allclose(np.hypot(*there.X_WM[:2]), np.hypot(1.0, 2.0))
+
+
+def test_a_round_room_has_no_axes():
+    corners = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 13)])
+    saved = in_room(ROOM, range(6), HERE)
+    tfg = dataclasses.replace(saved.tfg, segments=np.hstack([corners[:-1], corners[1:]]))
+    with pytest.raises(BadInput, match=r"^the walls of the map lie in all directions: align it by tags or by a plan$"):
+        along_axes(dataclasses.replace(saved, tfg=tfg))

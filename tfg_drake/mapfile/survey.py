@@ -1,4 +1,4 @@
-"""A map's frame M in the world: by surveyed tags, or by the walls of a plan."""
+"""A map's frame M in the world: by surveyed tags, by the walls of a plan, or by its own walls."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.world.map_server import OccupancyMap
 
-# Deviation of a surveyed tag, m.
-SURVEY = 0.01
+# Deviation of a surveyed tag, m. The least share of a map's walls, by how well they agree, that gives it axes.
+SURVEY, ALIKE = 0.01, 0.5
 
 
 class Surveyed(NamedTuple):
@@ -85,3 +85,20 @@ def in_plan(saved: SavedMap, plan: OccupancyMap) -> tuple[SavedMap, FloatArray]:
     segments = saved.tfg.segments
     middle = se2.transform(found.X, 0.5 * (segments[:, :2] + segments[:, 2:]))
     return replace(saved, X_WM=found.X), point_distance(middle, plan.walls)
+
+
+def along_axes(saved: SavedMap) -> SavedMap:
+    """The map turned about the origin of W, by 45 degrees at most, so that its walls lie along the axes.
+
+    Raises:
+        BadInput: its walls have no common direction; one line.
+    """
+    segments = saved.tfg.segments
+    along = (segments[:, 2:] - segments[:, :2]) @ np.array([1.0, 1.0j])
+    length = np.abs(along)
+    # Directions a quarter turn apart are one.
+    sum_of = np.sum(length * np.exp(4.0j * np.angle(along)))
+    if np.abs(sum_of) <= ALIKE * length.sum():
+        raise BadInput("the walls of the map lie in all directions: align it by tags or by a plan")
+    turn = -0.25 * float(np.angle(sum_of * np.exp(4.0j * saved.X_WM[2])))
+    return replace(saved, X_WM=se2.compose(np.array([0.0, 0.0, turn]), saved.X_WM))

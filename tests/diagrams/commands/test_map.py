@@ -27,6 +27,7 @@ from tfg_drake.slam.evidence import Evidence
 from tfg_drake.slam.keyframe import without_tags as without_landmarks
 from tfg_drake.table import empty
 
+ALIGN_BY = "name one of --tags, --plan and --walls; see tfg-drake map align --help"
 INFO = """\
 world frame  origin of the map at x 5.000 m, y 3.000 m, heading 1.5708 rad
 views        2 turns and glances, the last at 20.2 s
@@ -321,8 +322,8 @@ def test_align(call, path, tmp_path, monkeypatch):
             "merge map.npz map.npz both.yaml",
             "both.yaml: a map is a .npz file; name one, and make other formats of it by tfg-drake map export",
         ),
-        ("align map.npz out.npz", "name either --tags or --plan; see tfg-drake map align --help"),
-        ("align map.npz out.npz --tags a --plan b", "name either --tags or --plan; see tfg-drake map align --help"),
+        ("align map.npz out.npz", ALIGN_BY),
+        ("align map.npz out.npz --tags a --walls", ALIGN_BY),
         ("align map.npz out.npz --tags none.csv", "none.csv: cannot be read: no such file or directory"),
         ("fly", "no such command 'fly'; see tfg-drake map --help"),
         ("", "missing command; see tfg-drake map --help"),

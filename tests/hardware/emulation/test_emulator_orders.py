@@ -40,6 +40,20 @@ def test_silence_and_what_happens_to_frames(emulator):
     assert (emulator.silent, emulator.corrupt, emulator.lost, emulator.late) == (False, 0.0, 0.0, 0.0)
 
 
+def test_a_base_that_is_carried_notices_nothing(emulator):
+    def wheels_and_gyro():
+        core, inertia, *_ = emulator.base.feedback()
+        return core.left_encoder, core.right_encoder, inertia.angle
+
+    before = wheels_and_gyro()
+    assert order(emulator, "carry 3,-1.5,0.5") is None
+    np.testing.assert_array_equal(emulator.base.pose, [3.0, -1.5, 0.5])
+    assert wheels_and_gyro() == before
+    for line in ("carry 3,1", "carry 3,nan,0", "carry here", "carry"):
+        with pytest.raises(ValueError, match="no order"):
+            order(emulator, line)
+
+
 def test_faults_of_the_sensors(emulator):
     seen = LaserScan(1.0, np.zeros(1), np.ones(1), 10.0, 0.015)
     order(emulator, "scan silent")
