@@ -162,7 +162,7 @@ def run(floor: Floor, start: int, method: str, out: Path) -> dict[str, Any]:
         tour = kept_tour(scenario, out.with_suffix("") / "tours", lambda line: None)
         found = {"way": tour.X_WB[:, :2], "is_enough": tour.is_enough}
     else:
-        found = mission(floor, p, EXACT if method == "exact" else (), folder, 1000.0 if method == "exact" else 6000.0)
+        found = mission(floor, p, EXACT if method == "exact" else (), folder, 1000.0 if method == "exact" else 10_000.0)
     way = found.pop("way")
     covered = floor.coverage(way)
     length = float(np.hypot(*np.diff(way, axis=0).T).sum())

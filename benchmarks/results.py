@@ -86,7 +86,7 @@ MISSIONS: dict[str, list[Row]] = {
     ],
     "deviations": [Row(name, "paper --max-time 3600", range(3)) for name in reality.ROWS if name != reality.BELIEVED],
     "floors": [
-        Row(f"`{name}`, {size}", f"--world {DATA}/maps/{file} --tag-spacing none --max-time 6000", range(2))
+        Row(f"`{name}`, {size}", f"--world {DATA}/maps/{file} --tag-spacing none --max-time 10000", range(2))
         for name, size, file in (
             ("LGRC1", "111 x 34 m", "LGRC1.vectormap.txt --start=50,29.8,0"),
             ("NSHA", "63 x 43 m", "NSHA.vectormap.txt --start=20,24,0"),
