@@ -21,7 +21,7 @@ from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
 from tfg_drake.slam.place_search import no_places
-from tfg_drake.slam.relocalizer import CONTRADICTIONS, ELSEWHERE, doubted, found_again, mapped_elsewhere
+from tfg_drake.slam.relocalizer import CONTRADICTIONS, DRIFTED, ELSEWHERE, doubted, found_again, mapped_elsewhere
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.table import empty
@@ -98,6 +98,21 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
     assert pose_estimate(state).places == -1
+
+
+def test_while_what_is_seen_contradicts_the_pose_it_is_not_known(monkeypatch):
+    """Nor do a few looks that agree settle that: walls may fit a wrong pose."""
+    monkeypatch.setattr(estimator, "find_itself", lambda state, *_args, **_kwargs: state)
+    robot = Robot()
+    sure = robot.view(process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry()))
+    doubtful = replace(sure, contradictions=CONTRADICTIONS + 4.0)
+    added = pose_estimate(doubtful).covariance - pose_estimate(sure).covariance
+    np.testing.assert_allclose(added, np.diag(DRIFTED**2), atol=1e-12)
+    some = robot.drive(doubtful, 0.0, 0.0, 5)
+    assert CONTRADICTIONS <= some.contradictions < doubtful.contradictions
+    many = robot.drive(some, 0.0, 0.0, 20)
+    assert many.contradictions == 0
+    assert np.all(np.diag(pose_estimate(many).covariance) < 0.1**2)
 
 
 def turned_round(unfelt):

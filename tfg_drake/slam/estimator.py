@@ -70,6 +70,7 @@ from tfg_drake.slam.map_update import finished, is_looser, jointly_known, needs_
 from tfg_drake.slam.odometry_model import BREAK, BREAK_RATE, DeadReckoning, arc, first_reckoning, reckon, reckoned_at
 from tfg_drake.slam.relocalizer import (
     CONTRADICTIONS,
+    DRIFTED,
     PLACED,
     begun_elsewhere,
     doubted,
@@ -274,6 +275,8 @@ def pose_estimate(state: EstimatorState) -> PoseEstimate:
     X_MB, covariance = pose_now(state, increment, dt)
     if state.is_kidnapped:
         covariance = covariance + np.diag(np.square(state.mapped[0].sigma))
+    if CONTRADICTIONS <= state.contradictions < math.inf:
+        covariance = covariance + np.diag(np.square(DRIFTED))
     estimate = state.map or state.localizer.map
     new_ids, p_MU = new_tags(state.localizer, estimate.ids)
     if state.at is not None:
@@ -440,7 +443,7 @@ def _step(
     if ignored > MOST_IGNORED * known:
         contradictions += state.may_be_moved or state.is_kidnapped
     elif known and math.isfinite(contradictions):
-        contradictions = max(contradictions - 1.0, 0.0) if known < LEAST_KNOWN else 0.0
+        contradictions = max(contradictions - 1.0, 0.0)
     state = replace(
         state,
         odometry=state.odometry[begin:],
