@@ -102,6 +102,7 @@ def test_a_robot_that_was_moved_finds_itself(after_three_turns, slip, when, capl
         else:
             tour.turn_round(slip_at=60, slip=slip)
     assert "from where its wheels have brought it" in caplog.text
+    assert [one.note.kind for one in caplog.records if hasattr(one, "note")] == ["slip"]
     position, heading = tour.error()
     assert position < 0.1
     assert heading < 0.02

@@ -207,7 +207,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if found is None:
         if state.is_kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
-        _log.warning("%.2f s: what is in view contradicts the pose; the robot looks for itself", stamp)
+        take_note("slip", stamp, "what is in view contradicts the pose; the robot looks for itself")
         # Tags met before the robot was moved have another place relative to it now.
         state = replace(state, localizer=without_local(state.localizer))
         return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
@@ -215,8 +215,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         _operator.warning("%.2f s: the robot has found itself in its map, by %s", stamp, found.by)
     else:
         x, y, turn = found.X - expected
-        message = "%.2f s: the robot is %.2f m and %.2f rad from where its wheels have brought it; %s say so"
-        _log.warning(message, stamp, math.hypot(x, y), abs(float(se2.wrap_angle(turn))), found.by)
+        off = f"{math.hypot(x, y):.2f} m and {abs(float(se2.wrap_angle(turn))):.2f} rad"
+        take_note("slip", stamp, f"the robot is {off} from where its wheels have brought it; {found.by} say so")
     X_MB = se2.compose(found.X, se2.between(newest.begin.X_OB, state.instant.X_OB))
     if not estimate.is_joint:
         graph = replace(graph, p_ML=estimate.p_ML)
