@@ -32,8 +32,8 @@ import reality
 BENCHMARKS = Path(__file__).parent
 DOCUMENT = BENCHMARKS.parent / "docs" / "results.md"
 TABLES = DOCUMENT.parent / "tables"
-# In arguments: --data, the seed, and the office plan that is drawn from it.
-DATA, SEED, PLAN = "DATA", "SEED", "PLAN"
+# In arguments: --data, and what the seed draws, an office plan or how the world is not as believed.
+DATA, PLAN, DEVIATION = "DATA", "PLAN", "DEVIATION"
 # Arguments of the benchmarks that print a table, several by " + ".
 PRINTED: dict[str, str] = {
     "relations": f"relations.py {DATA}/radish --methods walls --out relations.jsonl",
@@ -42,21 +42,19 @@ PRINTED: dict[str, str] = {
     "regret": "regret.py --seeds 2 --out regret --tours tours",
     "stated": "offices.py --rows offices --out stated.jsonl"
     " + offices.py --rows 'people, glass' --seeds 10 --out stated.jsonl + look_alikes.py --seeds 3 --out stated.jsonl",
-    "regions": f"relation_regions.py {DATA}/radish regions",
+    "logs": f"relation_regions.py {DATA}/radish regions + located_pieces.py {DATA}/radish regions --pieces 100",
     "undiscovered": "undiscovered.py --out undiscovered.jsonl",
     "found": f"relocation.py --world {DATA}/maps/flat.yaml --starts 8 --seeds 5 --time 60 --out flat"
     " + relocation.py house paper --starts 8 --time 60 --out relocation"
     " + relocation.py offices --offices 5 --starts 2 --time 60 --out offices"
     " + relocation.py offices --offices 5 --starts 2 --time 60 --later --out later"
     " + relocation.py house --map flat/flat-map --starts 10 --out other",
-    "pieces": f"located_pieces.py {DATA}/radish regions --pieces 100",
     "sessions": "sessions.py",
     "carried": "disturbances.py carry --scenario house house_real paper --seeds 20 --out carried.jsonl",
-    "mutations": "recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl"
-    " + recording_mutations.py --good --first 300 --seeds 30 --rows good.jsonl",
-    "kills": "kills.py --out kills",
+    "faults": "kills.py --out kills + recording_mutations.py --first 300 --seeds 100 --rows mutations.jsonl"
+    " + recording_mutations.py --good --first 300 --seeds 30 --rows good.jsonl"
+    " + approaches.py --count 3000 --at wall end edge behind",
     "robots": "real_mission.py kobuki ros2 without_ros without_tags --simulated 0 --out robots",
-    "approaches": "approaches.py --count 3000 --at wall end edge behind",
     "sizes": "planning_map_size.py --stages 4 + map_size.py --goals 8",
 }
 
@@ -84,7 +82,7 @@ MISSIONS: dict[str, list[Row]] = {
         Row(f"`{world}`", f"{world} --max-time 3600", range(seeds))
         for world, seeds in {"paper": 10, "corridor": 4, "house": 10, "paper_real": 6, "house_real": 10}.items()
     ],
-    "deviations": [Row(name, "paper --max-time 3600", range(3)) for name in reality.ROWS if name != reality.BELIEVED],
+    "deviations": [Row("`paper`, one of eleven deviations", f"paper {DEVIATION} --max-time 3600", range(33))],
     "floors": [
         Row(f"`{name}`, {size}", f"--world {DATA}/maps/{file} --tag-spacing none --max-time 10000", range(2))
         for name, size, file in (
@@ -191,10 +189,11 @@ def runs_of(row: Row, options: argparse.Namespace, method: str = METHOD) -> list
             plan = options.out / "plans" / f"{seed}.yaml"
             offices.write(seed, plan)
             arguments = arguments.replace(PLAN, str(plan))
+        deviations = [name for name in reality.ROWS if name != reality.BELIEVED]
+        settings = reality.settings(deviations[seed % len(deviations)], seed)
+        arguments = arguments.replace(DEVIATION, " ".join(f"--set {one}" for one in settings))
         line = shlex.split(arguments.replace(DATA, str(options.data and options.data.resolve())))
         line += ["--seed", str(seed), "--method", method]
-        for setting in reality.settings(row.name, seed) if row.name in reality.ROWS else []:
-            line += ["--set", setting]
         name = "".join(letter if letter.isalnum() else "_" for letter in row.name).strip("_")
         return run(line, options.out / method / name / str(seed))
 

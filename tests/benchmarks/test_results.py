@@ -32,7 +32,8 @@ def test_a_table_is_what_follows_the_last_empty_line(results, monkeypatch, tmp_p
 
     monkeypatch.setattr(results, "version", lambda: "abc")
     monkeypatch.setattr(results.subprocess, "run", run)
-    table = results.printed("pieces", tmp_path, tmp_path / "runs")
+    monkeypatch.setitem(results.PRINTED, "logs", "located_pieces.py DATA/radish regions")
+    table = results.printed("logs", tmp_path, tmp_path / "runs")
     first, told, *rest = table.splitlines()
     assert (first, rest) == ("```", ["world  n", "flat   2", "```"])
     assert told.startswith("$ python benchmarks/located_pieces.py DATA/radish ")
@@ -44,15 +45,15 @@ def test_a_table_is_what_follows_the_last_empty_line(results, monkeypatch, tmp_p
 
 def test_tables_of_one_line_are_a_list(results, monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(results, "version", lambda: "abc")
-    monkeypatch.setitem(results.PRINTED, "kills", "kills.py + kills.py --scenario paper")
+    monkeypatch.setitem(results.PRINTED, "faults", "kills.py + kills.py --scenario paper")
     done = subprocess.CompletedProcess([], 0, "a row\n\n20 of 20\n")
     monkeypatch.setattr(results.subprocess, "run", lambda *_, **__: done)
     lines = ["- `kills.py`, `abc`: 20 of 20.", "- `kills.py --scenario paper`, `abc`: 20 of 20."]
-    assert results.printed("kills", None, tmp_path).splitlines() == lines
+    assert results.printed("faults", None, tmp_path).splitlines() == lines
 
 
 def test_a_table_without_its_data_or_of_a_benchmark_that_fails_is_left_alone(results, monkeypatch, tmp_path) -> None:
-    assert results.printed("pieces", None, tmp_path) is None
+    assert results.printed("logs", None, tmp_path) is None
     monkeypatch.setattr(results.subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 1, "x"))
     assert results.printed("sessions", None, tmp_path) is None
 
@@ -115,3 +116,15 @@ def test_cpu_time_of_a_table_adds_up_over_calls(results, tmp_path, capsys) -> No
     results.add_hours(tmp_path / "runs", "kills", 1800.0)
     results.add_hours(tmp_path / "runs", "kills", 1800.0)
     assert capsys.readouterr().out.endswith("kills: 1.00 CPU hours; 1.00 in all so far\n")
+
+
+def test_each_deviation_is_drawn_in_turn(results, monkeypatch, tmp_path) -> None:
+    asked = []
+    monkeypatch.setattr(results, "run", lambda line, folder: asked.append(line))
+    (row,) = results.MISSIONS["deviations"]
+    results.runs_of(row, argparse.Namespace(out=tmp_path, data=None, seeds=None, jobs=1))
+    settings = [tuple(line[line.index("paper") + 1 : line.index("--max-time")]) for line in asked]
+    assert len(asked) == 33
+    assert results.DEVIATION not in {word for line in asked for word in line}
+    assert len({tuple(word.split("=")[0] for word in one) for one in settings}) == 10
+    assert all(one[0] == "--set" for one in settings)
