@@ -3,10 +3,10 @@
     tfg-drake compare paper --methods tfg,grid-nearest --seeds 1 --out compared
     python benchmarks/map_memory.py compared/runs/*/seed-0
 
-Unknowns are what the estimator solves for: two of a landmark, three of a pose, the shared parameters; the cells of a
-grid. Numbers are all that the map holds: of a TFG what keyframes tell (graph), surfaces and frontiers, and free space
-as star polygons; of a grid the cells of one particle. The particles share what no scan has changed since they parted:
-GMapping holds one grid at least and as many as particles at most. Area is what the map calls free.
+Unknowns are the summary's `map_variables`. Numbers are all that the map holds: of a TFG what keyframes tell (graph),
+surfaces and frontiers, and free space as star polygons; of a grid the cells of one particle. The particles share what
+no scan has changed since they parted: GMapping holds one grid at least and as many as particles at most. Area is what
+the map calls free.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def of_map(saved: SavedMap) -> tuple[int, dict[str, list[np.ndarray]], float]:
     parts["surfaces, frontiers"] = [array for array in arrays(tfg) if all(array is not one for one in free)]
     stars = np.split(saved.tfg.star_vertices, saved.tfg.star_offsets[1:-1])
     area = shapely.union_all([shapely.make_valid(shapely.Polygon(star)) for star in stars if len(star) > 2]).area
-    return 2 * len(graph.ids) + 3 * len(graph.X_MN) + len(graph.shared.mean), parts, float(area)
+    return sum(graph.unknowns.values()), parts, float(area)
 
 
 def main() -> None:

@@ -26,7 +26,6 @@ from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.planning.mission_end import UNSEEN
 from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings
 from tfg_drake.planning.undiscovered import AREAS, undiscovered
-from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
 
@@ -174,7 +173,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "open_edges": mission.open_edges(),
         **_left_open(mission),
         **_null("contacts", "contacts_received", "min_clearance_m"),
-        "map_variables": _variables(mission, estimate),
+        "map_variables": _variables(mission),
         "map_bytes": map_bytes,
         "calibration": _calibration(mission, estimate),
         "estimator_cpu_s": mission.estimator_cpu,
@@ -234,14 +233,11 @@ def _draw(path: Path, *shown: Any) -> None:
     write_figure(path, figure_of(*shown))
 
 
-def _variables(mission: Mission, estimate: MapEstimate | None) -> dict[str, int]:
+def _variables(mission: Mission) -> dict[str, int] | None:
     if mission.grid is not None:
         return {"cells": mission.grid.probability.size}  # of the best particle's map
-    return {
-        "landmarks": len(estimate.ids) if estimate is not None else 0,
-        "poses": 2 * len(mission.departures),  # arrival and departure
-        "calibration": SHARED,
-    }
+    state = mission.estimator_state()
+    return None if state is None else state.graph.unknowns
 
 
 def _spread(values: list[float]) -> dict[str, float]:

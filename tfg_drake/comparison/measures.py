@@ -49,7 +49,7 @@ def mapped_share(summary: dict[str, Any]) -> float | None:
 
 
 def variables(summary: dict[str, Any]) -> float | None:
-    """How many variables the map has: landmarks, poses and so on, or cells."""
+    """How many scalar unknowns the map has, or cells."""
     counts = summary.get("map_variables")
     return None if not counts else float(sum(counts.values()))
 

@@ -73,6 +73,11 @@ class KeyframeGraph:
         """The arrival poses (g, 3) of the views."""
         return se2.compose(self.X_MN[self.view_keyframe], self.X_AV) if len(self.X_AV) else self.X_AV
 
+    @property
+    def unknowns(self) -> dict[str, int]:
+        """Number of scalar unknowns of the factor graph: of tags and walls, of poses but the origin, and shared."""
+        return {"landmarks": self.p_ML.size, "poses": self.X_MN[1:].size, "calibration": len(self.shared.mean)}
+
 
 def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
     """The graph before the first view."""

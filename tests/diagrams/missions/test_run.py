@@ -25,6 +25,7 @@ from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
 from tfg_drake.planning.mission_end import IN_VAIN, REASONS
+from tfg_drake.slam.gtsam_solver import map_graph
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
 from tfg_drake.storage.port_recording import read_recording
 from tfg_drake.storage.trajectory import read_tum
@@ -125,7 +126,8 @@ def test_the_folder_is_whole(finished):
     assert sorted(path.name for path in finished.folder.iterdir()) == names.split()
     assert (finished.folder / "figure.png").read_bytes().startswith(b"\x89PNG")
     saved = load_map(finished.folder / "map.npz")
-    assert len(saved.ids) == finished.summary["map_variables"]["landmarks"]
+    assert finished.summary["walls_mapped"] > 0
+    assert sum(finished.summary["map_variables"].values()) == map_graph(saved.graph)[1].dim()
     assert LoadScenario(finished.folder / "scenario.yaml") == room()
 
 
