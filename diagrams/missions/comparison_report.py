@@ -16,7 +16,7 @@ from tfg_drake.comparison.curves import Band, Curve, averaged, band, coverage_cu
 from tfg_drake.comparison.figures import FinalMap, draw_costs, draw_coverage, draw_errors, draw_maps
 from tfg_drake.comparison.measures import CPU_IDLE, MAP_SIZE, MOVING, TIME, VARIABLES
 from tfg_drake.comparison.report import Comparison, Picture, markdown, page
-from tfg_drake.comparison.runs import Run, sample, to_csv
+from tfg_drake.comparison.runs import Run, of_shared_seeds, sample, to_csv
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.diagrams.missions.best_tours import over_tours
 from tfg_drake.diagrams.missions.errors import KnownWorld
@@ -60,6 +60,7 @@ def write_comparison(
         command=command,
         versions=f"tfg-drake {__version__}{of_commit}, Python {platform.python_version()}, {packages};"
         f" {platform.system()} on {platform.machine()}.",
+        need_tags=list(dict.fromkeys(task.method.name for task in tasks if task.method.needs_tags)),
     )
     pictures = list(_pictures(methods, runs, scenarios, out))
     write_atomic(out / "report.md", markdown(comparison, pictures))
@@ -67,12 +68,12 @@ def write_comparison(
 
 
 def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
-    """A line a method: outcomes, and the means of time and position error."""
-    lines = []
+    """A line a method: outcomes, and the means of time and position error over the seeds that all methods have."""
+    lines, shared = [], of_shared_seeds(runs, methods)
     for method in methods:
         outcomes = Counter(run.outcome for run in runs if run.method == method)
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "no run"
-        time, position = (spread(sample(runs, method, measure.read)).mean.value for measure in (TIME, MOVING))
+        time, position = (spread(sample(shared, method, measure.read)).mean.value for measure in (TIME, MOVING))
         error = f", position error {position:.3f} m from the first drive on" if math.isfinite(position) else ""
         means = f"; time {time:.0f} s{error}" if math.isfinite(time) else ""
         lines.append(f"{method:<13} {counts}{means}")
@@ -83,7 +84,7 @@ def _pictures(
     methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario], out: Path
 ) -> Iterator[Picture]:
     """The figures, each written as it is made; without runs that count there are none."""
-    counted = [run for run in runs if run.counts]
+    counted = [run for run in of_shared_seeds(runs, methods) if run.counts]
     if not counted:
         return
     errors = {run.folder: _errors(run.folder) for run in counted}

@@ -132,6 +132,18 @@ def test_it_is_said_who_sees_tags(comparison):
     said = markdown(dataclasses.replace(comparison, methods=["a", "b", "c"], runs=runs), [])
     assert "\n\nThe world's tags are seen by a, c, not by b: --tag-spacing none is fairer.\n\n" in said
     assert "world's tags" not in markdown(comparison, [])
+    said = markdown(dataclasses.replace(comparison, methods=["a", "b", "c"], runs=runs, need_tags=["c"]), [])
+    assert "--tag-spacing none is fairer, but not for c, which maps tags alone.\n\n" in said
+
+
+def test_a_partial_report_has_figures_of_the_seeds_that_all_methods_have():
+    runs = [run("a", 0, sim_time_s=100.0), run("b", 0, sim_time_s=90.0), run("a", 1, sim_time_s=300.0)]
+    partial = Comparison("a against b", ["a", "b"], runs, 4, "", "")
+    figures = next(table for table in tables(partial) if table.title == "Figures")
+    assert figures.rows[0][1:] == ["100", "90"]
+    said = markdown(partial, [])
+    assert "a, b; 1 seed each" in said
+    assert "3 of 4 runs are done. Its figures are of the seeds that all methods with a run have." in said
 
 
 def test_a_partial_report_says_so(comparison):

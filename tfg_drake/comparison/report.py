@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from tfg_drake.comparison.measures import MEASURES, Measure
-from tfg_drake.comparison.runs import Run, paired, sample, values
+from tfg_drake.comparison.runs import Run, of_shared_seeds, paired, sample, values
 from tfg_drake.comparison.statistics import RESAMPLES, Interval, Spread, difference, ratio, spread
 
 # Pairs from which on a bootstrap interval is wide enough to be believed.
@@ -33,6 +33,7 @@ class Comparison:
 
     title: what is compared, one line. methods: in their order; the others are compared with the first. runs: those
     there are; planned: how many there should be. command: repeats it. versions: what it ran with, one line.
+    need_tags: the methods that map tags alone.
     """
 
     title: str
@@ -41,6 +42,7 @@ class Comparison:
     planned: int
     command: str
     versions: str
+    need_tags: Sequence[str] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +93,7 @@ def page(comparison: Comparison, pictures: Sequence[Picture]) -> str:
 def tables(comparison: Comparison) -> list[Table]:
     """The report's tables: outcomes, figures, comparisons with the first method, runs that did not complete."""
     methods, runs = comparison.methods, comparison.runs
-    found = [_outcome_table(methods, runs), _figures_table(methods, runs)]
+    found = [_outcome_table(methods, runs), _figures_table(methods, of_shared_seeds(runs, methods))]
     if len(methods) > 1:
         found += _paired_tables(methods, runs)
     rest = [run for run in runs if run.outcome != "complete"]
@@ -117,21 +119,26 @@ def text(mean: Spread, measure: Measure, runs: int = 0) -> str:
 
 def _introduction(comparison: Comparison) -> list[str]:
     runs, methods = comparison.runs, comparison.methods
-    seeds = len({run.seed for run in runs})
+    seeds = len({run.seed for run in of_shared_seeds(runs, methods)})
     lines = [
         f"{', '.join(methods)}; {seeds} seed{'s' if seeds != 1 else ''} each, paired: on one seed every method has the"
         " same world, the same start and the same random numbers. All errors are those of the online estimate against"
         " the truth, at every odometry period, turns included."
     ]
     tags = {run.method: run.summary.get("landmarks_mapped") for run in runs if run.summary}
+    alone = comparison.need_tags
     by_tags = [method for method in methods if tags.get(method)]
     if by_tags and (others := [method for method in methods if method in tags and tags[method] is None]):
         lines.append(
             f"The world's tags are seen by {', '.join(by_tags)}, not by {', '.join(others)}: "
-            "--tag-spacing none is fairer."
+            "--tag-spacing none is fairer"
+            + (f", but not for {', '.join(alone)}, which maps tags alone." if alone else ".")
         )
     if len(runs) < comparison.planned:
-        lines.append(f"This report is partial: {len(runs)} of {comparison.planned} runs are done.")
+        lines.append(
+            f"This report is partial: {len(runs)} of {comparison.planned} runs are done. Its figures are of the seeds"
+            " that all methods with a run have."
+        )
     return lines
 
 

@@ -44,6 +44,13 @@ class Run:
         return self.outcome not in ("failed", "fault")
 
 
+def of_shared_seeds(runs: Sequence[Run], methods: Sequence[str]) -> list[Run]:
+    """The runs, also failed ones, of the seeds that all methods with a run have."""
+    seeds = [{run.seed for run in runs if run.method == method} for method in methods]
+    shared = set.intersection(*filter(None, seeds)) if runs else set()
+    return [run for run in runs if run.seed in shared]
+
+
 def values(runs: Sequence[Run], method: str, read: Callable[[dict[str, Any]], float | None]) -> dict[int, float]:
     """A figure of one method's runs by seed, of the runs that count and have it."""
     found = {run.seed: read(run.summary) for run in runs if run.method == method and run.counts and run.summary}

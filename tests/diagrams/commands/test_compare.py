@@ -51,10 +51,11 @@ def test_an_unknown_method_is_told_the_names(call):
 
 def test_the_closing_lines_have_time_and_error_where_there_is_one():
     ended = {"outcome": "complete", "sim_time_s": 90.0}
+    # Of the seed that both have.
     runs = [Run("a", seed, Path(), ended | {"position_error_moving_m": {"mean": 0.01 * seed}}) for seed in (1, 2)]
     stood = Run("b", 1, Path(), ended | {"position_error_moving_m": {"mean": None}})
     assert closing_lines([*runs, stood], ["a", "b", "c"]) == [
-        "a             2 complete; time 90 s, position error 0.015 m from the first drive on",
+        "a             2 complete; time 90 s, position error 0.010 m from the first drive on",
         "b             1 complete; time 90 s",
         "c             no run",
     ]
