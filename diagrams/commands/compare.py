@@ -59,7 +59,11 @@ def compare(
 
         name = run_folder.run_name(scenario, world)
         place = command.parse_start(start)
-        of_seed = [PrepareScenario(scenario, settings or [], seed, world, tag_spacing, place) for seed in each_seed]
+        worlds = [world and str(world).replace("{seed}", str(seed)) for seed in each_seed]
+        of_seed = [
+            PrepareScenario(scenario, settings or [], seed, own, tag_spacing, place)
+            for seed, own in zip(each_seed, worlds, strict=True)
+        ]
         compared = parse_methods(methods, of_seed[0], settings or [])
         given: dict[str, Any] = {"name": name, "world_name": str(world or scenario), "max_time": max_time}
         # All methods of a seed run before the next seed, so that a partial report compares equal seeds.

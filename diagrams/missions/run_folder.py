@@ -18,7 +18,7 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.config import ROBOTS
 from tfg_drake.io.files import open_inside
 
-# What a run leaves in its folder; sweep.json and what belongs to it is a comparison's, which goes on where it ended.
+# What a run leaves in its folder; task.json is a comparison's, which goes on where it ended.
 RESULTS: tuple[str, ...] = (
     "log.txt",
     "stages.jsonl",

@@ -1,8 +1,8 @@
 """Many missions, each in a process of its own: several methods on the same seeds, into one folder that can be resumed.
 
-    DIR/sweep.json                       what is compared; another sweep's folder is refused
     DIR/runs/<method>/seed-<n>/          a run's folder as `tfg-drake explore` leaves it, but for ports.mcap
-    DIR/runs/<method>/seed-<n>/task.json its receipt, written last: without one that matches, the run is done again
+    DIR/runs/<method>/seed-<n>/task.json its receipt, written last: without one the run is done again, and a folder
+                                         with one of another sweep is refused
 
 A mission is a process because Drake never frees a diagram of Python systems, and so that one that dies takes no other
 with it. It depends on its task alone: how many run beside it, or where, changes no bit of it.
@@ -11,6 +11,7 @@ with it. It depends on its task alone: how many run beside it, or where, changes
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import multiprocessing
@@ -31,7 +32,7 @@ from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.methods import Method, NamedMethod
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run import run_mission
-from tfg_drake.diagrams.scenario import DumpScenario, Scenario
+from tfg_drake.diagrams.scenario import DumpScenario, Scenario, WorldConfig
 from tfg_drake.diagrams.screen import say
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
@@ -56,11 +57,17 @@ def run_of(task: MissionRequest, out: Path, summary: dict[str, Any] | None, fail
 
 def _receipt(task: MissionRequest) -> dict[str, Any]:
     """Tells a run of a sweep from any other."""
-    method, digest = task.method, hashlib.sha256(DumpScenario(task.scenario).encode()).hexdigest()
+    method, digest = task.method, _digest(task.scenario)
+    # The seeds may have a world each, or begin at places of their own.
+    settings = _digest(dataclasses.replace(task.scenario, seed=0, world=WorldConfig()))
     code = hashlib.sha256(Path(method.source).read_bytes()).hexdigest() if method.source else None
-    named = {"version": __version__, "scenario": task.name, "world": task.world_name, "scenario_sha256": digest}
+    named = {"version": __version__, "scenario": task.name, "world": task.world_name, "settings_sha256": settings}
     run = {"max_time_s": task.max_time, "method": method.name, "method_sha256": code, "seed": task.scenario.seed}
-    return {**named, **run}
+    return {**named, **run, "scenario_sha256": digest}
+
+
+def _digest(scenario: Scenario) -> str:
+    return hashlib.sha256(DumpScenario(scenario).encode()).hexdigest()
 
 
 def parse_methods(text: str, scenario: Scenario, settings: Sequence[str] = ()) -> list[Method]:
@@ -96,21 +103,25 @@ def run_one(task: MissionRequest, folder: Path) -> dict[str, Any]:
 
 
 def open_sweep(tasks: Sequence[MissionRequest], out: Path) -> list[Run]:
-    """Claim a folder for a sweep and return the runs that are there already.
+    """The runs of a sweep that its folder has already.
 
-    More seeds or methods may be asked for than before; what all runs share must be the same. Raises SweepError.
+    The seeds and methods may be others than before; what all runs share must be the same. Raises SweepError.
     """
-    receipt = _receipt(tasks[0])
-    # The first task's seed is always the first: its scenario stands for that of all seeds.
-    sweep = {key: value for key, value in receipt.items() if key not in ("method", "method_sha256", "seed")}
-    path = out / "sweep.json"
-    if path.exists():
-        there = _read(path)
-        different = [key for key, value in sweep.items() if there is None or there.get(key) != value]
+    receipts = [_receipt(task) for task in tasks]
+    named = ("version", "scenario", "world", "max_time_s")
+    for path in sorted(out.glob("runs/*/seed-*/task.json")):
+        if not (there := _read(path)):
+            continue
+        different = [key for key in named if there.get(key) != receipts[0][key]]
+        # A method whose file was edited is run again, whatever it fixes now.
+        ours = [one for one in receipts if all(one[key] == there.get(key) for key in ("method", "method_sha256"))]
+        same = [one for one in ours if one["seed"] == there.get("seed")]
+        values = [(one, "settings_sha256") for one in ours[:1]] + [(one, "scenario_sha256") for one in same]
+        if any(one[key] != there.get(key) for one, key in values):
+            different.append("scenario's values")
         if different:
-            what = "scenario's values" if different == ["scenario_sha256"] else ", ".join(different)
+            what = ", ".join(different)
             raise SweepError(f"{out}: holds another comparison ({what} differ); name another folder with --out")
-    write_atomic(path, json.dumps(sweep, indent=2) + "\n")
     finished = [(task, _finished(task, out)) for task in tasks]
     return [run_of(task, out, summary) for task, summary in finished if summary]
 

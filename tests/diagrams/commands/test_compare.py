@@ -1,4 +1,5 @@
 import csv
+import json
 import os
 import re
 import signal
@@ -105,6 +106,19 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path, monk
     assert (code, printed) == (2, "")
     complaint = "holds another comparison (scenario's values differ); name another folder with --out"
     assert err == f"tfg-drake: {out}: {complaint}\n"
+
+
+def test_each_seed_may_have_a_world_of_its_own(call, tmp_path, monkeypatch):
+    for seed in (3, 4):
+        walls = [[0, 0, seed, 0], [seed, 0, seed, 4], [seed, 4, 0, 4], [0, 4, 0, 0]]
+        (tmp_path / f"{seed}.yaml").write_text(json.dumps({"base": "house", "world": {"walls": walls, "tags": []}}))
+    asked = []
+    monkeypatch.setattr(sweep, "run_local", lambda tasks, *_: asked.extend(tasks) or [])
+    monkeypatch.setattr(comparison_report, "write_comparison", lambda *_: None)
+    arguments = ["--methods", "tfg", "--seeds", "3:5", "--start", "1,1,0", "--out", str(tmp_path / "out")]
+    assert call("compare", "house", "--world", str(tmp_path / "{seed}.yaml"), *arguments)[0] == 0
+    assert [task.scenario.world.walls[0][2] for task in asked] == [3.0, 4.0]
+    assert len({task.world_name for task in asked}) == 1
 
 
 def blocked_in_missions(pid):

@@ -51,6 +51,10 @@ def tasks(seeds=2, methods=("tfg",), **changes):
     return found
 
 
+def replaced(task, seed):
+    return dataclasses.replace(task, scenario=dataclasses.replace(task.scenario, seed=seed))
+
+
 def all_lasting(runs):
     return {seed: lasting(run.summary) for seed, run in runs.items()}
 
@@ -111,8 +115,10 @@ def test_two_at_a_time_make_the_same_bits(one_job, tmp_path):
 def test_finished_runs_are_not_run_again(one_job, tmp_path):
     out = one_job[1]
     assert [run.summary for run in open_sweep(tasks(), out)] == [run.summary for run in one_job[0].values()]
-    # More seeds and methods may be asked for.
+    # Other seeds and methods may be asked for.
     assert len(open_sweep(tasks(3, ("tfg", "tfg-nearest")), out)) == 2
+    assert [run.seed for run in open_sweep(tasks(3)[1:], out)] == [1]
+    assert open_sweep(tasks(methods=("tfg-nearest",)), out) == []
 
 
 def test_runs_of_other_seeds_may_be_copied_from_another_folder(one_job, tmp_path):
@@ -160,6 +166,13 @@ def test_another_sweeps_folder_is_refused(one_job):
     with pytest.raises(SweepError) as caught:
         open_sweep(other, out)
     assert str(caught.value) == f"{out}: holds another comparison (scenario's values differ); {mend}"
+    with pytest.raises(SweepError, match="scenario's values differ"):  # None of its seeds is there.
+        open_sweep([replaced(other[0], 7)], out)
+    other = tasks()
+    other[0].scenario.world.start = [1.0, 1.0, 0.0]
+    with pytest.raises(SweepError, match="scenario's values differ"):
+        open_sweep(other, out)
+    assert open_sweep([replaced(other[0], 7)], out) == []  # Seeds may begin at places of their own.
 
 
 @pytest.mark.slow
