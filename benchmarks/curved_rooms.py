@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from pathlib import Path
 
 import missions
@@ -119,7 +118,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["draw"]:
-        write(int(sys.argv[2]), Path(sys.argv[3]))
-        sys.exit()
+    missions.draw(write)
     main()

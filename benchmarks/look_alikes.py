@@ -10,10 +10,10 @@ hall of 40 x 40 m, wider than the scanner sees; sensors of `paper`. Columns and 
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import consistency
+import missions
 import reality
 import yaml
 
@@ -75,11 +75,10 @@ def write(name: str, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["draw"]:
-        write(sys.argv[2], Path(sys.argv[3]))
-        sys.exit()
+    names = ("dumb-bell", "ring", "gap", "hall")
+    missions.draw(write, str, names)
     rows: consistency.Rows = {}
-    for one in ("dumb-bell", "ring", "gap", "hall"):
+    for one in names:
         write(one, WORLDS / f"{one}.yaml")
         arguments = ["paper", "--world", str(WORLDS / f"{one}.yaml"), "--tag-spacing", "none"]
         rows[one] = (arguments, reality.BELIEVED, SEEDS)

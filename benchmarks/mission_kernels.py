@@ -10,6 +10,7 @@ processes at a time.
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import os
 import sys
@@ -84,6 +85,7 @@ def called() -> set[tuple[str, ...]]:
 
 def main() -> None:
     """Drive the missions, and write the list."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     rows: dict[tuple[Any, Any], float] = {}
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NUMBA_CACHE_DIR"] = folder

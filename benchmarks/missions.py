@@ -13,10 +13,29 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+
+def seed(text: str) -> int:
+    """A seed of the command line."""
+    if int(text) < 0:
+        raise argparse.ArgumentTypeError(f"{text}: must be 0 or more")
+    return int(text)
+
+
+def draw(write: Callable[[Any, Path], object], kind: Callable[[str], Any] = seed, names: Sequence[str] = ()) -> None:
+    """With `draw SEED FILE` on the command line: write what is drawn, and exit. names: of all there is, for SEED."""
+    if sys.argv[1:2] == ["draw"]:
+        parser = argparse.ArgumentParser(f"{Path(sys.argv[0]).name} draw")
+        parser.add_argument("name" if names else "seed", type=kind, choices=names or None)
+        parser.add_argument("file", type=Path, help="what is written, .yaml")
+        write(*vars(parser.parse_args(sys.argv[2:])).values())
+        sys.exit()
 
 
 def run_seed(arguments: list[str], seed: int, out: Path) -> dict:

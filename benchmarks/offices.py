@@ -12,10 +12,10 @@ correlated. `draw` writes one plan, which `tfg-drake explore paper_real --world 
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 import consistency
+import missions
 import numpy as np
 import reality
 import yaml
@@ -197,9 +197,7 @@ def write(seed: int, path: Path, later: np.random.Generator | None = None) -> No
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["draw"]:
-        write(int(sys.argv[2]), Path(sys.argv[3]))
-        sys.exit()
+    missions.draw(write)
     for one in range(SEEDS):
         write(one, PLANS / f"{one}.yaml")
     arguments = ["paper_real", "--world", str(PLANS / "{seed}.yaml"), "--tag-spacing", "none"]

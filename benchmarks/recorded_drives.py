@@ -9,13 +9,14 @@ place. Written are ROS 2 bags (SQLite) and raw logs of CARMEN, whose scanner has
 
 from __future__ import annotations
 
+import argparse
 import math
 import sqlite3
 import struct
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import missions
 import numpy as np
 import offices
 from scipy.sparse import coo_array
@@ -243,4 +244,8 @@ def _scan(drive: Drive, k: int) -> bytes:
 
 
 if __name__ == "__main__":
-    write(drive(int(sys.argv[1]), sys.argv[2].endswith(".log")), Path(sys.argv[2]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seed", type=missions.seed)
+    parser.add_argument("file", type=Path)
+    asked = parser.parse_args()
+    write(drive(asked.seed, asked.file.suffix == ".log"), asked.file)

@@ -8,6 +8,7 @@ draws the robot in between.
 
 from __future__ import annotations
 
+import argparse
 import collections
 import struct
 import tempfile
@@ -41,6 +42,7 @@ def thinned(timeline: Path) -> bytes:
 
 def main() -> None:
     """Run the mission and write the file."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     scenario = LoadScenario(SCENARIO)
     scenario.seed = SEED
     with tempfile.TemporaryDirectory() as folder:
