@@ -3,8 +3,8 @@
     python benchmarks/consistency.py
     python benchmarks/consistency.py --rows house house_real --seeds 1
 
-Online is the pose that the robot drives by, once a second; departures are the poses at the ends of turns and glances,
-judged with what is known in the end. Each mission is a process of its own, and its figures are a line of --out (JSON),
+Online is the pose that the robot drives by, once a second; departures are the poses at the ends of turns and glances
+when these have been mapped. Each mission is a process of its own, and its figures are a line of --out (JSON),
 with the commit they are of: what this commit has there is not run again, so that a run that was ended goes on. What
 other commits have there stays.
 """

@@ -9,6 +9,9 @@ import sys
 import numpy as np
 
 import tfg_drake
+from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.diagrams.missions.errors import KnownWorld
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.storage.trajectory import poses_at
 
 run = tfg_drake.load_run(sys.argv[1])
@@ -20,6 +23,13 @@ error = np.hypot(*(run.X_WB - true)[:, :2].T)
 for quarter in np.array_split(np.arange(len(error)), 4):
     begin, end = run.stamps[quarter[[0, -1]]]
     print(f"{begin:5.0f} to {end:3.0f} s: position error {error[quarter].mean():.3f} m")
+
+scenario = LoadScenario(run.folder / "scenario.yaml")
+world, scan = MakeWorld(scenario.world), scenario.scan
+places = KnownWorld(world, scenario).counted_places()
+rows, share = scan_coverage(run.X_WB_true, places, world.walls, scan.range, scan.field_of_view)
+for time, seen in zip(run.true_stamps[rows][::100], share[::100], strict=True):
+    print(f"{time:5.0f} s: {seen:.3f} of the area seen")
 
 print(f"{run.summary['walls_mapped']} walls, {run.summary['surface_coverage_5cm']:.3f} of the surface within 5 cm")
 if len(run.map.ids):

@@ -6,11 +6,15 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import tfg_drake
 from tests.diagrams.rooms import QUICK_LOOK
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.errors import online_pose_anees
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
+from tfg_drake.storage.trajectory import poses_at
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = EXAMPLES.parent / "diagrams" / "scenarios"
@@ -108,12 +112,31 @@ def test_another_plant(run_example):
     assert one != other
 
 
+def test_the_page_on_estimators(quick):
+    """Its gains of candidates, and its NEES over time."""
+    page = (EXAMPLES.parent / "docs" / "estimator.md").read_text()
+    gains, nees = (
+        next(code for code in page.split("```python\n") if code.startswith(begin)).partition("```")[0]
+        for begin in ("from tfg_drake.planning.candidates", "poses = []")
+    )
+    names = {"np": np, "poses_at": poses_at, "online_pose_anees": online_pose_anees}
+    names["house"] = house = tfg_drake.explore("house.yaml", until=12.0)
+    exec(gains, names)
+    assert names["candidates"].node_ids.tolist() == house.look("goal").candidates.tolist()
+    assert 0 < names["seen"].count.max() <= len(names["entry"])
+    exec(nees.replace("not house.outcome", "house.time < 14.0"), names)
+    assert len(names["nees"]) == 2
+    assert 0.0 < max(names["nees"]) < 10.0
+
+
 def test_a_run_analysed(run_example, tmp_path):
     short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
     run.run_mission(short, out_dir=tmp_path / "run", max_time=15.0)
     said = run_example("analyse.py", tmp_path / "run")
     assert said.startswith("time_limit after 15.0 s")
     assert said.count("position error") == 4
+    assert "    0 s: 0." in said
+    assert "of the area seen" in said
 
 
 @pytest.mark.slow
