@@ -59,11 +59,8 @@ def compare(
 
         name = run_folder.run_name(scenario, world)
         place = command.parse_start(start)
-        worlds = [world and str(world).replace("{seed}", str(seed)) for seed in each_seed]
-        of_seed = [
-            PrepareScenario(scenario, settings or [], seed, own, tag_spacing, place)
-            for seed, own in zip(each_seed, worlds, strict=True)
-        ]
+        pairs = [(seed, world and str(world).replace("{seed}", str(seed))) for seed in each_seed]
+        of_seed = [PrepareScenario(scenario, settings or [], *pair, tag_spacing, place) for pair in pairs]
         compared = parse_methods(methods, of_seed[0], settings or [])
         given: dict[str, Any] = {"name": name, "world_name": str(world or scenario), "max_time": max_time}
         # All methods of a seed run before the next seed, so that a partial report compares equal seeds.
