@@ -247,6 +247,7 @@ class Mission:
             if self._before is not None:
                 self._go_on(self._before)
             self.simulator.Initialize()
+            self._since = self.time
             for ports in OUTPUTS.values():
                 for name, kind in ports.items():
                     if not isinstance(kind, int):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -86,6 +87,16 @@ def test_a_resumed_mission_ends_as_if_it_had_not_been_cut(whole, after):
         [record.time for record in read_timeline(r.folder) if record.layer == "pose"] for r in (whole, after)
     )
     assert sorted(set(now)) == sorted(set(before))
+
+
+def test_what_came_before_is_no_delay_of_a_mission_that_goes_on(half, tmp_path, caplog):
+    mission = Mission(cut_short(half.folder, tmp_path / "on").request)
+    mission.begin()
+    mission.simulator.set_target_realtime_rate(1.0)
+    mission.simulator.set_monitor(lambda _root: time.sleep(0.045))
+    mission.advance(CUT + 0.5)
+    mission.observe()
+    assert "real time is missed" not in caplog.text
 
 
 @pytest.mark.slow
