@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
 from tfg_drake.mapfile.known_map import begun_with
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.messages import PoseEstimate
+from tfg_drake.messages import PoseEstimate, replace
 from tfg_drake.slam.estimator import (
     begin_turn,
     close_piece,
@@ -139,4 +139,7 @@ class SlamEstimator(LeafSystem):
             goal = self._inputs.optional(context, "goal")
             explored = goal is not None and goal.is_explored
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
+        if math.isfinite(estimator.placed) and estimator.placed != self._state(context).placed:
+            # It may have been found by an older view: the poses up to now were published in another frame.
+            estimator = replace(estimator, placed=odometry.stamp)
         self._state.set(state, estimator)

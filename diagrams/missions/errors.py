@@ -9,6 +9,7 @@ import numpy as np
 
 from tfg_drake.comparison import metrics
 from tfg_drake.comparison.curves import scan_coverage
+from tfg_drake.config import FASTEST
 from tfg_drake.diagrams.missions.mission import Departure, Mission
 from tfg_drake.diagrams.scenario import HatchedKeepOut, Scenario
 from tfg_drake.geometry.se2 import compose, inverse, transform
@@ -118,6 +119,13 @@ def online_pose_anees(X_MB: FloatArray, covariance: FloatArray, X_WB_true: Float
 def path_length(X_WB: FloatArray) -> float:
     """Length of the way through poses (n, 3), m."""
     return float(np.linalg.norm(np.diff(X_WB[:, :2], axis=0), axis=1).sum())
+
+
+def driven(stamps: FloatArray, X_WB: FloatArray) -> float:
+    """Length of the way through poses (n, 3) as they were estimated at stamps (n,), s, in m, without the jumps of the
+    estimate: steps that no robot drives in their time."""
+    steps = np.hypot(*np.diff(X_WB[:, :2], axis=0).T)
+    return float(steps[steps <= FASTEST * np.diff(stamps)].sum())
 
 
 def pose_errors(X_WB: FloatArray, X_WB_true: FloatArray) -> dict[str, Any]:

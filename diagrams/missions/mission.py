@@ -485,11 +485,12 @@ class Mission:
         """Stamps (n,) in s and true poses X_WB (n, 3), one an odometry period, to the end; None where not known."""
         return self.truth.poses(self._context, self.end_time) if self.truth is not None else None
 
-    def estimated_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end."""
+    def estimated_poses(self, *, lost: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Stamps (n,) in s and estimates X_WB (n, 3) as they were at the time, one an odometry period, to the end.
+        lost: also those before the robot found itself, as if in W."""
         if self._context is None:
             return np.zeros(0), np.zeros((0, 3))
-        stamps, X_MB = self._logged(self._pose_log)
+        stamps, X_MB = self._logged(self._pose_log, lost=lost)
         return stamps, compose(self.X_WM, X_MB) if len(X_MB) else X_MB
 
     def published_poses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -500,16 +501,16 @@ class Mission:
         stamps, values = self._logged(self._covariance_log)
         return stamps, values[:, :3], values[:, 3:].reshape(-1, 3, 3)
 
-    def _logged(self, log: VectorLogSink) -> tuple[FloatArray, FloatArray]:
+    def _logged(self, log: VectorLogSink, *, lost: bool = False) -> tuple[FloatArray, FloatArray]:
         """Stamps (n,), s, each once, and values (n, w) of a log of vectors (stamp, values), up to the mission's end.
 
-        While the robot looks for itself in a map it does not claim to be anywhere: that is left out.
+        While the robot looks for itself in a map it does not claim to be anywhere: without `lost` that is left out.
         """
         data = log.FindLog(self._context).data()
         stamps, first = np.unique(data[0], return_index=True)
         lived = stamps <= self.end_time
         lost_since = self.resumed[-1] if self.resumed and self.robot.real else -math.inf
-        if math.isfinite(self.placed_since) or math.isfinite(lost_since):
+        if not lost and (math.isfinite(self.placed_since) or math.isfinite(lost_since)):
             lived &= (stamps < lost_since) | (stamps > self.placed_since)
         return stamps[lived], data[1:, first[lived]].T
 

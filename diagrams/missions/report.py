@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tfg_drake import __version__
-from tfg_drake.diagrams.missions.errors import KnownWorld, path_length, pose_errors
+from tfg_drake.diagrams.missions.errors import KnownWorld, driven, pose_errors
 from tfg_drake.diagrams.missions.mission import Mission
 from tfg_drake.diagrams.missions.run_folder import RunFolder
 from tfg_drake.diagrams.missions.summary_words import title
@@ -21,7 +21,7 @@ from tfg_drake.io.commit import commit
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.changes import map_changes
 from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
-from tfg_drake.messages import BoolArray, FloatArray, GridMap, MapEstimate, Roadmap, TfgMap
+from tfg_drake.messages import BoolArray, GridMap, MapEstimate, Roadmap, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.planning.mission_end import UNSEEN
 from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings
@@ -68,7 +68,7 @@ def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
     files = [path for name in ("map.npz", "grid.npz") if (path := folder.path / name).exists()]
-    summary = _known_to_any(mission, estimate, X_WB, sum(path.stat().st_size for path in files))
+    summary = _known_to_any(mission, estimate, sum(path.stat().st_size for path in files))
     if saved is not None and (least := least_known(saved.graph)) is not None:
         summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
     if saved is not None and mission.scenario.explorer.known_map:
@@ -135,8 +135,8 @@ def write_map(folder: RunFolder, grid: GridMap | None, saved: SavedMap | None, *
         folder.attempt("map.npz", lambda path: save_map(path, saved, final=final))
 
 
-def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArray, map_bytes: int) -> dict[str, Any]:
-    """Every field of the summary in its order, those that take the world or the truth null. X_WB: (n, 3) estimated."""
+def _known_to_any(mission: Mission, estimate: MapEstimate | None, map_bytes: int) -> dict[str, Any]:
+    """Every field of the summary in its order, those that take the world or the truth null."""
     # Landmarks that are not doubtful, and tags that are not known to be at any one place; a grid has none.
     none: Any = np.zeros(0, dtype=np.int64)
     sure, doubtful = (none, none) if estimate is None else (~estimate.is_doubtful, estimate.doubtful)
@@ -156,7 +156,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, X_WB: FloatArr
         "wall_time_s": mission.wall_time,
         "cpu_time_s": mission.cpu_time,
         "real_time_factor": mission.end_time / mission.wall_time,
-        "distance_m": path_length(X_WB),
+        "distance_m": driven(*mission.estimated_poses(lost=True)),
         "stages": len(mission.stages),
         **_null("landmarks_present", "landmarks_reachable"),
         "landmarks_mapped": None if mission.grid is not None else int(np.count_nonzero(sure)),

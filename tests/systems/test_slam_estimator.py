@@ -6,7 +6,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from tfg_drake.config import ExplorerConfig, OdometryConfig, ScanConfig, TagSensorConfig
-from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections
+from tfg_drake.messages import LaserScan, MapEstimate, MissionStatus, Odometry, PoseEstimate, TagDetections, replace
+from tfg_drake.systems import slam_estimator
 from tfg_drake.systems.ports import declare_message_output
 from tfg_drake.systems.slam_estimator import PERIOD, SlamEstimator
 
@@ -75,6 +76,22 @@ def test_a_turn_becomes_a_map():
     np.testing.assert_allclose(estimate.p_ML, POINTS, atol=1e-6)
     np.testing.assert_allclose(pose.X_MB, [0.0, 0.0, TURN_TIME - 2.0 * np.pi], atol=1e-6)
     assert pose.stamp == 8.0 - PERIOD
+
+
+def test_the_robot_is_placed_since_its_poses_are_published_in_the_frame_of_its_map(monkeypatch):
+    process = slam_estimator.process_odometry
+
+    def found(state, odometry):
+        """From 1 s on it has found itself by what it saw at 0.3 s."""
+        state = process(state, odometry)
+        return replace(state, placed=0.3) if odometry.stamp == 1.0 else state
+
+    monkeypatch.setattr(slam_estimator, "process_odometry", found)
+    diagram, estimator = build()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(1.5)
+    context = estimator.GetMyContextFromRoot(simulator.get_context())
+    assert estimator.GetOutputPort("estimator_state").Eval(context).placed == 1.0
 
 
 def test_a_second_run_and_a_cloned_context_repeat_to_the_bit():

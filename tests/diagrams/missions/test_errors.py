@@ -5,7 +5,7 @@ import pytest
 
 from tests.diagrams.rooms import room
 from tests.walls import no_walls
-from tfg_drake.diagrams.missions.errors import landmark_figures, online_pose_anees
+from tfg_drake.diagrams.missions.errors import driven, landmark_figures, online_pose_anees, path_length
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.geometry.se2 import rotation
 from tfg_drake.messages import replace
@@ -46,6 +46,13 @@ def test_the_errors_are_those_of_landmarks_that_are_not_doubtful():
     np.testing.assert_allclose(named["landmark_rmse_m"], 0.01 / np.sqrt(2.0))
     np.testing.assert_allclose(named["landmark_anees"], 0.25)
     np.testing.assert_allclose(named["landmark_nees"], 0.25)
+
+
+def test_where_the_estimate_jumps_nothing_is_driven():
+    stamps = np.arange(5) / 16.0
+    X_WB = np.array([[0.0, 0, 0], [0.03, 0, 0], [6.2, 1, 0], [6.2, 1.03, 1], [6.2, 1.06, 1]])
+    np.testing.assert_allclose(driven(stamps, X_WB), 0.09)
+    np.testing.assert_allclose(driven(2.5 * np.arange(5), X_WB), path_length(X_WB))  # There was time for it.
 
 
 def test_before_the_first_view_there_is_nothing():

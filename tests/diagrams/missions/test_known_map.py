@@ -11,6 +11,7 @@ from tests.diagrams.rooms import ROOMS
 from tfg_drake.cockpit.server import Cockpit
 from tfg_drake.diagrams.methods import METHODS, MethodError
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.errors import driven
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
@@ -55,6 +56,8 @@ def test_it_finds_itself_and_tells_what_has_changed(first, second):
     assert summary["landmark_rmse_m"] < 0.02
     # The errors before it has found itself do not count: it began 6 m from where the map does.
     assert summary["position_error_m"]["max"] < 0.2
+    # The way before counts as driven, the jump to the place that it has found does not.
+    assert driven(*result.mission.estimated_poses(lost=True)) == pytest.approx(summary["distance_m"], rel=0.02)
     assert summary["map_bytes"] < 2.0 * first.summary["map_bytes"]
 
 

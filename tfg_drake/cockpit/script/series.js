@@ -56,7 +56,8 @@ timeline.listeners.push((layer, record) => {
     const p = arrays(record).pose;
     driven.add(record.time, p[0], p[1]);
     const { times, values } = series.driven;
-    values.push(times.length ? values.at(-1) + Math.hypot(p[0] - lastPlace[0], p[1] - lastPlace[1]) : 0);
+    const step = times.length ? Math.hypot(p[0] - lastPlace[0], p[1] - lastPlace[1]) : 0;
+    values.push((values.at(-1) ?? 0) + (step > JUMP ? 0 : step));
     times.push(record.time);
     lastPlace = p;
     series.sigma.times.push(record.time);

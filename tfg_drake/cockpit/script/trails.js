@@ -1,5 +1,6 @@
 // Trails: the way driven, as the robot believes, and truly.
 
+// So far, m, no robot drives from one pose to the next: where it finds itself elsewhere it has not driven there.
 const JUMP = 1.0;
 
 /** The way driven, as a ribbon that grows; shown up to a time. */
@@ -44,7 +45,6 @@ class Trail {
     for (let i = Math.max(this.built, 1); i < count; i++) {
       const [x1, y1] = this.points[i];
       let [x0, y0] = this.points[i - 1];
-      // Where the robot finds itself elsewhere it has not driven there.
       if (Math.hypot(x1 - x0, y1 - y0) > JUMP) [x0, y0] = [x1, y1];
       const length = Math.hypot(x1 - x0, y1 - y0) || 1;
       const c = ((x1 - x0) / length) * half,
