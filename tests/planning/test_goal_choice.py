@@ -173,7 +173,7 @@ def test_a_sliver_is_left(length, verdict):
 def test_what_cannot_be_reached_leaves_the_mission_stuck():
     choice = choose(alcoves({-4.0: 3.0, 4.0: 0.0}, unreachable=[-4.0]), empty_choice())
     assert (choice.verdict, choice.node) == ("stuck", -1)
-    assert choice.reason == "Frontier is left: 3.0 m behind passages too narrow for the uncertainty of the map."
+    assert choice.reason == "Frontier is left behind passages too narrow for the uncertainty of the map."
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_a_look_from_elsewhere_breaks_nothing_and_a_goal_without_gain_promises_n
 def test_the_reason_says_so():
     assert why_end(True, 0.0, 0.0, np.zeros(len(REASONS)), math.inf) == (
         "complete",
-        "No frontier is left and places give less than 10% of what they promise, 3 times in a row.",
+        "Places give less than 10% of what they promise, 3 times in a row.",
     )
 
 

@@ -88,24 +88,21 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
 def why_end(
     candidates: bool, narrow_gain: float, given_up_length: float, left: FloatArray, stop_gain: float
 ) -> tuple[str, str]:
-    """Return verdict and reason if no candidate is worth a visit.
+    """Return verdict and reason if no candidate is worth a visit. What is left open is told by `openings`.
 
     candidates: True if there are any, or keep-out areas, which may be why there are none. narrow_gain: nats, of the
     best place behind a passage too narrow for the robot's uncertainty. given_up_length: m of open frontier that was
     tried too often. left: the remaining live frontier, see `frontier_left`.
     """
-    worst_first = (TOO_NARROW, KEPT_OUT, TOO_UNCERTAIN, SHUT, NOT_WORTH)
-    named = ", ".join(f"{left[why]:.1f} m {REASONS[why]}" for why in worst_first if left[why] >= 0.05)
     if not candidates and left.sum() > MOST_LEFT:
-        return "stuck", f"The robot cannot reach any other place. Frontier is left: {named}."
+        return "stuck", "The robot cannot reach any other place, and frontier is left."
     if left[TOO_UNCERTAIN] + left[SHUT] > MOST_LEFT:
-        return "stuck", f"Frontier is left: {named}."
+        why = TOO_UNCERTAIN if left[TOO_UNCERTAIN] >= left[SHUT] else SHUT
+        return "stuck", f"Frontier is left {REASONS[why]}."
     if narrow_gain > stop_gain:
         return "stuck", f"{narrow_gain:.1f} nats lie behind a passage too narrow for the uncertainty of the map."
     if given_up_length > 0.0:
         return "stuck", f"{given_up_length:.1f} m of open frontier were tried again and again in vain."
-    but = f" but {named}," if named else ""
-    promises = f"no place promises more than {stop_gain:g} nats"
     if math.isinf(stop_gain):
-        promises = f"places give less than {LEAST_KEPT:.0%} of what they promise, {MOST_BROKEN} times in a row"
-    return "complete", f"No frontier is left{but} and {promises}."
+        return "complete", f"Places give less than {LEAST_KEPT:.0%} of what they promise, {MOST_BROKEN} times in a row."
+    return "complete", f"No place promises more than {stop_gain:g} nats."
