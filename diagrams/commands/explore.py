@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -171,7 +172,8 @@ def explore(
             interrupted=command.interruption,
         )
         stack.close()
-        _tell(result)
+        again = [f"--robot {robot}"] * real + [f"--method {shlex.quote(method)}"] * bool(explorer.source)
+        _tell(result, again)
         if cockpit is not None and sys.stdin.isatty() and sys.stdout.isatty():
             command.wait_for_enter()
     code = command.EXIT_CODES[
@@ -181,14 +183,18 @@ def explore(
     command.end(result.summary, code if is_kept else NOT_WRITTEN, as_json)
 
 
-def _tell(result: RunResult) -> None:
-    """Print the closing table of a mission."""
+def _tell(result: RunResult, again: list[str]) -> None:
+    """Print the closing table of a mission. again: the options that are to be given again to go on with it."""
     from tfg_drake.cockpit.page import FILE_NAME
     from tfg_drake.diagrams.missions.summary_words import table_rows
+    from tfg_drake.storage.checkpoint import FILE_NAME as CHECKPOINT
 
     rows = table_rows(result.summary)
     rows += [("not whole", f"{name}: {reason}") for name, reason in result.unwritten.items()]
-    command.print_rows([*rows, ("files", str(result.folder)), ("page", str(result.folder / FILE_NAME))])
+    rows.append(("files", str(result.folder)))
+    if (result.folder / CHECKPOINT).exists():
+        rows.append(("go on", " ".join(["tfg-drake explore --resume", shlex.quote(str(result.folder)), *again])))
+    command.print_rows([*rows, ("page", str(result.folder / FILE_NAME))])
     if result.summary["outcome"] == "fault":
         lost = isinstance(result.mission.failure, EstimateLost)
         log = "" if lost else f"; the traceback is in {result.folder}/log.txt"

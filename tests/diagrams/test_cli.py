@@ -170,6 +170,7 @@ def test_a_mission_has_a_page_and_prints_its_address_first(call, room, tmp_path)
     assert (code, err) == (0, "")
     lines = [line for line in out.splitlines() if not line.startswith("loading")]
     assert any(re.fullmatch(r"page: http://localhost:17432/#token=[\w-]{20,}", line) for line in lines[:2])
+    assert lines[-2] == f"go on       tfg-drake explore --resume {tmp_path / 'run'}"
     assert lines[-1] == f"page        {tmp_path / 'run' / 'mission.html'}"
 
 
