@@ -122,6 +122,8 @@ def export(
     import numpy as np
 
     from tfg_drake.mapfile.summary import landmark_counts
+    from tfg_drake.messages import is_tag
+    from tfg_drake.slam.keyframe_graph import seen_by
 
     if name is None:
         name = next((one for one, form in FORMATS.items() if form.suffix == out.suffix.lower()), None)
@@ -148,9 +150,11 @@ def export(
         mask = _write_mask(saved, map_file, out) if name == "map_server" else []
     files = [out, out.with_suffix(BESIDE[name]), *mask] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    walls = np.setdiff1d(saved.graph.ids, saved.ids)
-    unseen = np.count_nonzero(~np.isin(walls, saved.tfg.segment_ids))
-    if unseen and len(saved.graph.sessions) > 1 and name not in (*OF_TAGS, *OF_GRAPH):
+    graph, walls = saved.graph, np.setdiff1d(saved.graph.ids, saved.ids)
+    # The map that a session began with is a keyframe before its first view.
+    seen = seen_by(graph, graph.keyframes[graph.view_keyframe.min(initial=len(graph.keyframes)) :])
+    unseen = np.setdiff1d(graph.ids[~seen & ~is_tag(graph.ids)], saved.tfg.segment_ids).size
+    if unseen and name not in (*OF_TAGS, *OF_GRAPH):
         print(f"{map_file}: {unseen} walls of the known map are not drawn, as this session has not seen them")
     print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), len(walls))}, {size / 1e3:.0f} kB")
 

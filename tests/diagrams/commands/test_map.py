@@ -144,15 +144,19 @@ def test_a_grid_of_a_run_with_keep_out_areas_has_a_mask_for_nav2_beside_it(call,
 
 def test_walls_that_only_an_earlier_session_has_seen_are_told(call, finished, tmp_path):
     saved = load_map(finished.folder / "map.npz")
-    walls = len(saved.graph.ids) - len(saved.ids)
     graph = replace(saved.graph, sessions=np.array([1, 7]))
+    last = len(graph.keyframes) - 1
+    walls = len(np.setdiff1d(np.setdiff1d(graph.ids, saved.ids), graph.keyframes[last].ids))
     tfg = replace(saved.tfg, segment_ids=np.full_like(saved.tfg.segment_ids, -1))
+    save_map(tmp_path / "merged.npz", replace(saved, graph=graph, tfg=tfg))
+    graph = replace(graph, view_keyframe=np.full_like(graph.view_keyframe, last))
     save_map(tmp_path / "day2.npz", replace(saved, graph=graph, tfg=tfg))
     told = f"day2.npz: {walls} walls of the known map are not drawn"
     assert walls > 0
     assert told in call("map", "export", tmp_path / "day2.npz", tmp_path / "plan.svg")[1]
     assert told not in call("map", "export", tmp_path / "day2.npz", tmp_path / "graph.g2o")[1]
-    assert "not drawn" not in call("map", "export", finished.folder, tmp_path / "day1.svg")[1]
+    for whole in (finished.folder, tmp_path / "merged.npz"):
+        assert "not drawn" not in call("map", "export", whole, tmp_path / "whole.svg")[1]
 
 
 @pytest.mark.slow
