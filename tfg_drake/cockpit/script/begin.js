@@ -72,7 +72,8 @@ async function readServed() {
         const now = performance.now() / 1000;
         marks = [...marks.filter(([t]) => now - t < 3), [now, timeline.end]];
         const [first] = marks;
-        speed = now - first[0] > 0.5 ? (timeline.end - first[1]) / (now - first[0]) : speed;
+        // What came before the page, and while it was drawn for the first time, comes at once.
+        speed = now - first[0] > 2 ? (timeline.end - first[1]) / (now - first[0]) : speed;
         fed = true;
       }
     } catch {

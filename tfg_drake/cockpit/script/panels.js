@@ -102,7 +102,9 @@ function tell() {
     "Of all landmarks: the less, the more accurate the map",
   ]);
   figures.push(["stages a minute", number(time > 1 ? (60 * stage) / time : null, 1), "On average so far"]);
-  if (live && speed !== null) figures.push(["speed", number(speed, 1, "×"), "Times real time"]);
+  // A real robot's is 1.
+  if (live && speed !== null && timeline.at("world", Infinity)?.told.simulated)
+    figures.push(["speed", number(speed, 1, "×"), "Times real time"]);
   if (told !== (told = figures.join()))
     element("numbers").replaceChildren(
       ...figures.flatMap(([name, text, hint]) => [made("span", { title: hint }, name), made("b", {}, `${text}`)]),
