@@ -585,7 +585,7 @@ class Mission:
             "pushes": [dataclasses.asdict(one) for one in scenario.disturbances if not self.robot.real],
         }
         camera: dict[str, float] | None = {"range": scenario.tags.range, "field_of_view": scenario.tags.field_of_view}
-        if self.robot.name == RECORDED:  # Nobody drives it.
+        if math.isfinite(self.robot.end_time):  # Nobody drives a recording.
             told["wheels"] = False
         if (
             self.robot.name == RECORDED or scenario.explorer.landmarks == "walls"

@@ -540,6 +540,25 @@ def test_of_a_recording_neither_camera_nor_wheels_are_shown(driver, tmp_path):
     assert page("return [groups.camera.children.length, element('layer-camera').parentElement.hidden]") == [0, True]
 
 
+def test_a_recording_that_is_mapped_has_its_clock_and_its_end_to_ask_for_and_no_wheels(driver, tmp_path):
+    live = Live(tmp_path)
+    with live.cockpit, live.writer:
+        live.writer.write(
+            "world", 0.0, {}, title="log", radius=0.18, rule="", simulated=True, camera=None, wheels=False
+        )
+        drive(live.writer, 1.0)
+        live.writer.flush()
+        live.cockpit.follow(live.path)
+        page = Page(driver, live.cockpit.address)
+        page.until("return element('clock-rate') !== null")
+        shown = page("return [...document.querySelectorAll('header button:not([hidden])')].map((one) => one.id)")
+        assert shown == [f"request-{what}" for what in ("hold", "resume", "step", "end")]
+        assert page("return element('keep').hidden")
+        page("for (const key of ' a') document.dispatchEvent(new KeyboardEvent('keydown', { key }))")
+        page.click("request-end")
+        assert (live.asked(), page("return armed")) == (["end"], "")
+
+
 def test_the_floor_of_a_grid_is_its_free_cells(driver, tmp_path):
     with TimelineWriter(tmp_path / "timeline.tfg") as writer:
         begin(writer)
@@ -776,9 +795,20 @@ def test_a_mission_under_way(driver, live):
         live.until(lambda: live.cockpit.clock.rate == 8.0)
         page.until("return element('clock-rate').value === '8'")
     else:
-        for what, requests in (("hold", ["hold"]), ("resume", ["resume"]), ("step", ["resume"])):
+        idle = "return ['hold', 'resume', 'enable'].map((what) => element(`request-${what}`).disabled).join()"
+        page.until(f"{idle} === 'false,true,false'")
+        page.click("request-hold")
+        assert live.asked() == ["hold"]
+        live.writer.write("mission", 3.0, {}, phase="paused", stage=1, outcome="", reason="", drives=False)
+        live.writer.flush()
+        page.until(f"{idle} === 'true,true,false'")  # It waits for the wheels.
+        live.writer.write("enabled", 3.0, {}, enabled=True)
+        live.writer.flush()
+        page.until(f"{idle} === 'true,false,true'")
+        for what in ("resume", "step"):
             page.click(f"request-{what}")
-            assert live.asked() == requests
+            assert live.asked() == ["resume"]
+    assert simulated or not page("return element('numbers').innerText.includes('speed')")
     page("document.dispatchEvent(new KeyboardEvent('keydown', { key: ' ' }))")
     assert live.asked() == ["stop"]
     page.click("request-end")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from benchmarks.timelines import read_timeline
 from tests.diagrams.rooms import lasting, room
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
@@ -48,6 +49,7 @@ def test_the_same_explorer_comes_to_the_same_map(finished, tmp_path):
     for name in EXACT:
         assert (again.folder / name).read_bytes() == (finished.folder / name).read_bytes(), name
     assert said(again) == said(finished)
+    assert {one.told["wheels"] for one in read_timeline(again.folder) if one.layer == "world"} == {False}
 
 
 def test_foxglove_shows_poses_scans_map_and_path(finished):

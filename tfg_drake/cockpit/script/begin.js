@@ -16,9 +16,8 @@ async function readState() {
       else if (element("notice").dataset.word) notice("");
       element("notice").dataset.word = waiting ? state.word : "";
       for (const what of ["send", "drive"]) element(what).hidden = !state[what] || Boolean(ended());
+      if (built) allow(state.held);
       if (SOURCE.controls && "held" in state) {
-        const buttons = [element("request-hold"), element("request-resume")];
-        if (buttons[0]) [buttons[0].disabled, buttons[1].disabled] = [state.held, !state.held];
         if (element("clock-rate") && document.activeElement !== element("clock-rate"))
           element("clock-rate").value = state.rate;
         element("clock").dataset.held = state.held;

@@ -113,10 +113,9 @@ function paint() {
 
 document.addEventListener("keydown", (event) => {
   if (event.target.tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
-  const keys = { a: "keep", k: "play", v: "mode", f: "follow", 0: "fit", l: "live" };
-  if (!element("send").hidden) keys.g = "send";
-  if (!element("drive").hidden) keys.m = "drive";
-  if (event.key === " " && SOURCE && SOURCE.controls) element("stop").click();
+  const keys = { k: "play", v: "mode", f: "follow", 0: "fit", l: "live" };
+  for (const [key, what] of [["a", "keep"], ["g", "send"], ["m", "drive"]]) if (!element(what).hidden) keys[key] = what;
+  if (event.key === " " && !element("stop").hidden) element("stop").click();
   else if (event.key === "Escape" && armed) arm("");
   else if (drivenBy(event.key)) {
     /* It is asked for. */

@@ -24,9 +24,19 @@ async function request(what, more = {}, tries = what === "stop" ? 5 : 1) {
   }
 }
 
+/** Lets only that be asked for which changes something. held: the clock of a simulation is, undefined without one. */
+function allow(held) {
+  const waits = held ?? timeline.at("mission", Infinity)?.told.phase === "paused",
+    enable = Boolean(timeline.at("enabled", Infinity)?.told.enabled),
+    idle = { hold: waits, resume: !waits || (held === undefined && !enable), enable };
+  for (const what in idle) if (element(`request-${what}`)) element(`request-${what}`).disabled = idle[what];
+}
+
 let built = false;
 function buildControls(world) {
-  const controls = Boolean(SOURCE && SOURCE.controls);
+  const controls = Boolean(SOURCE && SOURCE.controls),
+    wheels = world.wheels !== false; // Nobody drives a recording.
+  if (!wheels) for (const what of ["stop", "keep"]) element(what).hidden = true;
   if (!controls || built) return;
   built = true;
   const clock = world.simulated ? "the clock of the simulation" : "the mission";
@@ -48,6 +58,7 @@ function buildControls(world) {
     ["end", "End", "End the mission, and write what is known"],
   );
   for (const [what, words, hint] of buttons) {
+    if (!wheels && ["enable", "push", "recall"].includes(what)) continue;
     const button = document.createElement("button");
     Object.assign(button, { id: `request-${what}`, textContent: words, title: hint });
     button.onclick = () => request(what);
