@@ -18,6 +18,7 @@ from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.summary import landmark_counts
 from tfg_drake.mission.interruption import NAMES, Interruption
+from tfg_drake.mission.sequence import NOT_ENABLED
 from tfg_drake.storage.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ class MissionRunner:
             Progress(
                 mission.end_time,
                 wall_time,
-                status.phase,
+                "waits" if status.reason == NOT_ENABLED else status.phase,
                 status.stage,
                 _landmarks(mission),
                 self._area,
