@@ -17,13 +17,17 @@ from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
 from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.missions import run
+from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
+from tfg_drake.diagrams.missions.mission_runner import MissionRunner
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.missions.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import DumpScenario, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
+from tfg_drake.messages import replace
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
+from tfg_drake.mission.sequence import NOT_ENABLED, PAUSED
 from tfg_drake.planning.mission_end import IN_VAIN, REASONS
 from tfg_drake.slam.gtsam_solver import map_graph
 from tfg_drake.slam.shared import CAMERA_YAW, RANGE_SCALE, SWEEP
@@ -235,6 +239,16 @@ def test_a_caller_may_end_a_mission(tmp_path):
     stop.set()
     summary = run.run_mission(room(), out_dir=tmp_path, interrupted=stop).summary
     assert (summary["outcome"], summary["reason"]) == ("interrupted", "interrupted at 0 s")
+
+
+@pytest.mark.parametrize(("reason", "phase"), [(NOT_ENABLED, "waits"), (PAUSED, "paused")])
+def test_who_has_not_enabled_the_robot_is_told_that_it_waits(reason, phase):
+    told = []
+    mission = Mission(MissionRequest(room(), on_progress=told.append))
+    mission.begin()
+    mission.status = replace(mission.status, phase="paused", reason=reason)
+    MissionRunner(mission, threading.Event())._tell()
+    assert [progress.phase for progress in told] == [phase]
 
 
 def test_default_folders_do_not_collide(tmp_path, monkeypatch):
