@@ -93,7 +93,7 @@ def test_what_came_before_is_no_delay_of_a_mission_that_goes_on(half, tmp_path, 
     mission = Mission(cut_short(half.folder, tmp_path / "on").request)
     mission.begin()
     mission.simulator.set_target_realtime_rate(1.0)
-    mission.simulator.set_monitor(lambda _root: time.sleep(0.045))
+    mission.simulator.set_monitor(lambda _root: time.sleep(0.035))
     mission.advance(CUT + 0.5)
     mission.observe()
     assert "real time is missed" not in caplog.text
