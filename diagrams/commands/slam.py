@@ -73,11 +73,10 @@ def slam(
         if is_video and value:
             bad_input(f"--{name} {value}: is for laser recordings; leave it out")
     command.make_ready(out)
+    from tfg_drake.hardware.ros.bag_files import is_bag
+
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(Screen("loading"))
-
-        from tfg_drake.diagrams.missions.slam import run_slam, scanner_settings, table_rows
-        from tfg_drake.hardware.recordings import load_recording
 
         def say(text: str) -> None:
             if command.interruption.is_set():
@@ -85,9 +84,17 @@ def slam(
             show(text)
 
         load: Callable[[Path], Any]
+        # What is missing is told before the imports, which take long.
         if calibration is not None and tag_size is not None:
             load = video_loader(calibration, tag_size, mount, odometry, say)
-        else:
+        elif is_bag(dataset):
+            with command.installed("bag"):
+                import rosbags  # noqa: F401
+
+        from tfg_drake.diagrams.missions.slam import run_slam, scanner_settings, table_rows
+        from tfg_drake.hardware.recordings import load_recording
+
+        if not is_video:
             scanner, settings = scanner_settings(settings or [])
             load = functools.partial(load_recording, robot=robot, noise=odometry_noise, seed=seed, scanner=scanner)
         mapped: dict[str, Any] = {

@@ -2,11 +2,13 @@
 
 import gzip
 import json
+import sys
 
 import numpy as np
 import pytest
 
 from tfg_drake.datasets.mrclam import COMMAND_LATENCY
+from tfg_drake.io.extras import pip_install
 
 
 @pytest.fixture
@@ -200,3 +202,17 @@ def test_options_of_laser_logs_go_with_these(call, tmp_path, mrclam, carmen):
     ]:
         code, _, complaint = call("slam", *arguments, "--out", str(tmp_path / "run"))
         assert (code, complaint) == (2, f"tfg-drake: {expected}\n")
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "arguments"),
+    [
+        ("rosbags", "bag", ["a.mcap"]),
+        ("robotpy_apriltag", "camera", ["a.mp4", "--calibration", "c.yaml", "--tag-size", "1"]),
+    ],
+)
+def test_a_missing_package_is_named_before_all_else(call, monkeypatch, package, extra, arguments):
+    for name in (package, "tfg_drake.diagrams.missions.slam"):
+        monkeypatch.setitem(sys.modules, name, None)
+    complaint = f"tfg-drake: {package} is not installed; get it with {pip_install(extra)}\n"
+    assert call("slam", *arguments) == (2, "", complaint)
