@@ -188,7 +188,7 @@ def test_what_is_wrong_all_along_is_corrected_or_refused():
         believed(far)
     fast = replace(good, odometry=tuple(replace(one, X_OB=one.X_OB * [5, 5, 1]) for one in good.odometry), **bound)
     result = believed(fast)
-    assert [one.kind for one in result.notes] == ["travel_scale"]
+    assert told(result) == [("travel_scale", "the map is corrected for it")]
     assert off(result) < 0.03
     with pytest.raises(DatasetError, match="two clocks"):
         believed(replace(good, scans=tuple(replace(one, stamp=one.stamp - 1e9) for one in good.scans), **bound))

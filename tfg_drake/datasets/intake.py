@@ -76,7 +76,7 @@ def believed(recording: Recording) -> Recording:
         verdict = judged(found)
         if verdict.refusal:
             raise DatasetError(f"{recording.name}: {verdict.refusal}")
-        notes += verdict.notes
+        notes += [replace(one, text=f"{one.text}; the map is corrected for it") for one in verdict.notes]
         odometry, scans = corrected(told if often else odometry, scans, verdict)
         if verdict.lag:
             stamps = np.array([one.stamp for one in recording.scans])

@@ -367,9 +367,7 @@ def judged(found: Comparison, least_lag: float = LEAST_LAG) -> Verdict:
     if travels and abs(yaw) > max(LEAST_YAW, sure[3]):
         verdict = replace(verdict, yaw=yaw)
         degrees = math.degrees(yaw)
-        told["mount_yaw"] = (
-            f"the scanner looks {degrees:.1f} degrees farther to the left than was said: the map is corrected for it"
-        )
+        told["mount_yaw"] = f"the scanner looks {degrees:.1f} degrees farther to the left than was said"
     return replace(verdict, notes=tuple(Note(kind, found.begun, text) for kind, text in told.items()))
 
 
