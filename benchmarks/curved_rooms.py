@@ -7,7 +7,7 @@
 A room is a rectangle of 5 to 14 m whose ends are straight, half round or wavy and whose corners may be rounded, with
 columns and straight partitions in it; every fourth is round as a whole. Sensors are those of `house` and of `paper`. A
 mission is told wrongly where its poses are off by more than five of the deviations that it states, root mean square,
-and no note says that walls are not straight. Each is a line of --out, and what is there is not run again.
+and no note says that little is straight. Each is a line of --out, and what is there is not run again.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def run(seed: int, folder: Path) -> dict:
     summary = missions.run_seed([str(path), "--tag-spacing", "none", "--max-time", "1200"], seed, folder)
     row = {"seed": seed, "outcome": summary["outcome"], "reason": summary["reason"]}
     log = folder / f"seed-{seed}" / "log.txt"
-    row["told"] = log.exists() and "walls are not straight" in log.read_text()
+    row["told"] = log.exists() and "are straight; deviations may not hold" in log.read_text()
     if "sim_time_s" in summary:
         row["known_m"] = (summary["least_known"] or {}).get("deviation_m")
         row["position_error_m"] = summary["position_error_m"]["mean"]
@@ -114,7 +114,7 @@ def main() -> None:
             print(json.dumps(rows[-1]), flush=True)
     complete, told, wrong = (sum(map(bool, of)) for of in zip(*(
         (row["outcome"] == "complete", row["told"], row["wrong"]) for row in rows), strict=True))  # fmt: skip
-    print(f"\n{len(rows)} rooms: {complete} complete, {told} told that walls are not straight, {wrong} told wrongly")
+    print(f"\n{len(rows)} rooms: {complete} complete, {told} told that little is straight, {wrong} told wrongly")
 
 
 if __name__ == "__main__":

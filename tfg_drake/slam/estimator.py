@@ -393,7 +393,9 @@ def _with_straightness(state: EstimatorState, scan: LaserScan, lines: FloatArray
     straight = state.straight * FORGET + seen
     by_walls = state.map is not None and not is_tag(state.map.ids).any()
     if by_walls and straight[1] > ENOUGH_SEEN and straight[0] < LEAST_STRAIGHT * straight[1]:
-        take_note("walls", scan.stamp, "walls are not straight; deviations may not hold; hang tags")
+        share, advice = f"{LEAST_STRAIGHT:.0%}", "" if state.landmarks == "walls" else "; hang tags"
+        told = f"less than {share} of the surfaces in view are straight; deviations may not hold{advice}"
+        take_note("walls", scan.stamp, told)
         straight = np.full(2, np.nan)
     return replace(state, straight=straight)
 
