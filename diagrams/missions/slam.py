@@ -21,7 +21,7 @@ from tfg_drake.datasets.estimated import GRAPH_METHOD, estimated, shares
 from tfg_drake.datasets.evaluation import hits, poses_between, relative_error, truth_at, wall_thickness
 from tfg_drake.datasets.figure import draw_laser_map
 from tfg_drake.datasets.pose_graph import PoseGraph
-from tfg_drake.datasets.recording import DatasetError, OnProgress, Recording, as_told
+from tfg_drake.datasets.recording import DatasetError, Recording, as_told
 from tfg_drake.datasets.relations import off_relations, read_relations, relation_errors
 from tfg_drake.diagrams.mapping_explorer import MAPPING_METHODS, MappingMethod
 from tfg_drake.diagrams.missions.mission import Mission
@@ -95,8 +95,8 @@ def run_slam(
     if isinstance(loaded, Recording) and is_laser:
         if not any(np.isfinite(scan.ranges).any() for scan in loaded.scans):
             raise DatasetError(f"{dataset}: no scan in it met anything; copy it again")
-        mapping, online = method or next(iter(MAPPING_METHODS)), shares(say, "online")
-        return map_recording(loaded, dataset, out, mapping, online, settings, relations=relations, **mapped)
+        mapping = method or next(iter(MAPPING_METHODS))
+        return map_recording(loaded, dataset, out, mapping, say, settings, relations=relations, **mapped)
     given = {f"--relations {relations}": relations, **{f"--set {one}": one for one in settings}}
     given |= {"--page": mapped.get("cockpit"), "--meshcat": mapped.get("meshcat")}
     if wrong := next((option for option, value in given.items() if value is not None), ""):
@@ -153,7 +153,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("", f"RMSE {metres('landmark_rmse_without_misfits_m')} without those far from the given truth"))
     rows += [
         ("measurements", f"{used} used, {rejected} rejected, final error {summary['final_error']:.6g}"),
-        ("CPU time", f"{summary['cpu_time_s']:.1f} s"),
+        ("CPU time", f"{summary['cpu_time_s']:.1f} s, with loading and files"),
     ]
     return rows + _note_rows(summary)
 
@@ -175,8 +175,9 @@ def _log_rows(summary: dict[str, Any], metres: Callable[[str], str]) -> list[tup
         errors = f"{off['mean']:.4f} ± {off['std']:.4f} m, {turned['mean']:.3f} ± {turned['std']:.3f}°"
         rows.append(("relations", f"{relations['count']} checked by hand, off by {errors}"))
     mapped = "" if summary["walls_mapped"] is None else f"{summary['walls_mapped']} mapped, "
-    rows.append(("walls", f"{mapped}hits {metres('wall_thickness_m')} off them, mean"))
-    rows.append(("CPU time", f"{summary['cpu_time_s']:.1f} s"))
+    rows.append(("walls", f"{mapped}{metres('wall_thickness_m')} thick: mean spread of scan points about a line"))
+    spent = f"{summary['cpu_time_s']:.0f} s of CPU in {summary['wall_time_s']:.0f} s"
+    rows.append(("online", f"{spent}, without loading, the last solve and files"))
     return rows + _note_rows(summary)
 
 
@@ -185,7 +186,7 @@ def map_recording(
     dataset: Path,
     out: Path | None = None,
     method: str = "walls",
-    on_progress: OnProgress = lambda _share: None,
+    say: Callable[[str], object] = lambda _text: None,
     settings: Sequence[str] = (),
     seed: int = 0,
     relations: Path | None = None,
@@ -201,7 +202,7 @@ def map_recording(
         recording: what is believed of it. dataset: its path.
         out, interrupted, shown: as out_dir and others of `run_mission`.
         method: one of MAPPING_METHODS.
-        on_progress: told the share of the recording that is mapped.
+        say: is told how far the work is.
         settings: of the scenario, such as "grid.particles=50".
         seed: of the filter that maps a grid.
         relations: a file of relations between its poses, to be held against them.
@@ -220,9 +221,14 @@ def map_recording(
     way, start, end = WayKeeper(), start_of(recording), length_of(recording)
     ended = (interrupted or threading.Event()).is_set
 
-    def tell(progress: Progress) -> None:
+    def tell(text: str) -> None:
         if not ended():
-            on_progress(min(progress.time / max(end, 1e-9), 1.0))
+            say(text)
+
+    online = shares(tell, "online")
+
+    def on_progress(progress: Progress) -> None:
+        tell(progress.line) if progress.outcome else online(min(progress.time / max(end, 1e-9), 1.0))
 
     result = run_mission(
         scenario,
@@ -231,7 +237,7 @@ def map_recording(
         name=recording.name,
         max_time=math.inf,
         out_dir=out,
-        on_progress=tell,
+        on_progress=on_progress,
         interrupted=interrupted,
         monitor=way.monitor,
         notes=recording.notes,
@@ -243,6 +249,7 @@ def map_recording(
     truth = recording.truth
     stamps, X_MB, X_BS = way.poses(mission)
     online_stamps, online = mission.estimated_poses()
+    tell("solving all poses, measuring and drawing the map")
     X_MB, state = poses_between(recording, stamps + start, X_MB), mission.estimator_state()
     if state is not None and state.map is not None:
         X_MB, _ = poses_by_surfaces(state.graph, recording.scans, X_MB)
@@ -260,6 +267,9 @@ def map_recording(
     walls = np.empty((0, 2, 2))
     if state is not None and state.map is not None:
         _, walls, _ = known_walls(state.map)
+    for note in result.summary["notes"][len(recording.notes) :]:
+        if note["time_s"] is not None:
+            note["time_s"] += start  # The mission's time is 0 at the recording's first message.
     summary = {
         **result.summary,
         "dataset": str(dataset),

@@ -68,6 +68,7 @@ def test_a_recording_is_run_judged_and_kept(call, tmp_path, mrclam):
     note = "landmarks 6 and 7 lie 4.2 m from the given truth: each where the other should be"
     assert summary["notes"] == [{"kind": "truth", "time_s": None, "text": note}]
     assert note in printed
+    assert f"CPU time      {summary['cpu_time_s']:.1f} s, with loading and files\n" in printed
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert len((out / "trajectory.tum").read_text().splitlines()) >= 240
     assert len((out / "online.tum").read_text().splitlines()) == 239  # no odometry beyond the last frame
@@ -171,6 +172,9 @@ def test_a_laser_log_is_mapped_judged_and_kept(call, tmp_path, carmen, method):
     assert summary["robot_rmse_m"] < 0.05
     assert summary["wall_thickness_m"] < 0.05
     assert "between two scans, mean" in printed
+    assert f"{summary['wall_thickness_m']:.3f} m thick: mean spread of scan points about a line\n" in printed
+    spent = f"{summary['cpu_time_s']:.0f} s of CPU in {summary['wall_time_s']:.0f} s"
+    assert f"online        {spent}, without loading, the last solve and files\n" in printed
     assert f"1 checked by hand, off by {summary['relations']['translation_m']['mean']:.4f} ± 0.0000 m" in printed
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert len((out / "trajectory.tum").read_text().splitlines()) == 60

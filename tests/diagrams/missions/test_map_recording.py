@@ -21,7 +21,7 @@ from tfg_drake.diagrams.missions.slam import map_recording
 from tfg_drake.diagrams.recorded_station import MakeRecordedStation
 from tfg_drake.geometry import se2
 from tfg_drake.messages import Odometry, replace
-from tfg_drake.notes import Note
+from tfg_drake.notes import Note, take_note
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
 from tfg_drake.storage.run import load_run
 
@@ -58,9 +58,12 @@ def room():
 
 @pytest.fixture(scope="module")
 def mapped(room, tmp_path_factory):
-    shares = []
-    result = map_recording(room, room.name, tmp_path_factory.mktemp("room") / "run", on_progress=shares.append)
-    assert 0.9 < shares[-1] <= 1.0
+    said = []
+    result = map_recording(room, room.name, tmp_path_factory.mktemp("room") / "run", say=said.append)
+    *shares, solving, last = said
+    assert shares[0] < "online  10 %" < "online  90 %" < shares[-1] <= "online 100 %"
+    assert solving.endswith("complete: solving the whole map, writing the run's files")
+    assert last == "solving all poses, measuring and drawing the map"
     return result
 
 
@@ -149,14 +152,28 @@ def test_a_jump_that_is_believed_bends_the_map(room, tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_note_of_the_mapping_has_the_time_of_the_recording(room, tmp_path):
+    event = threading.Event()
+
+    def say(_text):
+        take_note("walls", 5.0, "bent")
+        take_note("sensor", None, "wrong all the time")
+        event.set()
+
+    summary = map_recording(room, room.name, tmp_path / "run", say=say, interrupted=event, record=False).summary
+    assert [note["time_s"] for note in summary["notes"]] == [3.0, BEGAN + 5.0, None]
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_recording_that_is_interrupted_keeps_what_there_is(room, tmp_path):
     event = threading.Event()
 
-    def on_progress(share):
-        if share > 0.3:
+    def say(text):
+        assert not event.is_set()
+        if text > "online  30 %":
             event.set()
 
-    result = map_recording(room, room.name, tmp_path / "run", on_progress=on_progress, interrupted=event)
+    result = map_recording(room, room.name, tmp_path / "run", say=say, interrupted=event)
     assert result.summary["outcome"] == "interrupted"
     assert 2 <= load_run(result.folder).map.stage < 15
     assert len((result.folder / "trajectory.tum").read_text().splitlines()) == len(room.scans)
