@@ -119,6 +119,18 @@ def test_walls_that_are_landmarks_have_a_colour_of_their_own(tmp_path, small_map
     assert band > 1000
 
 
+def test_limits_hold_all_that_is_drawn(walled_map):
+    """Both the way and a wall's deviation lead out of the world."""
+    way = np.array([[1.0, 1.0, 0.0], [9.0, 1.0, 0.0]])
+    figure = run_figure("out", WORLD, None, None, None, way, with_walls=walled_map.graph, X_WM=np.zeros(3))
+    (axes,) = figure.axes
+    drawn = [line.get_xydata() for line in axes.lines]
+    drawn += [path.vertices for one in axes.collections for path in one.get_paths()]
+    (x, y), (left, right), (bottom, top) = np.vstack(drawn).T, axes.get_xlim(), axes.get_ylim()
+    assert left <= x.min() < x.max() == 9.0 <= right
+    assert bottom <= y.min() < 5.0 < y.max() <= top
+
+
 def test_a_run_shows_them_too(walled_map):
     nothing = np.zeros((0, 3))
     arguments = ("walls", WORLD, None, None, None, nothing, nothing, np.zeros(2, dtype=bool), np.zeros(3))

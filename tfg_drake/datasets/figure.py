@@ -88,10 +88,11 @@ def draw_laser_map(
     # A few scattered ones would make the building small.
     inside = np.all((shown > np.quantile(shown, 0.002, axis=0)) & (shown < np.quantile(shown, 0.998, axis=0)), axis=1)
     shown = shown[inside]
-    figure, axes, _ = plan(title, np.vstack([shown, p_MS]), _WIDTH)
+    pieces = met(walls, p_MH)
+    figure, axes, _ = plan(title, np.vstack([shown, p_MS, p_MS_true, pieces.reshape(-1, 2)]), _WIDTH)
     axes.plot(*shown.T, ".", color="0.45", alpha=0.5, markersize=1.5, markeredgewidth=0, rasterized=True)
     axes.plot([], [], ".", color="0.45", markersize=5, label="hits of the scans")
-    if len(pieces := met(walls, p_MH)):
+    if len(pieces):
         axes.add_collection(LineCollection(list(pieces), colors=css(LIGHT.wall_landmark), linewidths=1.3, label="wall"))
     if len(p_MS_true):
         axes.plot(*p_MS_true.T, color=_TRUTH, linewidth=1.8, label="reference path")

@@ -164,6 +164,7 @@ def draw(axes: Axes, X_WM: FloatArray, shown: Iterable[Layer], symbol: float, ti
             # Cells side by side hang together by their edges.
             edges = {"edgecolors": colour, "linewidths": 0.2} if opacity == 1.0 else {"edgecolors": "none"}
             axes.add_collection(PolyCollection(places, facecolors=colour, **edges, **style))
+    axes.autoscale_view()  # Collections do not.
 
 
 def _draw_views(axes, X_WM: FloatArray, X_MA: FloatArray) -> None:  # type: ignore[no-untyped-def]

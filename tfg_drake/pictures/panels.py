@@ -23,7 +23,7 @@ def panels(
     """A figure of equal panels without frames.
 
     Args:
-        points: (n, 2) what is to be seen in each, m.
+        points: (n, 2) what is to be seen in each, m; what is drawn beyond it widens a panel's limits.
         width: of the figure, inches. beside: its height above and below the panels, inches.
         rows, columns: of panels.
 
@@ -36,7 +36,9 @@ def panels(
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
     for axis in axes:
-        axis.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal")
+        axis.set(aspect="equal", xmargin=0.0, ymargin=0.0)
+        axis.update_datalim([(x_min, y_min), (x_max, y_max)])
+        axis.autoscale_view()
         axis.spines[:].set_visible(False)
     return figure, axes, float(np.clip(SYMBOL * scale * POINTS_PER_INCH, *SYMBOLS))
 
