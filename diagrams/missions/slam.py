@@ -225,10 +225,10 @@ def map_recording(
         if not ended():
             say(text)
 
-    online = shares(tell, "online")
+    tell_share = shares(tell, "online")
 
     def on_progress(progress: Progress) -> None:
-        tell(progress.line) if progress.outcome else online(min(progress.time / max(end, 1e-9), 1.0))
+        tell(progress.line) if progress.outcome else tell_share(min(progress.time / max(end, 1e-9), 1.0))
 
     result = run_mission(
         scenario,
