@@ -90,6 +90,7 @@ class SlamEstimator(LeafSystem):
             explorer.solver,
             explorer.landmarks,
             no_walls(scanner.least_looks),
+            sensor,
             may_be_moved=not recorded,
         )
         if explorer.known_map:

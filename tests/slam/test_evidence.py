@@ -10,6 +10,7 @@ from tfg_drake.slam.evidence import (
     LEAST_FRAMES,
     MOST,
     MOST_AT_ONCE,
+    STEEPEST,
     Evidence,
     Sighted,
     TagWatch,
@@ -22,6 +23,7 @@ from tfg_drake.slam.evidence import (
     overturned,
     renewed,
     sanitized,
+    watch_of,
     watched,
     weighed,
     with_doubts,
@@ -238,7 +240,7 @@ def known():
     """All three were seen for ten frames, up to 0.6 rad aside, before the newest view."""
     watch = look(renewed(empty(TagWatch), WALL_IDS), [3, 5, 8], 10)
     assert gone(watch) == []
-    return renewed(replace(watch, widest=0.6, all_expected=1000, all_seen=1000), WALL_IDS)
+    return renewed(replace(watch, widest=0.6, farthest=6.0, all_expected=1000, all_seen=1000), WALL_IDS)
 
 
 def test_a_tag_that_frames_should_show_and_do_not_is_missing(known):
@@ -282,6 +284,24 @@ def test_from_the_other_side_of_a_thin_wall_it_is_not_expected(known, beyond):
     d = (3.0 - beyond[0]) / np.cos(ANGLES + beyond[2])
     scan = replace(SCAN, ranges=np.where(d > 0.0, d, np.inf))
     assert gone(look(known, [8], 20, X_MC=beyond, scan=scan)) == []
+
+
+def test_beyond_the_farthest_sighting_it_is_not_expected(known):
+    beside = np.array([0.0, -1.0, 0.0])
+    assert gone(look(known, [3], 20, X_MC=beside)) == [5]
+    assert gone(look(replace(known, farthest=3.0), [3], 20, X_MC=beside)) == []
+
+
+def test_neither_a_gross_range_nor_a_misread_id_is_a_far_sighting():
+    watch, frame = renewed(empty(TagWatch), WALL_IDS), frame_of([3, 5, 8])
+    gross = watched(watch, ON_WALL, HERE, 0.0, replace(frame, range=3.0 * frame.range), SCAN)
+    misread = watched(watch, ON_WALL + np.array([9.0, 0.0]), HERE, 0.0, frame, SCAN)
+    assert gross.farthest == misread.farthest == pytest.approx(np.hypot(3.0, 1.0))
+
+
+def test_more_aslant_than_the_data_sheet_says_it_is_not_expected(known):
+    assert watch_of(np.radians(75.0)).steepest == STEEPEST
+    assert gone(look(replace(known, steepest=watch_of(0.3).steepest), [3, 8], 20)) == []
 
 
 def test_where_detection_fails_often_more_frames_must(known):

@@ -361,6 +361,7 @@ def _begun_anew(state: EstimatorState, ahead: float) -> EstimatorState:
         solved=graph,
         landmarks=state.landmarks,
         walls=state.walls,
+        watch=state.watch,
         may_be_moved=state.may_be_moved,
         known=state.known,
     )

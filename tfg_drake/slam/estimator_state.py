@@ -20,7 +20,7 @@ from tfg_drake.messages import (
     message,
     replace,
 )
-from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, renewed, with_doubts
+from tfg_drake.slam.evidence import Evidence, Sighted, TagWatch, renewed, watch_of, with_doubts
 from tfg_drake.slam.first_look import Message
 from tfg_drake.slam.keyframe import Keyframe, way
 from tfg_drake.slam.keyframe_graph import KeyframeGraph, empty_graph, empty_map, of_tied
@@ -202,6 +202,7 @@ def initial_state(
     solver: str = "dissection",
     landmarks: str = "both",
     walls: Walls | None = None,
+    tags: TagSensorConfig = EXACT_CAMERA,
     *,
     may_be_moved: bool = True,
 ) -> EstimatorState:
@@ -211,9 +212,9 @@ def initial_state(
     camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
     this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
     localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
-    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. may_be_moved: whether
-    the robot may be elsewhere where what is seen contradicts its pose; else that is a fault of what is seen, unless
-    odometry says that the way is unknown.
+    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. tags: the camera's
+    data sheet. may_be_moved: whether the robot may be elsewhere where what is seen contradicts its pose; else that is a
+    fault of what is seen, unless odometry says that the way is unknown.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
@@ -226,6 +227,7 @@ def initial_state(
         solved=graph,
         landmarks=landmarks,
         walls=walls or no_walls(),
+        watch=watch_of(tags.max_incidence),
         may_be_moved=may_be_moved,
         # Pieces of a recorded drive are no turns, of which the first is looked at once more.
         look=None if np.isinf(path_keyframe_period) else (),

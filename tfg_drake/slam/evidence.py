@@ -39,7 +39,7 @@ from tfg_drake.slam.map_update import REJECTED
 from tfg_drake.slam.scan_ranges import surface
 from tfg_drake.slam.tag_error import LEAST_CHANCE, in_place
 from tfg_drake.slam.turn import Source
-from tfg_drake.table import concat, take
+from tfg_drake.table import concat, empty, take
 
 # A tag is believed to be where it was seen in so many frames.
 CONFIRMATIONS = 3
@@ -55,11 +55,13 @@ LEAST_DEVIATION = 0.1
 MOST_TAKEN_BACK = 10
 # Stands for the view of a place that is the one in the map.
 MAPPED = -1
-# From farther away, m, and nearer than this, rad, to where no tag has been seen yet, detectors miss tags, and so they
-# do on surfaces whose incidence has a larger tangent than this.
+# From farther away, m, and nearer than this, m and rad, to where no tag has been seen yet, detectors miss tags, and so
+# they do on surfaces whose incidence has a larger tangent than this, or is so little, rad, below the data sheet's most:
+# four deviations of what a scan says of it.
 NEAR = 4.0
 INSIDE = 0.1
 STEEPEST = 1.2
+ASLANT = 0.4
 # Cosine of the angle to the mean direction that a tag has been seen from, within which it is seen again, and of the
 # angle of that direction to the surface's normal: else the tag is on its other side.
 NEAR_BY = math.cos(math.radians(60.0))
@@ -264,16 +266,24 @@ class TagWatch:
     """Counts of frames that should have shown a mapped tag and did not.
 
     ids: (k,) of the map's tags. seen_from: (k, 2) sums of unit vectors from each tag to the camera in the frames that
-    showed it, in M. failed: (k,) consecutive frames that missed it. widest: rad, the greatest bearing of any sighting.
-    all_expected: number of frames that should have shown a tag, summed over tags, all_seen: of those that did.
+    showed it, in M. failed: (k,) consecutive frames that missed it. widest, farthest: the greatest bearing, rad, and
+    distance, m, of any sighting. all_expected: number of frames that should have shown a tag, summed over tags,
+    all_seen: of those that did. steepest: tangent of the incidence up to which tags are expected.
     """
 
     ids: Annotated[IntArray, "k"]
     seen_from: Annotated[FloatArray, "k", 2]
     failed: Annotated[IntArray, "k"]
     widest: float
+    farthest: float
     all_expected: int
     all_seen: int
+    steepest: float = STEEPEST
+
+
+def watch_of(max_incidence: float) -> TagWatch:
+    """Return the watch before any tag; max_incidence: by the data sheet, rad."""
+    return empty(TagWatch, steepest=min(STEEPEST, math.tan(max(max_incidence - ASLANT, 0.0))))
 
 
 def watched(
@@ -284,9 +294,11 @@ def watched(
     p_ML: (k, 2) of the map's tags, m in M. yaw: of the camera in the body frame, rad. A frame without a tag of the map
     is ignored, as the camera may be blind.
     """
-    before, rays = (watch.ids, watch.seen_from, watch.failed, watch.widest), (scan.angles, scan.ranges)
-    seen_from, failed, widest, expected, seen = _watched(before, p_ML, X_MC, yaw, (frame.ids, frame.bearing), rays)
-    return TagWatch(watch.ids, seen_from, failed, widest, watch.all_expected + expected, watch.all_seen + seen)
+    before = watch.ids, watch.seen_from, watch.failed, (watch.widest, watch.farthest, watch.steepest)
+    sightings, rays = (frame.ids, frame.bearing, frame.range), (scan.angles, scan.ranges)
+    seen_from, failed, widest, farthest, expected, seen = _watched(before, p_ML, X_MC, yaw, sightings, rays)
+    expected, seen = watch.all_expected + expected, watch.all_seen + seen
+    return TagWatch(watch.ids, seen_from, failed, widest, farthest, expected, seen, watch.steepest)
 
 
 def missing(watch: TagWatch) -> BoolArray:
@@ -304,47 +316,52 @@ def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
     return replace(watch, ids=ids, seen_from=seen_from, failed=failed)
 
 
-# What a watch has first; ids and bearings of a frame; bearings and ranges of a scan.
-Watch = tuple[IntArray, FloatArray, IntArray, float]
-Frame = tuple[IntArray, FloatArray]
+# What a watch has first, and its widest, farthest and steepest; ids, bearings and ranges of a frame; bearings and
+# ranges of a scan.
+Limits = tuple[float, float, float]
+Watch = tuple[IntArray, FloatArray, IntArray, Limits]
+Frame = tuple[IntArray, FloatArray, FloatArray]
 Rays = tuple[FloatArray, FloatArray]
 
 
 @njit(cache=True)
 def _watched(
     watch: Watch, p_ML: FloatArray, X_MC: FloatArray, yaw: float, frame: Frame, scan: Rays
-) -> tuple[FloatArray, IntArray, float, int, int]:
-    """What a watch (ids, seen_from, failed, widest) has as the last three after a frame (ids, bearings), by a scan
-    (angles, ranges), and how many tags of the map the frame should have shown and has shown of these."""
-    (frame_ids, bearing), ids, widest = frame, watch[0], watch[3]
+) -> tuple[FloatArray, IntArray, float, float, int, int]:
+    """A watch's seen_from, failed, widest and farthest after a frame, by a scan, and how many tags of the map the frame
+    should have shown and has shown of these."""
+    (frame_ids, bearing, ranges), ids, (widest, farthest, steepest) = frame, watch[0], watch[3]
     shown, seen_from, failed = np.zeros(len(ids), dtype=np.bool_), watch[1].copy(), watch[2].copy()
-    for row, one in zip(np.searchsorted(ids, frame_ids), frame_ids):  # noqa: B905 numba knows no strict
+    for row, one, r in zip(np.searchsorted(ids, frame_ids), frame_ids, ranges):  # noqa: B905 numba knows no strict
         if row < len(ids) and ids[row] == one:
             x, y = X_MC[0] - p_ML[row, 0], X_MC[1] - p_ML[row, 1]
             distance = max(math.hypot(x, y), 1e-6)
             seen_from[row, 0] += x / distance
             seen_from[row, 1] += y / distance
             shown[row] = True
+            farthest = max(farthest, min(distance, r))  # Neither a gross range nor a misread id, which is far away.
     if not shown.any():
-        return seen_from, failed, widest, 0, 0
+        return seen_from, failed, widest, farthest, 0, 0
     widest = max(widest, np.abs(bearing).max())
     expected, seen = 0, 0
     for i in range(len(ids)):
-        if _expected(p_ML[i], seen_from[i], X_MC, yaw, widest, scan):
+        if _expected(p_ML[i], seen_from[i], X_MC, yaw, (widest, farthest, steepest), scan):
             expected += 1
             seen += shown[i]
             failed[i] += 1
         if shown[i]:
             failed[i] = 0
-    return seen_from, failed, widest, expected, seen
+    return seen_from, failed, widest, farthest, expected, seen
 
 
 @njit(cache=True)
-def _expected(p_ML: FloatArray, seen_from: FloatArray, X_MC: FloatArray, yaw: float, widest: float, scan: Rays) -> bool:
+def _expected(
+    p_ML: FloatArray, seen_from: FloatArray, X_MC: FloatArray, yaw: float, limits: Limits, scan: Rays
+) -> bool:
     """Return whether a frame should show a tag at p_ML (2,) that was seen from (2,)."""
     x, y = X_MC[0] - p_ML[0], X_MC[1] - p_ML[1]
-    distance = math.hypot(x, y)
-    if not 0.0 < distance < NEAR:
+    distance, (widest, farthest, steepest) = math.hypot(x, y), limits
+    if not 0.0 < distance < min(NEAR, farthest - INSIDE):
         return False
     bearing = math.atan2(-y, -x) - X_MC[2]
     bearing = math.atan2(math.sin(bearing), math.cos(bearing))
@@ -355,7 +372,7 @@ def _expected(p_ML: FloatArray, seen_from: FloatArray, X_MC: FloatArray, yaw: fl
     met, slant = surface(bearing + yaw, angles, ranges, math.inf)
     straight = X_MC[2] + bearing + math.atan(slant)
     side = -seen_from[0] * math.cos(straight) - seen_from[1] * math.sin(straight)
-    is_there = abs(slant) < STEEPEST and abs(met - distance) < SAME_SURFACE
+    is_there = abs(slant) < steepest and abs(met - distance) < SAME_SURFACE
     if not (is_there and side > SAME_SIDE * often):
         return False
     half = math.atan(HALF_WIDTH / distance)
