@@ -14,7 +14,7 @@ from tfg_drake.geometry.se2 import pose_at
 from tfg_drake.messages import FloatArray, LaserScan, replace
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.safety.keep_out import walled
-from tfg_drake.safety.scan_watch import HELD, ScanWatch, no_watch, watched
+from tfg_drake.safety.scan_watch import ScanWatch, no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     MOST_REFLEXES,
     PRESSED,
@@ -158,9 +158,11 @@ class SafetyFilter(LeafSystem):
         if abs(wanted) > 0.0 and not after.doubt:
             after = replace(after, held=before.held + 1)
             if after.held == _HELD_SCANS:
-                unseen = held(after, X_OB, wanted, self._robot, self._safety) and not self._Meets(scan, wanted)
-                told = HELD if unseen else _BLOCKED
-                told = _KEPT_OUT if self._Meets(barred, wanted) and not self._Meets(scan, wanted) else told
+                told = held(after, X_OB, wanted, self._robot, self._safety) or _BLOCKED
+                if self._Meets(scan, wanted):
+                    told = _BLOCKED
+                elif self._Meets(barred, wanted):
+                    told = _KEPT_OUT
                 _log.warning("%.2f s: the base stands: %s", context.get_time(), told)
         return after
 

@@ -7,7 +7,7 @@ from tests.arrays import frozen
 from tfg_drake.config import RobotConfig, SafetyConfig, ScanConfig
 from tfg_drake.geometry.motion import advance
 from tfg_drake.messages import Hazards, LaserScan, Odometry, replace
-from tfg_drake.safety.scan_watch import no_watch, watched
+from tfg_drake.safety.scan_watch import HELD, REMEMBERED, no_watch, watched
 from tfg_drake.safety.velocity_filter import (
     BASE_SPEED,
     MOST_BACKED,
@@ -18,6 +18,7 @@ from tfg_drake.safety.velocity_filter import (
     TURN_RATE,
     filter_command,
     free_distance,
+    held,
 )
 from tfg_drake.simulation import differential_drive as drive
 from tfg_drake.simulation.laser_scanner import ray_angles, scan
@@ -292,3 +293,13 @@ def test_where_there_is_room_the_base_turns_while_it_brakes():
     walls = [[0.5, -2.0, 0.5, -0.5], [0.5, 0.5, 0.5, 2.0]]
     state = filtered_command(state, 0.0, [0.0, 1.3], NONE, scan_of(walls))
     assert state[TURN_RATE] == ROBOT.max_turn_acceleration * PERIOD
+
+
+def test_what_holds_the_base_is_unseen_or_remembered():
+    watch, limits = watch_of(CLEAR), (ORIGIN, 0.5, ROBOT, SAFETY)
+    assert held(watch, *limits) == ""
+    assert held(no_watch(CLEAR), *limits) == HELD
+    # Beside it, where the scan does not look now, it met something 3 s ago.
+    seen, met, p_OM = watch.space.seen.copy(), watch.space.met.copy(), watch.space.p_OM.copy()
+    seen[1, 4], met[1, 4], p_OM[1, 4] = watch.newest - 3.0, True, (0.077, 0.197)
+    assert held(replace(watch, space=replace(watch.space, seen=seen, met=met, p_OM=p_OM)), *limits) == REMEMBERED

@@ -27,6 +27,10 @@ EMPTY = (
 HELD = (
     "what lies in its way was not seen: see whether the scanner works, or turn the robot; it goes on when it has seen"
 )
+REMEMBERED = (
+    "what the scan met before is in its way, where it does not look now: turn the robot; it goes on when that is seen "
+    "to be free"
+)
 
 
 @message

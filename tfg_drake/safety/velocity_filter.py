@@ -9,10 +9,10 @@ from numba import njit
 
 from tfg_drake.config import RobotConfig, SafetyConfig
 from tfg_drake.geometry.motion import advance
-from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry
+from tfg_drake.messages import BoolArray, FloatArray, Hazards, IntArray, LaserScan, Odometry, replace
 from tfg_drake.mission.operation import Side
 from tfg_drake.safety.corridor import touch_distance
-from tfg_drake.safety.scan_watch import ScanWatch
+from tfg_drake.safety.scan_watch import HELD, REMEMBERED, ScanWatch
 from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
 
 # Entries of the filter's state: the velocity it last let through (m/s, rad/s), the bumper bits of the running reflex
@@ -303,11 +303,17 @@ def _facing(pose: FloatArray, speed: float) -> FloatArray:
     return pose if speed >= 0.0 else np.array([pose[0], pose[1], pose[2] + math.pi])
 
 
-def held(watch: ScanWatch, X_OB: FloatArray, speed: float, robot: RobotConfig, safety: SafetyConfig) -> bool:
-    """Whether the base at X_OB (3,) may not drive straight on at a speed (m/s) because it has not seen its way."""
+def held(watch: ScanWatch, X_OB: FloatArray, speed: float, robot: RobotConfig, safety: SafetyConfig) -> str:
+    """Why the base at X_OB (3,) may not drive straight on at a speed (m/s) by what was seen: HELD, REMEMBERED or ""."""
     # A base that backs away drives ahead the other way round.
     ahead, near = X_OB + np.array([0.0, 0.0, 0.0 if speed >= 0.0 else math.pi]), safety.stop_distance
-    return not watch.doubt and open_distance(watch.space, ahead, 0.0, robot.radius, near, watch.newest) <= near
+    if watch.doubt:
+        return ""
+    passable = replace(watch.space, seen=np.where(watch.space.met, watch.newest, watch.space.seen))
+    for space, why in ((passable, HELD), (watch.space, REMEMBERED)):
+        if open_distance(space, ahead, 0.0, robot.radius, near, watch.newest) <= near:
+            return why
+    return ""
 
 
 @njit(cache=True)
