@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path as FilePath
 
-from pydrake.systems.framework import Diagram, PortDataType, System
+from pydrake.systems.framework import PortDataType, System
 
 from tfg_drake.diagrams.scenario import Scenario, ScenarioError
 from tfg_drake.messages import FollowerStatus, GoalChoice, Hazards, MapEstimate, Path, PathStatus, PoseEstimate
@@ -78,10 +78,15 @@ def MakePart(role: str, factory: Factory | None, usual: Factory, scenario: Scena
     return part
 
 
+def NameOf(part: System) -> str:
+    """Return the name of a user's part: its own, or else its class's."""
+    return str(part.get_name()) or type(part).__name__
+
+
 def _CheckOutput(role: str, part: System, name: str, kind: type | int) -> None:
     """Raise TypeError if a part lacks the output, or has a vector instead of a message there, or vice versa."""
     what = f"a vector of size {kind}" if isinstance(kind, int) else f"a message {kind.__name__}"
-    called = f"{role} {type(part).__name__ if type(part) is not Diagram else part.get_name()}"
+    called = f"{role} {NameOf(part)}"
     if not part.HasOutputPort(name):
         names = ", ".join(part.get_output_port(i).get_name() for i in range(part.num_output_ports())) or "none"
         hint = "; MakePoseEstimator makes an estimator of a pose alone" if role == "estimator" else ""

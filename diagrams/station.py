@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import RandomSource
 
-from tfg_drake.diagrams.parts import Factory, MakePart
+from tfg_drake.diagrams.parts import Factory, MakePart, NameOf
 from tfg_drake.diagrams.scenario import MakeKeepOut, MakeWorld, Scenario
 from tfg_drake.diagrams.station_ports import MakePorts
 from tfg_drake.systems import surroundings
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 # Longer than any run: drawn once.
 _ONCE = 2.0**30
+# The plant's inputs that keys of a scenario need.
+_NEEDS = {"people": "reality.people", "world": "reality.changes", "pushes": "disturbances"}
 # What the simulation tells of the truth, as far as there is such.
 _TRUTH = ("pose", "contacts", "clearance", "contacts_received", "people", "world")
 
@@ -36,9 +39,10 @@ def MakeTurtlebotStation(
 ) -> Diagram:
     """Make the station of a scenario: simulated or, with `hardware`, the robot that scenario.hardware names.
 
-    plant: a factory of a System that replaces DifferentialDrivePlant and has its ports. The inputs people and world may
-    be missing if the scenario has neither; the outputs contacts, clearance and contacts_received may always be missing
-    and are then not reported.
+    plant: a factory of a System that replaces DifferentialDrivePlant and has its ports. The inputs people, world and
+    pushes may be missing if the scenario has no reality.people, reality.changes and disturbances; a plant with pushes
+    is itself moved by scenario.disturbances. The outputs contacts, clearance and contacts_received may always be
+    missing and are then not reported. Its name in the station is its own, or else its class's.
 
     meshcat: shows a simulated robot in its world, for a station without an explorer; TfgVisualizer.AddToBuilder draws a
     mission.
@@ -82,7 +86,7 @@ def MakeTurtlebotStation(
     RandomGenerator(seed)) makes a run reproducible.
 
     A real robot's devices are closed by RobotDevices.close, or when the program ends. Raises DeviceError if the robot
-    cannot be used.
+    cannot be used, TypeError if the plant lacks a port.
     """
     if hardware:
         # Only a robot needs what these import.
@@ -96,7 +100,12 @@ def MakeTurtlebotStation(
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, MakeKeepOut(scenario))
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     base = MakePart("plant", plant, lambda _: DifferentialDrivePlant(world, scenario.robot, disturbances), scenario)
-    builder.AddNamedSystem("differential_drive_plant", base)
+    for name, key in _NEEDS.items():
+        if attrgetter(key)(scenario) and not base.HasInputPort(name):
+            raise TypeError(
+                f"plant {NameOf(base)}: lacks the input port {name}, which {key} needs; add it or empty {key}"
+            )
+    builder.AddNamedSystem("differential_drive_plant" if plant is None else NameOf(base), base)
     wheels = builder.AddNamedSystem(
         "odometry", Odometry(world.start, scenario.odometry, disturbances, reality.odometry)
     )

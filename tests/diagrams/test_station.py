@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import InitializeParams, Simulator
+from pydrake.systems.framework import LeafSystem
 
 from tfg_drake.config import ChangeConfig, TagConfig
 from tfg_drake.diagrams.mission_diagram import MakeMissionDiagram
 from tfg_drake.diagrams.robots import Robot
-from tfg_drake.diagrams.scenario import MakeWorld, Scenario, WorldConfig
+from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld, Scenario, WorldConfig
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import between, compose, transform
 from tfg_drake.messages import Hazards
 from tfg_drake.simulation.people import RADIUS, places_at
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
+from tfg_drake.systems.ports import declare_message_output
 
 OUTPUTS = [
     "base.odometry",
@@ -160,6 +162,34 @@ def test_a_mission_is_paused_after_a_wheel_drop_until_it_is_enabled_anew():
     simulator.AdvanceTo(3.1)
     requests.clear()
     assert phase(3.5) == "observe"
+
+
+class TwoWheels(LeafSystem):
+    """A plant with none but the ports that every scenario needs."""
+
+    def __init__(self, _scenario):
+        super().__init__()
+        self.DeclareVectorInputPort("velocity_commanded", 2)
+        self.DeclareVectorOutputPort("pose", 5, lambda context, output: None)
+        declare_message_output(self, "hazards", lambda _context: Hazards(0.0, 0, 0, 0), {self.nothing_ticket()})
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("corridor_push", "pushes, which disturbances needs; add it or empty disturbances"),
+        ("house_real", "people, which reality.people needs; add it or empty reality.people"),
+    ],
+)
+def test_a_plant_that_what_happens_cannot_reach_is_refused(name, line):
+    with pytest.raises(TypeError) as caught:
+        MakeTurtlebotStation(LoadScenario(name), plant=TwoWheels)
+    assert str(caught.value) == f"plant TwoWheels: lacks the input port {line}"
+
+
+def test_a_plant_of_ones_own_has_its_name():
+    own = MakeTurtlebotStation(make_scenario(), plant=TwoWheels)
+    assert type(own.GetSubsystemByName("TwoWheels")) is TwoWheels
 
 
 def test_ports_and_names(station):
