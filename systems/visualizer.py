@@ -25,6 +25,7 @@ from tfg_drake.pictures.plates import LINE, WIDTH, legend_plate, words_plate
 from tfg_drake.pictures.rows import Table
 from tfg_drake.pictures.solids import numerals, wavefront
 from tfg_drake.simulation.people import RADIUS
+from tfg_drake.systems.ports import PERIOD
 from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
@@ -87,6 +88,7 @@ class TfgVisualizer(TimelineRecorder):
         super().__init__(self._scene)
         self._scene.begin()
         self.DeclareInitializationPublishEvent(self._Begin)
+        self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._WriteEnd)
 
     @staticmethod
     def AddToBuilder(
@@ -112,6 +114,12 @@ class TfgVisualizer(TimelineRecorder):
         self._Forget()
         self._scene.begin(context.get_time())
 
+    def _WriteEnd(self, context: Context) -> None:
+        # A mission that is over ends the simulation sooner than everything is drawn again.
+        mission = self._Get(context, "mission")
+        if mission is not None and mission.outcome and mission is not self._newest.get("mission"):
+            self._Write(True, context)
+
 
 class MeshcatScene:
     """Draws layers in Meshcat at their times, see TimelineWriter."""
@@ -123,7 +131,7 @@ class MeshcatScene:
         self._view = _view(world, X_WM)
         # A symbol's size: visible when the whole building fills the window.
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
-        self._legend, lines = legend_plate()
+        _, lines = legend_plate(())
         # What a pixel of the plates is, m, and where they lie, from their lowest y to their highest: south of it all.
         pixel, top = (self._view[2] - self._view[0]) / WIDTH, self._view[1] - 5.0 * self._unit
         self._words_y = top - LINE * pixel, top
@@ -147,6 +155,8 @@ class MeshcatScene:
         self._people = 0
         self._said: dict[str, str] = {}
         self._way: list[FloatArray] = []
+        self._drawn: set[str] = set()  # names of layers, and those in the legend
+        self._listed: set[str] = set()
         self._attempt(functools.partial(self._Begin, time))
 
     def write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], **told: Any) -> None:
@@ -184,7 +194,7 @@ class MeshcatScene:
         mark = bands(np.array([[0.25 * r, 0.0, 0.85 * r, 0.0]]), 0.25 * r)
         self._ShowLayers("/tfg/map/robot", [Layer("robot", circles(here, r, 32)), Layer("heading", mark)])
         self._ShowLayers("/tfg/truth", [Layer("truth", circles(here, 1.2 * r, 32))])
-        self._ShowPlate("/tfg/legend", self._legend, *self._legend_y)
+        self._ShowLegend(time)
         self._ShowCamera()
 
     def _Write(self, layer: str, time: float, arrays: Mapping[str, NDArray[Any]], told: Mapping[str, Any]) -> None:
@@ -238,9 +248,16 @@ class MeshcatScene:
         ellipse = ellipses(pose[None, :2], pose[None, [3, 4, 4, 5]].reshape(-1, 2, 2), SIGMAS)
         self._Show("uncertainty", time, "pose", [Layer("robot_3sigma", ellipse)])
 
+    def _ShowLegend(self, time: float) -> None:
+        if self._drawn != self._listed:
+            self._listed = set(self._drawn)
+            path = self._NextVersion("legend", time, "/tfg")
+            self._ShowPlate(path, legend_plate(self._drawn)[0], *self._legend_y)
+
     def _ShowWords(self, time: float) -> None:
         if not self.is_due("words", time):
             return
+        self._ShowLegend(time)
         path = self._NextVersion("words", time, "/tfg")
         self._due["words"] = time + (RECORDED if self._recorded else WORDS)
         said = ", ".join([f"{time:.0f} s", *(self._said[name] for name in ("mission", "goal") if name in self._said)])
@@ -267,6 +284,7 @@ class MeshcatScene:
         if self._IsRecorded() and not self.is_due("scan", time):
             return
         self._due["scan"] = time + RECORDED
+        self._drawn.add("scan")
         cloud, look = PointCloud(len(points)), LOOKS["scan"]
         cloud.mutable_xyzs()[:] = np.column_stack([points, np.full(len(points), look.high)]).T
         path = self._NextVersion("scan", time)
@@ -320,6 +338,8 @@ class MeshcatScene:
 
     def _ShowLayers(self, path: str, shown: Iterable[Layer]) -> int:
         """Draw layers; returns their size, bytes."""
+        shown = [layer for layer in shown if len(layer.shapes)]
+        self._drawn.update(layer.name for layer in shown)
         obj, materials = wavefront(shown, self._unit)
         if not obj:
             self._meshcat.Delete(path)

@@ -13,7 +13,7 @@ def pixels(png):
 
 
 def test_the_legend_has_every_colour_and_the_scale_of_gains():
-    png, height = legend_plate()
+    png, height = legend_plate(LOOKS)
     picture = pixels(png)
     assert picture.shape == (height, WIDTH, 3)
     names = (
@@ -31,6 +31,13 @@ def test_the_legend_has_every_colour_and_the_scale_of_gains():
     for colour in [*(getattr(palette.LIGHT, name) for name in names), *palette.GAINS]:
         there = np.all(np.abs(picture - np.rint(255.0 * np.array(colour))) <= 1, axis=-1)
         assert np.count_nonzero(there) > 500
+
+
+def test_the_legend_lists_what_is_drawn():
+    walls, height = legend_plate({"wall", "wall_landmark_3sigma"})
+    assert height == legend_plate(())[1] == legend_plate(LOOKS)[1]
+    there = [np.all(pixels(walls) == np.rint(255.0 * np.array(LOOKS[name].in_space)), axis=-1).any() for name in LOOKS]
+    assert [name for name, is_there in zip(LOOKS, there, strict=True) if is_there and LOOKS[name].words] == ["wall"]
 
 
 def test_words_are_ink_on_white_and_longer_ones_reach_farther():

@@ -13,7 +13,7 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 import tfg_drake
@@ -34,8 +34,10 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.pictures import tables
-from tfg_drake.pictures.plates import words_plate
+from tfg_drake.pictures.layers import LOOKS
+from tfg_drake.pictures.plates import legend_plate, words_plate
 from tfg_drake.simulation.people import People, places_at
+from tfg_drake.systems.ports import PERIOD, MessageState
 from tfg_drake.systems.visualizer import TfgVisualizer
 from tfg_drake.world.world import World
 
@@ -189,7 +191,8 @@ def test_a_tour_has_numbers_a_way_a_trail_and_words(meshcat):
     assert all(name in tour for name in (b"usemtl stop", b"usemtl number"))
     assert b"usemtl robot_3sigma" in drawn(meshcat, "map/uncertainty/1")
     assert told(meshcat, "1 s, stage 1, follow, goal (2.0, 2.0) m, tour of 2 in 12 s, most gain 1 nats")
-    assert b"usemtl plate" in drawn(meshcat, "legend")
+    assert b"usemtl plate" in drawn(meshcat, "legend/1")
+    assert not any(base64.b64encode(legend_plate(names)[0]) in drawn(meshcat, "legend/1") for names in ((), LOOKS))
     assert is_visible(meshcat, "map/gains")
 
 
@@ -198,6 +201,34 @@ def test_places_to_go_to_are_gone_when_the_mission_is_over(meshcat):
     Simulator(make_diagram(meshcat, make_messages() | {"mission": over}, make_world())).AdvanceTo(0.5)
     assert [is_visible(meshcat, f"map/{name}") for name in ("gains", "tour")] == [False, False]
     assert told(meshcat, "0 s, stage 1, complete")
+
+
+class Ending(LeafSystem):
+    """A mission that is over at 1 s, and ends the simulation a period later, as a sequencer does."""
+
+    def __init__(self, status):
+        super().__init__()
+        self._status, self._over = MessageState(self, status), replace(status, phase="done", outcome="budget")
+        self.DeclareStateOutputPort("mission", self._status.index)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._Update)
+
+    def _Update(self, context, state):
+        if self._status(context).outcome:
+            return EventStatus.ReachedTermination(self, "over")
+        return self._status.set(state, self._over) if context.get_time() >= 1.0 else EventStatus.DidNothing()
+
+
+def test_the_end_of_a_mission_is_told(meshcat):
+    builder = DiagramBuilder()
+    mission = builder.AddSystem(Ending(make_messages()["mission"]))
+    visualizer = builder.AddSystem(TfgVisualizer(meshcat))
+    builder.Connect(mission.get_output_port(), visualizer.GetInputPort("mission"))
+    source = builder.AddSystem(ConstantValueSource(Value[object](make_messages()["pose"])))
+    builder.Connect(source.get_output_port(), visualizer.GetInputPort("pose"))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(2.0)
+    assert simulator.get_context().get_time() < 1.1
+    assert told(meshcat, "1 s, stage 1, budget")
 
 
 class Way(LeafSystem):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Container
 
 from matplotlib import get_data_path
 from PIL import Image, ImageDraw, ImageFont
@@ -22,13 +23,14 @@ def words_plate(text: str) -> bytes:
     return _png(image)
 
 
-def legend_plate() -> tuple[bytes, int]:
-    """Legend of the layers and the scale of the gains, as a PNG; and its height, pixels."""
-    entries = [look for name, look in LOOKS.items() if look.words and not name.endswith(SPREAD)]
+def legend_plate(drawn: Container[str]) -> tuple[bytes, int]:
+    """Legend of the layers that are drawn and the scale of the gains, as a PNG; and its height, pixels, which has room
+    for all layers."""
+    entries = [(name, look) for name, look in LOOKS.items() if look.words and not name.endswith(SPREAD)]
     lines = -(-len(entries) // COLUMNS) + 1
     image = Image.new("RGB", (WIDTH, lines * LINE), "white")
     draw = ImageDraw.Draw(image)
-    for k, look in enumerate(entries):
+    for k, look in enumerate(look for name, look in entries if name in drawn):
         x, y = WIDTH // COLUMNS * (k % COLUMNS) + 8, LINE * (k // COLUMNS)
         draw.rectangle((x, y + 12, x + 34, y + LINE - 12), palette.css(look.in_space), "gray")
         draw.text((x + 44, y + LINE / 2), look.words, "black", _font(), "lm")
