@@ -22,7 +22,7 @@ from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.messages import FloatArray
-from tfg_drake.typed_tree import Misfit, annotation_of, described, read
+from tfg_drake.typed_tree import Misfit, annotation_of, described, document_fields, read
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import LONGEST, World, WorldError, check_world, wall_distance
@@ -444,3 +444,6 @@ def _CheckWorld(scenario: Scenario, source: str) -> None:
                 ground(one, scenario.robot.radius)
     except WorldError as error:
         raise ScenarioError(f"{source}: {error}") from None
+
+
+document_fields(globals())

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 
 import pytest
 
+from tfg_drake import config
 from tfg_drake.constraints import Bounds, Numbers, OneOf, Radians, Share, Whole
 from tfg_drake.typed_tree import Misfit, read
 
@@ -57,3 +58,9 @@ def test_what_does_not_fit_is_told_with_its_place(tree, told):
     with pytest.raises(Misfit) as caught:
         read(tree, Cart)
     assert str(caught.value) == told
+
+
+def test_the_comments_of_parameters_are_in_their_docstrings():
+    assert "\n\nrange, least_range: Greatest range, m, and the least: nearer" in str(config.ScanConfig.__doc__)
+    assert "\nlearnt with the map; 0 where they are known." in str(config.TagSensorConfig.__doc__)
+    assert "Ablations" not in str(config.ExplorerConfig.__doc__)

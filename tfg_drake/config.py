@@ -23,6 +23,7 @@ from tfg_drake.constraints import (
     Signed,
     Whole,
 )
+from tfg_drake.typed_tree import document_fields
 
 S = TypeVar("S")
 
@@ -522,3 +523,6 @@ class GridConfig:
     # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
     # looks round, as Yamauchi's did.
     eager: bool = True
+
+
+document_fields(globals())

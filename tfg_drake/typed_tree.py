@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 import sys
 import types
 import typing
+from pathlib import Path
 from typing import Any
 
 from tfg_drake.constraints import USUAL
 
 # What is expected of a value, by the type that its annotation has.
 _EXPECTED = {list: "a list", float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+
+# A class and its body; comments and the fields right below them; the names of those that are no sections.
+_CLASS = re.compile(r"^class (\w+).*:\n((?:(?:    .*)?\n)+)", re.MULTILINE)
+_COMMENTED = re.compile(r"((?:^    # .*\n)+)((?:^    \w+: .*\n)+)", re.MULTILINE)
+_FIELD = re.compile(r"^    (\w+): (?!.*=[\w.]*Config\)$)", re.MULTILINE)
 
 
 class Misfit(ValueError):
@@ -84,3 +91,14 @@ def described(value: object) -> str:
     names = {dict: "a section", list: "a list", str: "text", bool: "a yes/no value", type(None): "nothing"}
     kind = names.get(type(value), type(value).__name__)
     return f"{kind} ({value!r})" if isinstance(value, str | bool | int | float) else kind
+
+
+def document_fields(module: dict[str, Any]) -> None:
+    """Add the comments above the fields of a module's dataclasses to the docstrings of these, where help() finds them.
+    module: its globals."""
+    for name, body in _CLASS.findall(Path(module["__file__"]).read_text(encoding="utf-8")):
+        if dataclasses.is_dataclass(module[name]):
+            for comment, fields in _COMMENTED.findall(body):
+                names = _FIELD.findall(fields) or [fields.strip().partition(":")[0]]
+                told = comment.strip().removeprefix("# ").replace("    # ", "")
+                module[name].__doc__ = f"{module[name].__doc__}\n\n{', '.join(names)}: {told}"

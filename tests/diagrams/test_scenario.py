@@ -398,3 +398,9 @@ def test_a_mutated_scenario_is_refused_or_read(tmp_path):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_tags_hang_on_their_walls(name):
     assert odd_tags(MakeWorld(LoadScenario(name).world)) == ()
+
+
+def test_the_comments_of_its_fields_are_in_its_docstring():
+    """But not of the sections that have docstrings of their own."""
+    assert str(Scenario.__doc__).startswith("Everything that defines a run.\n\nseed: Every random number")
+    assert "\n\nreality: What a simulated world does otherwise" in str(Scenario.__doc__)
