@@ -82,8 +82,9 @@ def MakeTfgExplorer(
 
     base.odometry, base.hazards, tags.detections, scan.ranges: Odometry, Hazards, TagDetections and LaserScan messages.
     base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, requested_goal: a RequestedGoal and
-    said_pose: a SaidPose message; these six may stay unconnected. base.velocity_commanded: forward speed (m/s) and turn
-    rate (rad/s).
+    said_pose: a SaidPose message; these six may stay unconnected. While pause is true the robot stands; then the
+    mission goes on. stop ends the mission at once. recall lets it choose no goal any more, so it ends, at home only if
+    explorer.return_home is true. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
 
     For inspection: pose: PoseEstimate, map: MapEstimate of the tags, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
