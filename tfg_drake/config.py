@@ -106,7 +106,7 @@ class TagSensorConfig:
     # Probability that a detection is a gross error in range and bearing, or bears another tag's id. Not told either.
     outlier_probability: Share = 0.0
     wrong_id_probability: Share = 0.0
-    # Ratio of measured to true range (1: none). The estimator is not told.
+    # Ratio of measured to true range, 1 for no error. The estimator is not told.
     range_scale: Positive = 1.0
     # How far the camera may look aside, rad, and its clock be off the base's, s, as standard deviations. Both are
     # learnt with the map; 0 where they are known.
