@@ -1,7 +1,10 @@
-"""Read a run's folder as arrays: how the errors of position and tags compare with what was stated.
+"""Read a simulated run's folder as arrays: how the errors of position and tags compare with what was stated.
 
 tfg-drake explore house --headless --out runs/analysed
 python examples/analyse.py runs/analysed
+
+The folder may be one of a comparison, such as comparison/runs/grid-nearest/seed-0: a grid has no landmarks, and a
+comparison keeps no ports.mcap.
 """
 
 import sys
@@ -17,6 +20,8 @@ from tfg_drake.storage.trajectory import poses_at
 run = tfg_drake.load_run(sys.argv[1])
 print(run.summary["outcome"], "after", run.summary["sim_time_s"], "s")
 
+if not len(run.true_stamps):
+    sys.exit(f"{run.folder}: no truth.tum, as of a real robot or a replay; name the folder of a simulated run")
 # The truth has stamps of its own.
 true = poses_at(run.stamps, run.true_stamps, run.X_WB_true)
 error = np.hypot(*(run.X_WB - true)[:, :2].T)
@@ -31,10 +36,12 @@ rows, share = scan_coverage(run.X_WB_true, places, world.walls, scan.range, scan
 for time, seen in zip(run.true_stamps[rows][::100], share[::100], strict=True):
     print(f"{time:5.0f} s: {seen:.3f} of the area seen")
 
-print(f"{run.summary['walls_mapped']} walls, {run.summary['surface_coverage_5cm']:.3f} of the surface within 5 cm")
-if len(run.map.ids):
+walls = "a grid" if run.summary["walls_mapped"] is None else f"{run.summary['walls_mapped']} walls"
+print(f"{walls}, {run.summary['surface_coverage_5cm']:.3f} of the surface within 5 cm")
+if run.map is not None and len(run.map.ids):
     deviation = np.sqrt(np.trace(run.map.landmark_covariance, axis1=1, axis2=2))
     print(f"tags: RMSE {run.summary['landmark_rmse_m']:.3f} m, stated {np.sqrt(np.mean(deviation**2)):.3f} m")
+if run.map is not None and len(run.map.ids) and (run.folder / "ports.mcap").exists():
     tags = run.port("tags.detections")
     seen, times = np.unique(tags["ids"], return_counts=True)
     print(f"{len(tags['time'])} frames; tag {seen[times.argmax()]} was seen {times.max()} times")

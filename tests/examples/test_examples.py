@@ -11,6 +11,7 @@ import pytest
 
 import tfg_drake
 from tests.diagrams.rooms import QUICK_LOOK
+from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.errors import online_pose_anees
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
@@ -137,6 +138,23 @@ def test_a_run_analysed(run_example, tmp_path):
     assert said.count("position error") == 4
     assert "    0 s: 0." in said
     assert "of the area seen" in said
+
+
+@pytest.mark.parametrize("method", ["tfg", "grid-nearest"])
+def test_a_run_of_a_comparison_analysed(run_example, tmp_path, method):
+    """It has no ports.mcap, and a grid no landmarks."""
+    short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
+    run.run_mission(short, method=FindMethod(method), out_dir=tmp_path / "run", max_time=9.0, record=False)
+    said = run_example("analyse.py", tmp_path / "run")
+    assert re.search(r"\n(\d+ walls|a grid), 0\.\d{3} of the surface within 5 cm\n", said)
+    assert ("a grid" in said) == (method == "grid-nearest") != ("tags: RMSE" in said)
+    assert "was seen" not in said
+
+
+def test_a_run_without_truth_is_not_analysed(run_example, tmp_path):
+    (tmp_path / "summary.json").write_text('{"outcome": "complete", "sim_time_s": 5.0}')
+    with pytest.raises(SystemExit, match=r"no truth\.tum, as of a real robot or a replay"):
+        run_example("analyse.py", tmp_path)
 
 
 @pytest.mark.slow
