@@ -52,8 +52,9 @@ def write_comparison(
     write_atomic(out / "runs.csv", to_csv(runs))
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))
     of_commit = f" of commit {own}" if (own := commit()) else ""
+    where = "a world of each seed" if "{seed}" in tasks[0].world_name else tasks[0].name
     comparison = Comparison(
-        title=f"{' against '.join(methods) if len(methods) < 3 else f'{len(methods)} methods'} in {tasks[0].name}",
+        title=f"{' against '.join(methods) if len(methods) < 3 else f'{len(methods)} methods'} in {where}",
         methods=methods,
         runs=runs,
         planned=len(tasks),

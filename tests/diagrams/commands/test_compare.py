@@ -114,11 +114,11 @@ def test_each_seed_may_have_a_world_of_its_own(call, tmp_path, monkeypatch):
         (tmp_path / f"{seed}.yaml").write_text(json.dumps({"base": "house", "world": {"walls": walls, "tags": []}}))
     asked = []
     monkeypatch.setattr(sweep, "run_local", lambda tasks, *_: asked.extend(tasks) or [])
-    monkeypatch.setattr(comparison_report, "write_comparison", lambda *_: None)
     arguments = ["--methods", "tfg", "--seeds", "3:5", "--start", "1,1,0", "--out", str(tmp_path / "out")]
     assert call("compare", "house", "--world", str(tmp_path / "{seed}.yaml"), *arguments)[0] == 0
     assert [task.scenario.world.walls[0][2] for task in asked] == [3.0, 4.0]
     assert len({task.world_name for task in asked}) == 1
+    assert (tmp_path / "out" / "report.md").read_text().startswith("# tfg in a world of each seed\n")
 
 
 def blocked_in_missions(pid):
