@@ -118,12 +118,13 @@ def test_the_page_on_estimators(quick):
     page = (EXAMPLES.parent / "docs" / "estimator.md").read_text()
     gains, nees = (
         next(code for code in page.split("```python\n") if code.startswith(begin)).partition("```")[0]
-        for begin in ("from tfg_drake.planning.candidates", "poses = []")
+        for begin in ("import dataclasses", "poses = []")
     )
     names = {"np": np, "poses_at": poses_at, "online_pose_anees": online_pose_anees}
     names["house"] = house = tfg_drake.explore("house.yaml", until=12.0)
     exec(gains, names)
     assert names["candidates"].node_ids.tolist() == house.look("goal").candidates.tolist()
+    np.testing.assert_array_equal(names["candidates"].gains.gain, house.look("goal").gain)
     assert 0 < names["seen"].count.max() <= len(names["entry"])
     exec(nees.replace("not house.outcome", "house.time < 14.0"), names)
     assert len(names["nees"]) == 2
