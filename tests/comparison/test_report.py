@@ -136,6 +136,16 @@ def test_it_is_said_who_sees_tags(comparison):
     assert "--tag-spacing none is fairer, but not for c, which maps tags alone.\n\n" in said
 
 
+def test_it_is_said_from_where_the_area_counts(comparison):
+    areas = {"a": 3, "b": None, "c": 0}
+    runs = [run(name, 0, area_coverage=0.9, walls_mapped=walls) for name, walls in areas.items()]
+    said = markdown(dataclasses.replace(comparison, methods=["a", "b", "c"], runs=runs), [])
+    assert "\n\nThe area seen is that from turns and glances by a, c, on the whole way by b: compare" in said
+    alone = markdown(dataclasses.replace(comparison, methods=["a", "c"], runs=[runs[0], runs[2]]), [])
+    assert "on the whole way by" not in alone
+    assert "on the whole way by" not in markdown(comparison, [])
+
+
 def test_a_partial_report_has_figures_of_the_seeds_that_all_methods_have():
     runs = [run("a", 0, sim_time_s=100.0), run("b", 0, sim_time_s=90.0), run("a", 1, sim_time_s=300.0)]
     partial = Comparison("a against b", ["a", "b"], runs, 4, "", "")

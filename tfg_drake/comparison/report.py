@@ -134,6 +134,13 @@ def _introduction(comparison: Comparison) -> list[str]:
             "--tag-spacing none is fairer"
             + (f", but not for {', '.join(alone)}, which maps tags alone." if alone else ".")
         )
+    areas = {run.method: run.summary for run in runs if run.summary and run.summary.get("area_coverage") is not None}
+    at_views = [method for method in methods if method in areas and areas[method].get("walls_mapped") is not None]
+    if at_views and (others := [method for method in methods if method in areas and method not in at_views]):
+        lines.append(
+            f"The area seen is that from turns and glances by {', '.join(at_views)}, on the whole way by"
+            f" {', '.join(others)}: compare the time to see 99 % of it, which counts the whole way of all."
+        )
     if len(runs) < comparison.planned:
         lines.append(
             f"This report is partial: {len(runs)} of {comparison.planned} runs are done. Its figures are of the seeds"
