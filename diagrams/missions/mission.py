@@ -650,8 +650,8 @@ class Mission:
     def _stage_record(self, estimate: MapEstimate) -> dict[str, Any]:
         """A line of stages.jsonl; gains and entropies in nats, the goal (where the turn began) in W.
 
-        The realised gain compares the landmarks' entropy with what it was at the stage before, when those that are new
-        had only the explorer's prior.
+        The realised gain compares the entropy of the landmarks, tags and walls, with what it was at the stage before,
+        when those that are new had only the explorer's prior.
         """
         choice = self._choice
         # No prediction for the start, for a glance, nor where the robot looks round for it could not reach its goal.
@@ -666,15 +666,16 @@ class Mission:
             }
             record["predicted_gain"] = float(choice.gain[row])
         before = self.map
-        known = len(before.ids) if before is not None else 0
-        prior = (len(estimate.ids) - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
+        landmarks = len((self.look_for("landmarks", MapEstimate) or estimate).ids)
+        known = self.stages[-1]["landmarks"] if before is not None else 0
+        prior = (landmarks - known) * math.log(2.0 * math.pi * math.e * self.scenario.explorer.prior_sigma**2)
         return record | {
             "stage": estimate.stage,
             "goal": [float(value) for value in compose(self.X_WM, estimate.X_MA[-1])],
             "realised_gain": prior + (before.entropy if before is not None else 0.0) - estimate.entropy,
             "time_s": estimate.stamp,
             "entropy_nats": estimate.entropy,
-            "landmarks": len(estimate.ids),
+            "landmarks": landmarks,
         }
 
     def position_error(self) -> float:

@@ -24,7 +24,7 @@ from tfg_drake.diagrams.missions.run_folder import make_run_folder
 from tfg_drake.diagrams.scenario import DumpScenario, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
-from tfg_drake.messages import replace
+from tfg_drake.messages import is_tag, replace
 from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.interruption import NAMES
 from tfg_drake.mission.sequence import NOT_ENABLED, PAUSED
@@ -115,6 +115,10 @@ def test_stages_are_written_line_by_line(finished):
     # Everything is new: from the prior of 10 m an axis to the entropy that is left.
     prior = first["landmarks"] * math.log(2.0 * math.pi * math.e * 10.0**2)
     assert first["realised_gain"] == pytest.approx(prior - first["entropy_nats"])
+    # Tags and walls.
+    ids = load_map(finished.folder / "map.npz").graph.ids
+    assert np.count_nonzero(~is_tag(ids)) > 3
+    assert lines[-1]["landmarks"] == len(ids)
     # A glance on the way is no goal that anything was predicted of.
     goals = [line for line in lines[1:] if line["predicted_gain"] is not None]
     assert goals
