@@ -8,6 +8,7 @@ import contextlib
 import copy
 import dataclasses
 import importlib.resources
+import logging
 import math
 import typing
 from pathlib import Path
@@ -20,12 +21,15 @@ from tfg_drake.constraints import Point, Pose, Segment
 from tfg_drake.geometry.polygon import fault, hatched
 from tfg_drake.geometry.se2 import inverse, transform
 from tfg_drake.io.extras import pip_install
+from tfg_drake.io.files import of_run
 from tfg_drake.io.yaml_text import dump_yaml, parse_yaml
 from tfg_drake.messages import FloatArray
 from tfg_drake.typed_tree import Misfit, annotation_of, described, document_fields, read
 from tfg_drake.vision.camera_sheet import camera_sheets
 from tfg_drake.world.changing import successive
 from tfg_drake.world.world import LONGEST, World, WorldError, check_world, wall_distance
+
+_log = logging.getLogger("tfg_drake.world")
 
 
 class ScenarioError(BadInput, ValueError):
@@ -223,16 +227,39 @@ def PrepareScenario(
     known_at: typing.Sequence[float] | None = None,
 ) -> Scenario:
     """Return a copy of a scenario, loaded if given by name, with settings, a known map, a seed and a world applied;
-    None leaves them unchanged. See ApplySettings and ApplyWorldFile. Raises ScenarioError."""
+    None leaves them unchanged. See ApplySettings and ApplyWorldFile. The keep-out areas of a known map's run are taken
+    over, with a line in the log, unless there are others or a setting of them. Raises ScenarioError."""
     own = [] if known_map is None else [f"explorer.known_map={Path(known_map).resolve()}"]
     own += [] if known_at is None else [f"explorer.known_at={list(known_at)}"]
     own += [] if seed is None else [f"seed={seed}"]
     settings = [settings] if isinstance(settings, str) else settings
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     loaded = ApplySettings(loaded, [*settings, *own])
+    if not any(setting.startswith("explorer.keep_out=") for setting in settings):
+        loaded = _WithAreasOfRun(loaded)
     if world is not None or tag_spacing is not None or start is not None:
         loaded = ApplyWorldFile(loaded, world, tag_spacing, start)
     return loaded
+
+
+def _WithAreasOfRun(scenario: Scenario) -> Scenario:
+    """Return a scenario that has no keep-out areas with those of the run whose map it begins with: they belong to the
+    building. A map of another name may lie in another frame."""
+    if scenario.explorer.keep_out or not scenario.explorer.known_map:
+        return scenario
+    known = of_run(Path(scenario.explorer.known_map), "map.npz")
+    run = known.with_name("scenario.yaml")
+    if known.name != "map.npz" or not run.is_file():
+        return scenario
+    tree = _Parse(_ReadText(run), str(run))
+    section = tree.get("explorer") if isinstance(tree, dict) else None
+    areas = section.get("keep_out") if isinstance(section, dict) else None
+    if not areas:
+        return scenario
+    merged = _Merge({"explorer": {"keep_out": areas}}, scenario, str(run))
+    _CheckWorld(merged, str(run))
+    _log.warning("keep-out areas: %d of %s hold here too; --set explorer.keep_out=[] for none", len(areas), run)
+    return merged
 
 
 def _Merge(tree: dict[str, typing.Any], defaults: Scenario, source: str) -> Scenario:

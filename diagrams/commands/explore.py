@@ -119,7 +119,8 @@ def explore(
         scenario = scenario or ("paper" if replayed is None else str(replayed / "scenario.yaml"))
         if resume is None:
             of_world = world, tag_spacing, command.parse_start(start)
-            loaded = PrepareScenario(scenario, settings or [], seed, *of_world, known_map, parse_at(at))
+            with run_folder.remarks_on_screen():
+                loaded = PrepareScenario(scenario, settings or [], seed, *of_world, known_map, parse_at(at))
             command.make_ready(out, replayed, [Path(file) for file in (scenario, world) if file is not None])
             name = run_folder.run_name(scenario, world, robot)
             request = MissionRequest(loaded, name=name, world_name=str(world or scenario), out_dir=out)

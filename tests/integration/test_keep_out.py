@@ -7,7 +7,16 @@ import pytest
 import shapely
 
 from tests.diagrams.rooms import QUICK_LOOK
-from tfg_drake.diagrams.scenario import AreasOutside, CheckScenario, LoadScenario, MakeKeepOut, Scenario
+from tfg_drake.diagrams.scenario import (
+    AreasOutside,
+    CheckScenario,
+    DumpScenario,
+    LoadScenario,
+    MakeKeepOut,
+    PrepareScenario,
+    Scenario,
+    ScenarioError,
+)
 
 # A corridor of 12 x 2 m, barred half-way; or a room round a shaft.
 CORRIDOR = "[[0, 0, 12, 0], [12, 0, 12, 2], [12, 2, 0, 2], [0, 2, 0, 0]]"
@@ -104,3 +113,32 @@ def test_an_area_outside_the_building_is_told():
     assert AreasOutside(scenario) == [told.format(1), told.format(3)]
     scenario.world.walls = []
     assert AreasOutside(scenario) == []
+
+
+def test_the_areas_of_the_run_whose_map_is_begun_with_hold_again(tmp_path, caplog):
+    before, own = Scenario(), Scenario()
+    before.explorer.keep_out, own.explorer.keep_out = [SHAFT], [BAR]
+    (tmp_path / "scenario.yaml").write_text(DumpScenario(before))
+    for known in (tmp_path, tmp_path / "map.npz"):
+        caplog.clear()
+        assert PrepareScenario("house", known_map=known).explorer.keep_out == [SHAFT]
+        told = f"1 of {tmp_path / 'scenario.yaml'} hold here too; --set explorer.keep_out=[] for none"
+        assert caplog.messages == [f"keep-out areas: {told}"]
+    caplog.clear()
+    assert PrepareScenario(own, known_map=tmp_path).explorer.keep_out == [BAR]
+    assert PrepareScenario("house", ["explorer.keep_out=[]"], known_map=tmp_path).explorer.keep_out == []
+    # A map of another name may lie in another frame.
+    assert PrepareScenario("house", known_map=tmp_path / "aligned.npz").explorer.keep_out == []
+    assert caplog.messages == []
+    (tmp_path / "scenario.yaml").write_text("explorer: {keep_out: [[[0, 0], [1, 0]]]}\n")
+    with pytest.raises(ScenarioError, match=r"scenario\.yaml: explorer\.keep_out\[0\]: has 2 corners"):
+        PrepareScenario("house", known_map=tmp_path)
+
+
+def test_areas_taken_over_are_told_on_the_screen(call, tmp_path):
+    before = Scenario()
+    before.explorer.keep_out = [SHAFT]
+    (tmp_path / "scenario.yaml").write_text(DumpScenario(before))
+    _, out, err = call("explore", "house", "--map", tmp_path, "--headless", "--out", tmp_path / "next")
+    assert f"keep-out areas: 1 of {tmp_path / 'scenario.yaml'} hold here too" in out
+    assert "no such file" in err  # the map
