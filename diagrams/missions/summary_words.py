@@ -18,6 +18,11 @@ def told(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
 
 
+def _place(p: list[float]) -> str:
+    x, y = (round(one, 1) + 0.0 for one in p)  # no -0.0
+    return f"({x:.1f}, {y:.1f})"
+
+
 def map_error(summary: dict[str, Any]) -> str:
     """How far the tags are from the true ones."""
     rmse, aligned = summary["landmark_rmse_m"], summary["landmark_rmse_aligned_m"]
@@ -52,8 +57,7 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("walls", f"{walls} mapped"))
     known, error, coverage, safety = "-", "-", "-", "-"
     if least := summary["least_known"]:
-        x, y = least["p_WL"]
-        known = f"known to {least['deviation_m']:.3f} m or better (1 sigma); least at ({x:.1f}, {y:.1f})"
+        known = f"known to {least['deviation_m']:.3f} m or better (1 sigma); least at {_place(least['p_WL'])}"
     if (summary["position_error_moving_m"] or {}).get("mean") is not None:
         error = " ".join(pose_error(summary))
     if summary["surface_coverage_5cm"] is not None:
@@ -94,10 +98,10 @@ def left_open_rows(summary: dict[str, Any], named: int = ON_SCREEN) -> list[tupl
     counts = Counter(one["why"] for one in openings)
     rows = [("left open", ", ".join(f"{count} {why}" for why, count in counts.most_common()) or "nothing")]
     for one in openings[:named]:
-        (x, y), behind, why = one["p_WO"], f"{one['unknown_m2']:.0f} m2 unknown within {REACH:g} m", one["why"]
+        behind, why = f"{one['unknown_m2']:.0f} m2 unknown within {REACH:g} m", one["why"]
         if one["missing_m"]:
             why = f"the way there is {why} by {one['missing_m']:.2f} m to either side"
-        rows.append(("", f"{one['width_m']:.1f} m wide at ({x:.1f}, {y:.1f}), {behind}: {why}"))
+        rows.append(("", f"{one['width_m']:.1f} m wide at {_place(one['p_WO'])}, {behind}: {why}"))
     stated = ", ".join(f"{one['probability']:.2f} of {one['area_m2']:g} m2" for one in rooms)
     return [*rows, ("unseen room", f"probability that there is one to enter, at least so large: {stated}")]
 

@@ -580,16 +580,22 @@ def test_where_a_session_is_in_its_map_is_told_until_it_is_found(driver, tmp_pat
         for time, places in ((0.0, 0), (1.0, 3), (2.0, 1), (3.0, -1)):
             drive(writer, time)
             writer.write("places", time, {}, places=places)
+        writer.write("pose", 2.75, {"pose": np.array([2.75, 2.0, 0.0, 1e4, 0.0, 1e4, 1e2], dtype=np.float32)})
         writer.write("pose", 3.125, {"pose": np.array([7.5, 2.0, 0.0, 1e-2, 0.0, 2e-2, 1e-3], dtype=np.float32)})
     export_page(tmp_path / "timeline.tfg", tmp_path / "room.html", "room", viewer_script())
     page = Page(driver, (tmp_path / "room.html").as_uri())
     told = []
-    for at in (0.5, 1.5, 2.5, 3.125):
+    for at in (0.5, 1.5, 2.75, 3.125):
         page.seek(at)
         numbers = page.text("numbers").splitlines()
         shown = dict(zip(numbers[::2], numbers[1::2], strict=True))
-        told.append(shown.get("place in its map"))
-    assert told == ["not found yet", "one of 3", "not found yet", None]
+        told.append((shown.get("place in its map"), shown["stated uncertainty"]))
+    assert told == [
+        ("not found yet", "12.2 cm"),
+        ("one of 3", "12.2 cm"),
+        ("not found yet", "not known yet"),
+        (None, "12.2 cm"),
+    ]
     assert shown["driven"] == "1.2 m"  # The jump to its place is no way.
 
 

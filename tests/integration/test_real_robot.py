@@ -122,7 +122,7 @@ def test_the_operator_is_told_and_a_low_battery_ends_the_mission(tmp_path):
         assert explorer.process.wait(60.0) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["outcome"] == "budget"
-    assert summary["reason"] == "The battery is low: the robot was called back before all was explored."
+    assert summary["reason"] == "The robot was called back before all was explored."
     log = (tmp_path / "log.txt").read_text()
     told = ("bumper left", "wheel drop left", "the battery is low", ": recall\n")
     assert [log.count(words) for words in told] == [1, 1, 1, 1]

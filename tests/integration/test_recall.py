@@ -35,7 +35,7 @@ def test_a_robot_that_is_called_back(return_home):
     simulator.AdvanceTo(recalled + 60.0)
     status = explorer.GetOutputPort("mission").Eval(explorer.GetMyContextFromRoot(context))
     assert (status.phase, status.outcome) == ("done", "budget")
-    assert status.reason.startswith("The battery is low: the robot was called back before all was explored.")
+    assert status.reason.startswith("The robot was called back before all was explored.")
     assert (from_home() < 2.0 * THERE) == return_home
     # It chooses every two seconds on its way; a stage may take it a moment longer.
     assert return_home or status.since < recalled + 10.0

@@ -63,7 +63,7 @@ def test_while_no_way_leads_home_the_budget_is_for_finding_one():
 def test_a_robot_that_was_called_back_affords_nothing(explorer):
     left = budget_left(explorer, 0.0, 0.0, 7.0, recalled=True)
     assert not left.affords(roadmap([0.0, 1.0], [0.0, 1.0]), np.arange(2)).any()
-    assert left.spent() == "The battery is low: the robot was called back before all was explored."
+    assert left.spent() == "The robot was called back before all was explored."
     assert left.latest_arrival(roadmap([1.0]), 0) > 1e5
 
 

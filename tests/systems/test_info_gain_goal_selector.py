@@ -559,7 +559,7 @@ def test_a_robot_that_is_called_back_goes_home_or_ends_where_it_stands(return_ho
     goal = selector.goal()
     assert goal.verdict == "budget"
     assert goal.node == (int(np.argmin(np.hypot(*roadmap().points.T))) if return_home else -1)
-    assert goal.reason.startswith("The battery is low")
+    assert goal.reason.startswith("The robot was called back")
 
 
 def test_a_called_back_robot_does_not_look_again_for_accuracy():

@@ -58,7 +58,7 @@ class Budget:
     def spent(self) -> str:
         """The reason for the end of a mission whose budget does not allow any worthwhile goal."""
         if self.recalled:
-            return "The battery is low: the robot was called back before all was explored."
+            return "The robot was called back before all was explored."
         return f"{self} of the budget were too little for another goal."
 
     def __str__(self) -> str:
