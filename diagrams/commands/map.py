@@ -205,7 +205,10 @@ def _write_mask(saved: SavedMap, map_file: Path, out: Path) -> list[Path]:
     with contextlib.suppress(ValueError, LookupError, TypeError):
         rings = _beside(map_file)["explorer"]["keep_out"]
         areas = [np.array(corners, dtype=float).reshape(-1, 2) for corners in rings]
-    if not areas or map_file.name != "map.npz":  # A map of another name may lie in another frame.
+    if map_file.name != "map.npz":  # It may lie in another frame.
+        print(f"{map_file}: no keep-out mask, as only a run's own map.npz has its keep-out areas beside it")
+        return []
+    if not areas:
         return []
     files = [out.with_name(f"{out.stem}_keepout{suffix}") for suffix in (".pgm", ".yaml")]
     text, image = keep_out_files(saved, areas, files[0].name)
