@@ -235,17 +235,17 @@ def PrepareScenario(
     settings = [settings] if isinstance(settings, str) else settings
     loaded = scenario if isinstance(scenario, Scenario) else LoadScenario(scenario)
     loaded = ApplySettings(loaded, [*settings, *own])
-    if not any(setting.startswith("explorer.keep_out=") for setting in settings):
-        loaded = _WithAreasOfRun(loaded)
+    given = any(setting.startswith("explorer.keep_out=") for setting in settings)
+    loaded = _WithAreasOfRun(loaded, given=given)
     if world is not None or tag_spacing is not None or start is not None:
         loaded = ApplyWorldFile(loaded, world, tag_spacing, start)
     return loaded
 
 
-def _WithAreasOfRun(scenario: Scenario) -> Scenario:
-    """Return a scenario that has no keep-out areas with those of the run whose map it begins with: they belong to the
-    building. A map of another name may lie in another frame."""
-    if scenario.explorer.keep_out or not scenario.explorer.known_map:
+def _WithAreasOfRun(scenario: Scenario, *, given: bool) -> Scenario:
+    """Return a scenario with the keep-out areas of the run whose map it begins with, as these belong to the building,
+    unless it has areas or they are given. A map of another name than a run's may lie in another frame."""
+    if not scenario.explorer.known_map:
         return scenario
     known = of_run(Path(scenario.explorer.known_map), "map.npz")
     run = known.with_name("scenario.yaml")
@@ -256,10 +256,15 @@ def _WithAreasOfRun(scenario: Scenario) -> Scenario:
     areas = section.get("keep_out") if isinstance(section, dict) else None
     if not areas:
         return scenario
-    merged = _Merge({"explorer": {"keep_out": areas}}, scenario, str(run))
-    _CheckWorld(merged, str(run))
-    _log.warning("keep-out areas: %d of %s hold here too; --set explorer.keep_out=[] for none", len(areas), run)
-    return merged
+    before = _Merge({"explorer": {"keep_out": areas}}, scenario, str(run))
+    _CheckWorld(before, str(run))
+    own = scenario.explorer.keep_out
+    if not own and not given:
+        _log.warning("keep-out areas: %d of %s hold here too; --set explorer.keep_out=[] for none", len(areas), run)
+        return before
+    if gone := [area for area in before.explorer.keep_out if area not in own]:
+        _log.warning("keep-out areas: %d of %s hold no longer, as others are given", len(gone), run)
+    return scenario
 
 
 def _Merge(tree: dict[str, typing.Any], defaults: Scenario, source: str) -> Scenario:

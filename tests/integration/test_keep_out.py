@@ -127,6 +127,11 @@ def test_the_areas_of_the_run_whose_map_is_begun_with_hold_again(tmp_path, caplo
     caplog.clear()
     assert PrepareScenario(own, known_map=tmp_path).explorer.keep_out == [BAR]
     assert PrepareScenario("house", ["explorer.keep_out=[]"], known_map=tmp_path).explorer.keep_out == []
+    gone = f"keep-out areas: 1 of {tmp_path / 'scenario.yaml'} hold no longer, as others are given"
+    assert caplog.messages == [gone] * 2
+    caplog.clear()
+    own.explorer.keep_out.append(SHAFT)
+    assert PrepareScenario(own, known_map=tmp_path).explorer.keep_out == [BAR, SHAFT]
     # A map of another name may lie in another frame.
     assert PrepareScenario("house", known_map=tmp_path / "aligned.npz").explorer.keep_out == []
     assert caplog.messages == []
