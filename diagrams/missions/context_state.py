@@ -14,8 +14,9 @@ from tfg_drake.messages import FloatArray
 
 
 def state_of(diagram: Diagram, root: Context, under: str) -> dict[str, tuple[Any, Any]]:
-    """Discrete and abstract state of the systems of a diagram that have any, by path, such as "/explorer/follower"; of
-    those whose path begins with `under`. Each with its annotation: (FloatArray, ..., kind of the first message, ...).
+    """State of the systems of a diagram that have any, by path, such as "/explorer/follower"; of those whose path
+    begins with `under`: continuous, discrete, abstract. Each with its annotation: (FloatArray, ..., kind of the first
+    message, ...).
 
     A RandomSource is left out: the time says what it has drawn.
     """
@@ -46,6 +47,8 @@ def restore_state(
             context.SetStateAndParametersFrom(alone.get_context())
         elif path in states:
             parts = iter(states[path])
+            if context.num_continuous_states():
+                context.SetContinuousState(next(parts))
             for i in range(context.num_discrete_state_groups()):
                 context.SetDiscreteState(i, next(parts))
             for i in range(context.num_abstract_states()):
@@ -55,6 +58,8 @@ def restore_state(
 
 def _values(context: Context) -> tuple[list[FloatArray], list[Any]]:
     vectors = [context.get_discrete_state(i).CopyToVector() for i in range(context.num_discrete_state_groups())]
+    if context.num_continuous_states():
+        vectors.insert(0, context.get_continuous_state_vector().CopyToVector())
     return vectors, [_value(context.get_abstract_state(i)) for i in range(context.num_abstract_states())]
 
 

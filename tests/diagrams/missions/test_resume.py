@@ -5,14 +5,17 @@ import json
 import math
 import shutil
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import FirstOrderLowPassFilter
 
 import tfg_drake
 from benchmarks.timelines import read_timeline
+from tests.diagrams.rooms import room as divided_room
 from tests.storage.test_checkpoint import TOLD
 from tfg_drake.diagrams.explorer import MakeTfgExplorer
 from tfg_drake.diagrams.methods import METHODS, FindMethod
@@ -21,7 +24,8 @@ from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
 from tfg_drake.diagrams.missions.resume import cut_short
 from tfg_drake.diagrams.recorded_station import ReplayRobot
 from tfg_drake.diagrams.robots import SIMULATED
-from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario
+from tfg_drake.diagrams.scenario import ApplySettings, ApplyWorldFile, LoadScenario, MakeWorld
+from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.geometry.se2 import compose, pose_at
 from tfg_drake.messages import FloatArray, replace
 from tfg_drake.mission.manual_drive import Pressed, drive_csv
@@ -29,6 +33,7 @@ from tfg_drake.simulation.differential_drive import TIME
 from tfg_drake.storage import port_recording, timeline
 from tfg_drake.storage.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from tfg_drake.storage.port_recording import read_recording
+from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 
 # People and changes, too: the whole world goes on.
 ROOMS = """
@@ -194,6 +199,41 @@ def test_every_method_goes_on_to_the_bit(name, tmp_path):
         for one, two in zip(poses(whole), poses(after), strict=True):
             np.testing.assert_array_equal(one, two)
     assert after.stages == whole.stages
+
+
+def MakeLaggingPlant(scenario):
+    """A plant with continuous state."""
+    builder = DiagramBuilder()
+    motors = builder.AddNamedSystem("motors", FirstOrderLowPassFilter(0.3, 2))
+    base = builder.AddNamedSystem("base", DifferentialDrivePlant(MakeWorld(scenario.world), scenario.robot))
+    builder.Connect(motors.get_output_port(), base.GetInputPort("velocity_commanded"))
+    builder.ExportInput(motors.get_input_port(), "velocity_commanded")
+    for name in ("pose", "hazards"):
+        builder.ExportOutput(base.GetOutputPort(name), name)
+    return builder.Build()
+
+
+def test_continuous_state_goes_on_to_the_bit_with_fixed_steps(tmp_path):
+    robot = dataclasses.replace(SIMULATED, MakeStation=partial(MakeTurtlebotStation, plant=MakeLaggingPlant))
+
+    def begun(**before):
+        mission = Mission(MissionRequest(divided_room(), robot=robot, **before))
+        mission.begin()
+        mission.simulator.get_mutable_integrator().set_fixed_step_mode(True)
+        return mission
+
+    def speeds(mission):
+        return mission.simulator.get_context().get_continuous_state_vector().CopyToVector()
+
+    whole = begun()
+    whole.advance(4.0)
+    assert speeds(whole)[1] > 0.1
+    write_checkpoint(tmp_path / "checkpoint.bin", TOLD, whole.state())
+    after = begun(before=read_checkpoint(tmp_path)[1])
+    np.testing.assert_array_equal(speeds(after), speeds(whole))
+    for mission in (whole, after):
+        mission.advance(5.0)
+    np.testing.assert_array_equal(after.true_poses()[1], whole.true_poses()[1])
 
 
 @pytest.fixture(scope="module")
