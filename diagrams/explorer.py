@@ -82,9 +82,14 @@ def MakeTfgExplorer(
 
     base.odometry, base.hazards, tags.detections, scan.ranges: Odometry, Hazards, TagDetections and LaserScan messages.
     base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, requested_goal: a RequestedGoal and
-    said_pose: a SaidPose message; these six may stay unconnected. While pause is true the robot stands; then the
-    mission goes on. stop ends the mission at once. recall lets it choose no goal any more, so it ends, at home only if
-    explorer.return_home is true. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
+    said_pose: a SaidPose message; these six may stay unconnected. There are recall and requested_goal if the goal
+    selector has them, said_pose if the estimator has it. While pause is true the robot stands; then the mission goes
+    on. stop ends the mission at once, with the outcome interrupted. recall lets it choose no goal any more, so it ends
+    with the outcome budget, at home only if explorer.return_home is true. After the end every update, 16 a second,
+    requests termination. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
+
+    In the mission `house` of tfg_drake.explore, in memory and simulated, this pauses:
+    `house.explorer.GetInputPort("pause").FixValue(house.explorer.GetMyMutableContextFromRoot(house.context), 1.0)`.
 
     For inspection: pose: PoseEstimate, map: MapEstimate of the tags, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
@@ -94,15 +99,16 @@ def MakeTfgExplorer(
     estimator_state the file is made from map.
 
     Each keyword argument is a factory: a function of the scenario that returns a System in place of the default part,
-    with all outputs of that part and any of its inputs. Further inputs named like ports of the station, such as
-    truth.pose of a simulated one, become inputs of the explorer.
+    with the outputs of that part, unless Args says otherwise, and any of its inputs. Further inputs named like ports of
+    the station, such as truth.pose of a simulated one, become inputs of the explorer.
 
     Args:
         scenario: see Scenario; parts named in its explorer.parts are used unless given here.
         goal_selector: replaces InfoGainGoalSelector.
-        estimator: replaces SlamEstimator.
-        planner: replaces PrmPlanner; roadmap and local_roadmap may be missing if the goal selector needs none.
-        follower: replaces PurePursuitFollower.
+        estimator: replaces SlamEstimator; all outputs except pose and map may be missing.
+        planner: replaces PrmPlanner; roadmap and local_roadmap may be missing if the goal selector needs none. See Path
+            and PathStatus in `tfg_drake.messages`.
+        follower: replaces PurePursuitFollower. See FollowerStatus there.
 
     Raises:
         ScenarioError: the scenario has an invalid value.

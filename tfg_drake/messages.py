@@ -493,7 +493,12 @@ class GoalChoice:
 
 @message
 class Path:
-    """A path to follow. id: increases with every new path. stage. points: (n, 2) in M, m; empty if none was found."""
+    """A path to follow. id: increases with every new path. stage: that of the mission. points: (n, 2) in M, m; empty if
+    none was found, so that the goal is given up.
+
+    The mission stays in phase "plan" until there is a Path with stage == mission.stage and id > mission.path_id. It
+    returns to that phase, with one more of mission.replans, to ask for another path to the same goal.
+    """
 
     id: int
     stage: int
@@ -533,10 +538,12 @@ class MissionStatus:
 
 @message
 class FollowerStatus:
-    """The progress of the follower. stamp: s. path_id: the path it follows. arrived: it is at that path's end.
+    """The progress of the follower, which drives while mission.drives, turns in phase "observe" and otherwise stands.
 
-    turn_done: the turn of the current observation is complete. stalled: the robot has not moved for some time although
-    commanded to. left: m of the path ahead.
+    stamp: s. path_id: the path it follows; arrived, stalled and left count while it is mission.path_id. arrived: it is
+    at that path's end. turn_done: the turn of the current observation is complete; counts if stamp > mission.since +
+    0.125. stalled: the robot has not moved for some time although commanded to. left: m of the path ahead. At 1 m or
+    less the mission glances at once if the path is longer than 1 m, so with left = 0 at each of these paths.
     """
 
     stamp: float
@@ -549,8 +556,9 @@ class FollowerStatus:
 
 @message
 class PathStatus:
-    """The state of the path with this id. free: no obstacle in the scan blocks the rest of it. unreachable: no path
-    leads to the goal, and the planner leaves it to the goal selector to choose another at once."""
+    """The state of the path with this id. free: no obstacle in the scan blocks the rest of it; false counts while the
+    id is mission.path_id. unreachable: no path leads to the goal, and the planner leaves it to the goal selector to
+    choose another at once."""
 
     path_id: int
     free: bool
