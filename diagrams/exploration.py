@@ -94,7 +94,10 @@ def explore(
             laser recording, `functools.partial(MakeRecordedStation, recording="drive.mcap")`, is mapped by the method
             walls (the default) or grid; estimator= may replace the estimator. A station of a real robot,
             `functools.partial(MakeTurtlebotStation, hardware=True)`, runs in real time; the mission is first rehearsed
-            in simulation, its files are kept, and the robot's devices are closed at the end.
+            in simulation, its files are kept, and the robot's devices are closed at the end. Any other station counts
+            as simulated, even if it drives a robot: the scenario's world and start are taken as true, and there is no
+            enabling, no watchdog and no limit of the rate. For a robot pass realtime_rate=1.0, and let its driver stop
+            the wheels when this program hangs. Safer is a driver behind ROS or rosbridge, with a preset.
         enable: the wheels of a real robot are enabled from the beginning; otherwise by the page or its buttons.
         meshcat: a Meshcat that shows the running mission, such as `pydrake.all.StartMeshcat()`.
         page: serve the page that shows and operates the mission until explore returns, and print its address.

@@ -9,8 +9,8 @@ The public API, whose changes CHANGELOG.md lists:
   `fork` continues a run from one of its stages, `map_graph` returns a map as GTSAM factors and values, `merge` merges
   two maps.
 - in `tfg_drake.diagrams`: `scenario` (Scenario, LoadScenario, ApplySettings, ApplyWorldFile, MakeWorld), `station`
-  (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `pose_estimator` (MakePoseEstimator), `mission_diagram`
-  (ConnectStation), and the names, types and meanings of their ports.
+  (MakeTurtlebotStation), `explorer` (MakeTfgExplorer), `mapping_explorer` (MakeMappingExplorer), `pose_estimator`
+  (MakePoseEstimator), `mission_diagram` (ConnectStation), and the names, types and meanings of their ports.
 - in `tfg_drake.systems`: the systems and their ports; `ports` declares and reads message ports.
 - `tfg_drake.messages` and `tfg_drake.config`: the messages on the ports, the parameters of a scenario.
 - `tfg_drake.storage.run` and `tfg_drake.mapfile.saved_map`: the contents of a run and of a map.

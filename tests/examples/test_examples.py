@@ -106,6 +106,19 @@ def test_another_goal_selector(run_example):
     assert re.findall(r"^(.*): <house, seed 0: \w+ after 12 s", said, re.M) == ["as it is", "the farthest first"]
 
 
+def test_another_follower(run_example):
+    """It arrives at its first goal."""
+    said = run_example("follower.py", time=("until=300.0", "until=20.0"))
+    assert re.findall(r"^(.*): <house, seed 0: \w+ after 20 s", said, re.M) == ["as it is", "point by point"]
+    names = runpy.run_path(str(EXAMPLES / "follower.py"))
+    mission = tfg_drake.explore("house.yaml", follower=names["MakePointFollower"], until=0.0)
+    while not mission.look("follower_status").arrived:
+        mission.advance(1.0)
+        assert mission.time < 60.0
+    mission.advance(0.25)
+    assert (mission.status.phase, mission.status.failures) == ("observe", 0)
+
+
 def test_another_plant(run_example):
     said = run_example("plant.py", time=("until=120.0", "until=15.0"))
     one, other = (line.partition(": ")[2] for line in said.splitlines())
@@ -156,6 +169,16 @@ def test_a_run_without_truth_is_not_analysed(run_example, tmp_path):
     (tmp_path / "summary.json").write_text('{"outcome": "complete", "sim_time_s": 5.0}')
     with pytest.raises(SystemExit, match=r"no truth\.tum, as of a real robot or a replay"):
         run_example("analyse.py", tmp_path)
+
+
+def test_logs_are_mapped_with_tags_and_walls(run_example, tmp_path):
+    short = ApplySettings(LoadScenario("corridor"), ["explorer.first_look=1", "explorer.first_turns=1"])
+    folder = run.run_mission(short, out_dir=tmp_path / "run", max_time=15.0).folder
+    tags, walls = map(
+        int, re.fullmatch(r"(\d+) tags and (\d+) walls are mapped\n", run_example("logs.py", folder)).groups()
+    )
+    assert tags >= 0.8 * len(tfg_drake.load_run(folder).map.ids) > 0
+    assert walls > 0
 
 
 @pytest.mark.slow
