@@ -6,16 +6,13 @@ import runpy
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import tfg_drake
 from tests.diagrams.rooms import QUICK_LOOK
 from tfg_drake.diagrams.methods import FindMethod
 from tfg_drake.diagrams.missions import run
-from tfg_drake.diagrams.missions.errors import online_pose_anees
 from tfg_drake.diagrams.scenario import ApplySettings, LoadScenario
-from tfg_drake.storage.trajectory import poses_at
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = EXAMPLES.parent / "diagrams" / "scenarios"
@@ -131,16 +128,16 @@ def test_the_page_on_estimators(quick):
     page = (EXAMPLES.parent / "docs" / "estimator.md").read_text()
     gains, nees = (
         next(code for code in page.split("```python\n") if code.startswith(begin)).partition("```")[0]
-        for begin in ("import dataclasses", "poses = []")
+        for begin in ("import dataclasses", "import numpy")
     )
-    names = {"np": np, "poses_at": poses_at, "online_pose_anees": online_pose_anees}
-    names["house"] = house = tfg_drake.explore("house.yaml", until=12.0)
+    house = tfg_drake.explore("house.yaml", until=12.0)
+    names = {"house": house}
     exec(gains, names)
     assert names["candidates"].node_ids.tolist() == house.look("goal").candidates.tolist()
     np.testing.assert_array_equal(names["candidates"].gains.gain, house.look("goal").gain)
     assert 0 < names["seen"].count.max() <= len(names["entry"])
-    exec(nees.replace("not house.outcome", "house.time < 14.0"), names)
-    assert len(names["nees"]) == 2
+    exec(quick(nees, ("not house.outcome", "house.time < 8.0")), names)
+    assert len(names["nees"]) == 8
     assert 0.0 < max(names["nees"]) < 10.0
 
 
