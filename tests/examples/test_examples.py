@@ -6,7 +6,10 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
 
 import tfg_drake
 from tests.diagrams.rooms import QUICK_LOOK
@@ -124,11 +127,11 @@ def test_another_plant(run_example):
 
 
 def test_the_page_on_estimators(quick):
-    """Its gains of candidates, and its NEES over time."""
+    """Its gains of candidates, one diagram with another Context, and its NEES over time."""
     page = (EXAMPLES.parent / "docs" / "estimator.md").read_text()
-    gains, nees = (
+    gains, loop, nees = (
         next(code for code in page.split("```python\n") if code.startswith(begin)).partition("```")[0]
-        for begin in ("import dataclasses", "import numpy")
+        for begin in ("import dataclasses", "context = diagram", "import numpy")
     )
     house = tfg_drake.explore("house.yaml", until=12.0)
     names = {"house": house}
@@ -136,6 +139,11 @@ def test_the_page_on_estimators(quick):
     assert names["candidates"].node_ids.tolist() == house.look("goal").candidates.tolist()
     np.testing.assert_array_equal(names["candidates"].gains.gain, house.look("goal").gain)
     assert 0 < names["seen"].count.max() <= len(names["entry"])
+    stamps, X_WB = house.X_WB_true
+    names |= {"Simulator": Simulator, "RandomGenerator": RandomGenerator, "seed": house.scenario.seed}
+    exec(loop, names | {"diagram": house.diagram, "t": float(stamps[40])}, again := {})
+    truth = house.station.GetOutputPort("truth.pose").Eval(house.station.GetMyContextFromRoot(again["context"]))
+    np.testing.assert_array_equal(truth[:3], X_WB[40])
     exec(quick(nees, ("not house.outcome", "house.time < 8.0")), names)
     assert len(names["nees"]) == 8
     assert 0.0 < max(names["nees"]) < 10.0
