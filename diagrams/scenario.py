@@ -260,7 +260,8 @@ def _WithAreasOfRun(scenario: Scenario, *, given: bool) -> Scenario:
     _CheckWorld(before, str(run))
     own = scenario.explorer.keep_out
     if not own and not given:
-        _log.warning("keep-out areas: %d of %s hold here too; --set explorer.keep_out=[] for none", len(areas), run)
+        told = "keep-out areas: %d of %s hold once the robot knows its place; --set explorer.keep_out=[] for none"
+        _log.warning(told, len(areas), run)
         return before
     if gone := [area for area in before.explorer.keep_out if area not in own]:
         _log.warning("keep-out areas: %d of %s hold no longer, as others are given", len(gone), run)

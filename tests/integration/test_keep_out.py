@@ -122,8 +122,8 @@ def test_the_areas_of_the_run_whose_map_is_begun_with_hold_again(tmp_path, caplo
     for known in (tmp_path, tmp_path / "map.npz"):
         caplog.clear()
         assert PrepareScenario("house", known_map=known).explorer.keep_out == [SHAFT]
-        told = f"1 of {tmp_path / 'scenario.yaml'} hold here too; --set explorer.keep_out=[] for none"
-        assert caplog.messages == [f"keep-out areas: {told}"]
+        told = f"1 of {tmp_path / 'scenario.yaml'} hold once the robot knows its place"
+        assert caplog.messages == [f"keep-out areas: {told}; --set explorer.keep_out=[] for none"]
     caplog.clear()
     assert PrepareScenario(own, known_map=tmp_path).explorer.keep_out == [BAR]
     assert PrepareScenario("house", ["explorer.keep_out=[]"], known_map=tmp_path).explorer.keep_out == []
@@ -145,5 +145,5 @@ def test_areas_taken_over_are_told_on_the_screen(call, tmp_path):
     before.explorer.keep_out = [SHAFT]
     (tmp_path / "scenario.yaml").write_text(DumpScenario(before))
     _, out, err = call("explore", "house", "--map", tmp_path, "--headless", "--out", tmp_path / "next")
-    assert f"keep-out areas: 1 of {tmp_path / 'scenario.yaml'} hold here too" in out
+    assert f"keep-out areas: 1 of {tmp_path / 'scenario.yaml'} hold once the robot knows its place" in out
     assert "no such file" in err  # the map
