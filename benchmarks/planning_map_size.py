@@ -160,7 +160,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     """CPU ms of a stage's parts on a map of `count` copies: TFG, roadmap, goal, path, all; and of a choice of all the
     map."""
     copies = Copies(count)
-    graph, estimate, panorama, sightings, tags, robot, explorer = asked["update"]
+    graph, estimate, *seen, robot, explorer = asked["update"]
     state, parameters = asked["grow"][0], asked["grow"][-1]
     views = graph.stage
     state = replace(
@@ -173,7 +173,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     radius, is_large = planning_radius(estimate, explorer), not estimate.is_joint
     of_goal, nothing = goal_parameters(parameters), empty_choice()
     ends = [time.thread_time()]
-    graph = update(graph, estimate, panorama, sightings, tags, robot, explorer)
+    graph = update(graph, estimate, *seen, robot, explorer)
     tfg = resolve(graph, estimate, robot, explorer)
     ends.append(time.thread_time())
     state = planner.grow(state, estimate, tfg, parameters)
@@ -226,8 +226,8 @@ def main() -> None:
         least = median[4] if math.isnan(least) else least
         columns = "".join(f"{value:>11.1f}" for value in median[:5])
         print(f"{max(sizes):12}{columns}{median[4] / least:>16.2f}{median[5]:>19.1f}", flush=True)
-        over.append(f"of {max(sizes)} {median[4] / least:.2f}")
-    print(f"\na stage of planning on maps of as many landmarks takes, over the first: {', '.join(over)}")
+        over.append(f"{median[4] / least:.2f} on {max(sizes)}")
+    print(f"\nCPU time of a stage of planning, over that of the first, on so many landmarks: {', '.join(over)}")
 
 
 if __name__ == "__main__":
