@@ -91,7 +91,8 @@ def held(name: str, data: Path, runs: Path) -> str:
     folder = run_of(data, runs, name)
     saved, relations = load_map(folder), read_relations(data / f"{name}.relations.gz")
     recording = load_laser_recording(data / f"{name}.clf.bz2")
-    stamps, X_MB = read_tum(folder / "trajectory.tum")
+    # The trajectory has the log's own stamps, which told_stamps lead to those that are here.
+    stamps, (_, X_MB) = np.array([scan.stamp for scan in recording.scans]), read_tum(folder / "trajectory.tum")
     far = se2.between(X_MB[None], saved.X_MA[:, None])
     starts = np.argmin(np.hypot(far[..., 0], far[..., 1]) + np.abs(far[..., 2]), axis=1)
     X_BS = saved.graph.shared.mean[[SCANNER_X, SCANNER_Y, SCANNER_YAW]]
