@@ -57,7 +57,7 @@ def compare(
         from tfg_drake.diagrams.missions.sweep import parse_methods, run_sweep
         from tfg_drake.diagrams.scenario import PrepareScenario
 
-        name = run_folder.run_name(scenario, world)
+        name = run_folder.run_name(scenario, None if "{seed}" in str(world) else world)
         place = command.parse_start(start)
         pairs = [(seed, world and str(world).replace("{seed}", str(seed))) for seed in each_seed]
         of_seed = [PrepareScenario(scenario, settings or [], *pair, tag_spacing, place) for pair in pairs]

@@ -118,6 +118,7 @@ def test_each_seed_may_have_a_world_of_its_own(call, tmp_path, monkeypatch):
     assert call("compare", "house", "--world", str(tmp_path / "{seed}.yaml"), *arguments)[0] == 0
     assert [task.scenario.world.walls[0][2] for task in asked] == [3.0, 4.0]
     assert len({task.world_name for task in asked}) == 1
+    assert {task.name for task in asked} == {"house"}
     assert (tmp_path / "out" / "report.md").read_text().startswith("# tfg in a world of each seed\n")
 
 

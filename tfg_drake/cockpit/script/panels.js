@@ -79,7 +79,7 @@ function tell() {
     ["driven", number(over ? over.told.distance_m : (value(series.driven, time) ?? 0), 1, "m"), "As the robot believes"],
     [
       "stated uncertainty",
-      value(series.sigma, time) > NOWHERE ? "not known yet" : number(value(series.sigma, time), 1, "cm"),
+      Number.isNaN(value(series.sigma, time)) ? "not known yet" : number(value(series.sigma, time), 1, "cm"),
       "One standard deviation of the robot's position",
     ],
   ];
@@ -115,8 +115,6 @@ function tell() {
   drawPlots();
 }
 
-// A robot may be anywhere whose position is stated worse than this, cm.
-const NOWHERE = 1000;
 const FIRST_LOOK =
   "The robot's first look: it stands, then turns round. What it sees is placed by its wheels and gyro alone; the map " +
   "begins when the look ends.";

@@ -66,7 +66,8 @@ function drawPlots() {
       const step = Math.max(1, Math.floor(s.times.length / (2 * w)));
       for (let k = 0; k < s.times.length; k += step) {
         if (k && !digits) context.lineTo(x(s.times[k]), y(s.values[k - step])); // It has been so until then.
-        context.lineTo(x(s.times[k]), y(s.values[k]));
+        if (Number.isNaN(s.values[k - step])) context.moveTo(x(s.times[k]), y(s.values[k]));
+        else context.lineTo(x(s.times[k]), y(s.values[k]));
       }
       if (s.values.length) context.lineTo(x(span), y(s.values[s.values.length - 1]));
       context.stroke();

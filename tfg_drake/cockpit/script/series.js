@@ -10,6 +10,8 @@ const series = {
 };
 const forkSeries = { tags: { times: [], values: [] }, entropy: { times: [], values: [] } };
 const stageTimes = [];
+// A robot may be anywhere whose position is stated worse than this, cm.
+const NOWHERE = 1000;
 let wallBounds = null,
   lastPlace = null;
 
@@ -61,7 +63,8 @@ timeline.listeners.push((layer, record) => {
     times.push(record.time);
     lastPlace = p;
     series.sigma.times.push(record.time);
-    series.sigma.values.push(100 * Math.sqrt(Math.max((p[3] + p[5]) / 2, 0)));
+    const sigma = 100 * Math.sqrt(Math.max((p[3] + p[5]) / 2, 0));
+    series.sigma.values.push(sigma > NOWHERE ? NaN : sigma);
   } else if (layer === "truth") {
     const q = arrays(record).pose,
       pose = timeline.at("pose", record.time);
