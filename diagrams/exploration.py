@@ -95,16 +95,18 @@ def explore(
             walls (the default) or grid; estimator= may replace the estimator. A station of a real robot,
             `functools.partial(MakeTurtlebotStation, hardware=True)`, runs in real time; the mission is first rehearsed
             in simulation, its files are kept, and the robot's devices are closed at the end. Any other station counts
-            as simulated, even if it drives a robot: the scenario's world and start are taken as true, and there is no
-            enabling, no watchdog and no limit of the rate. For a robot pass realtime_rate=1.0, and let its driver stop
-            the wheels when this program hangs. Safer is a driver behind ROS or rosbridge, with a preset.
+            as simulated, even if it drives a robot: with the output `truth.pose` the scenario's world and start are
+            true, else unknown. There is no enabling, no watchdog and no limit of the rate. For a robot pass
+            realtime_rate=1.0, and let its driver stop the wheels when this program hangs. Safer is a driver behind ROS
+            or rosbridge, with a preset.
         enable: the wheels of a real robot are enabled from the beginning; otherwise by the page or its buttons.
         meshcat: a Meshcat that shows the running mission, such as `pydrake.all.StartMeshcat()`.
         page: serve the page that shows and operates the mission until explore returns, and print its address.
         map: a map file of the building, or the folder of a run, to begin with; `changes` in the summary lists what has
             changed since.
-        resume: folder of an interrupted mission to continue. Scenario, seed and a method known by name are the run's;
-            a method, parts or a station of your own must be given again.
+        resume: folder of an interrupted mission to continue, in this folder unless out is given. Scenario, settings,
+            seed, world, start, map and a method known by name are the run's, and refused here; a method, parts or a
+            station of your own must be given again.
         out: the run's folder; by default runs/<time>-<name>-<seed> with a page or a real robot, otherwise no files are
             kept. A simulated run in the folder is replaced.
         realtime_rate: limit of simulated seconds per second; 0 for no limit.
@@ -138,6 +140,10 @@ def explore(
     make_kernels_ready()
     before = None
     if resume is not None:
+        given = {"seed": seed, "world": world, "start": start, "map": map, "tag_spacing": spacing}
+        given |= {"settings": settings or None, "scenario": None if named == "paper" else scenario}
+        if again := [name for name, value in given.items() if value is not None]:
+            raise BadInput(f"{'=, '.join(again)}=: of the run that is resumed, {resume}; leave out")
         if out is not None and Path(out).resolve() != Path(resume).resolve():
             check_kept(Path(out))
         before = cut_short(Path(resume), None if out is None else Path(out))
@@ -232,7 +238,8 @@ def _robot_of(station: System, scenario: Scenario, enable: bool) -> tuple[Robot,
     """Return the robot of a user's station, and the scenario within its limits."""
     devices = DevicesOf(station)
     if devices is None:
-        return dataclasses.replace(SIMULATED, MakeStation=lambda _: station), scenario
+        known = station.HasOutputPort("truth.pose")
+        return dataclasses.replace(SIMULATED, MakeStation=lambda _: station, world_known=known), scenario
     if not enable:
         _log.warning("nothing moves before it is enabled: by enable=True, the page or the robot's buttons")
     return RobotOf(scenario, devices, (), lambda _: station, enabled=enable), Bounded(scenario, devices)

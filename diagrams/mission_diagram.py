@@ -81,6 +81,8 @@ def MakeMissionDiagram(
     builder.Connect(explorer.GetOutputPort("pose"), pose_vector.GetInputPort("pose"))
     pose_log = LogVectorOutput(pose_vector.GetOutputPort("vector"), builder, ODOMETRY_PERIOD)
     covariance_log = LogVectorOutput(pose_vector.GetOutputPort("with_covariance"), builder, COVARIANCE_PERIOD)
+    pose_log.set_name("pose_log")
+    covariance_log.set_name("covariance_log")
     truth_log = None
     if station.HasOutputPort("truth.pose"):
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)

@@ -249,7 +249,7 @@ class HardwareConfig:
     bridge: str = "localhost:9090"
     # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
     # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, or several of them with commas between,
-    # scans from rplidar:DEVICE or realsense:[SERIAL].
+    # or none; scans from rplidar:DEVICE or realsense:[SERIAL].
     tags: str = ""
     scan: str = ""
     # What a preset says of sensors on ROS, of those of our own.

@@ -326,12 +326,12 @@ def test_a_goal_that_is_no_node_is_told_at_once(tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["outcome"] == "fault"
 
 
-def MakeModestStation(scenario):
-    """A station that knows of the truth its pose alone."""
+def MakeModestStation(scenario, truth=("truth.pose",)):
+    """A station that knows of the truth its pose alone, or nothing."""
     builder = DiagramBuilder()
     inner = builder.AddNamedSystem("inner", MakeTurtlebotStation(scenario))
     builder.ExportInput(inner.GetInputPort("base.velocity_commanded"), "base.velocity_commanded")
-    for name in ("base.odometry", "base.hazards", "base.enabled", "tags.detections", "scan.ranges", "truth.pose"):
+    for name in ("base.odometry", "base.hazards", "base.enabled", "tags.detections", "scan.ranges", *truth):
         builder.ExportOutput(inner.GetOutputPort(name), name)
     return builder.Build()
 
@@ -341,6 +341,19 @@ def test_a_station_needs_no_truth_but_its_pose(tmp_path):
     assert run.outcome == "complete"
     assert run.summary["contacts"] is None
     assert run.summary["position_error_m"]["max"] < 0.1
+
+
+def test_of_a_station_without_truth_the_world_is_not_known(tmp_path):
+    run = tfg_drake.explore(bare(), station=lambda of: MakeModestStation(of, ()), until=8.0, out=tmp_path / "run")
+    assert run.summary["surface_coverage"] is None
+    assert run.summary["position_error_m"]["max"] is None
+
+
+def test_what_belongs_to_the_run_is_refused_when_it_is_resumed(tmp_path):
+    tfg_drake.explore(bare(), until=6.0, out=tmp_path / "run")
+    with pytest.raises(BadInput, match="seed=, settings=: of the run that is resumed"):
+        tfg_drake.explore(resume=tmp_path / "run", seed=4, settings=["explorer.stop_gain=9"])
+    assert tfg_drake.explore(resume=tmp_path / "run", until=7.0).time == 7.0
 
 
 @pytest.mark.parametrize("by", ["diagram", "explorer"])
