@@ -92,7 +92,7 @@ class HardwareBase(LeafSystem):
 
     def _Hear(self, context: Context, before: Odometry) -> Odometry:
         now = context.get_time()
-        heard = self._device.take(Odometry, self._clock.host(now))
+        heard = self._device.take(Odometry, self._clock.host(now, now))
         if not heard:
             return before
         stamp = max(0.0, self._clock.station(heard[-1].stamp, now))
@@ -102,12 +102,12 @@ class HardwareBase(LeafSystem):
     def _Drive(self, context: Context, before: _BaseState) -> _BaseState:
         time = context.get_time()
         now = self._Enabled(self._Waiting(before, context), context)
-        hazards = [now.hazards, *self._device.take(Hazards, self._clock.host(time))]
+        hazards = [now.hazards, *self._device.take(Hazards, self._clock.host(time, time))]
         if len(hazards) > 1:
             now = replace(now, hazards=replace(hazards[-1], stamp=self._clock.station(hazards[-1].stamp, time)))
         velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
-        self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time))
+        self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time, time))
         now = self._Turned(now, context)
         scans, contradict = scan_matching.watched(now.scans, self._odometry(context), self._inputs(context, "scan"))
         if contradict:

@@ -51,17 +51,17 @@ class HostClock:
     def __init__(self) -> None:
         self._origin: float | None = None
 
-    def host(self, station_time: float) -> float:
-        """The host's monotonic time, s, at a time of the station, s."""
-        return self._started(station_time) + station_time
+    def host(self, stamp: float, now: float) -> float:
+        """The host's monotonic time, s, at a time of the station, s; now: the station's, s."""
+        return self._started(now) + stamp
 
     def station(self, stamp: float, now: float) -> float:
         """The station's time, s, at a host's monotonic time; now: the station's, s."""
         return stamp - self._started(now)
 
-    def _started(self, station_time: float) -> float:
+    def _started(self, now: float) -> float:
         if self._origin is None:
-            self._origin = time.monotonic() - station_time
+            self._origin = time.monotonic() - now
             _log.info("the station's time 0 is %.6f s of the host's monotonic clock", self._origin)
         return self._origin
 

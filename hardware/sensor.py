@@ -36,5 +36,5 @@ class HardwareSensor(LeafSystem):
     def _Update(self, context: Context, before: Any) -> Any:
         now = context.get_time()
         assert self._source is not None
-        taken = self._source.take(self._kind, self._clock.host(now))
+        taken = self._source.take(self._kind, self._clock.host(now, now))
         return replace(taken[-1], stamp=self._clock.station(taken[-1].stamp, now)) if taken else before

@@ -68,10 +68,11 @@ class MapPublisher(LeafSystem):
         pose = self._Get(context, "pose")
         if pose is None:
             return
-        pose = replace(pose, stamp=self._clock.host(pose.stamp))
+        now = context.get_time()
+        pose = replace(pose, stamp=self._clock.host(pose.stamp, now))
         self._device.publish("pose", map_messages.pose(pose, self._frames))
         if (odometry := self._Get(context, "odometry")) is not None:
-            odometry = replace(odometry, stamp=self._clock.host(odometry.stamp))
+            odometry = replace(odometry, stamp=self._clock.host(odometry.stamp, now))
             self._device.publish("tf", map_messages.map_to_odom(pose, odometry, self._frames))
         self._PublishMap(context, pose.stamp)
 

@@ -105,8 +105,8 @@ def _message_type(topic: Topic) -> Any:
     except ImportError:
         package = topic.type.partition("/")[0]
         raise DeviceError(
-            f"ros2: {topic.name} needs the package {package}, which this ROS lacks: install "
-            f"ros-$ROS_DISTRO-{package.replace('_', '-')} and source ROS again, or take the topic out of the preset"
+            f"ros2: {topic.name} needs the package {package}, which this ROS lacks: install ros-$ROS_DISTRO-"
+            f"{package.replace('_', '-')} and source ROS again, or take it out of a preset that names it"
         ) from None
 
 

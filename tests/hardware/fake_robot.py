@@ -84,5 +84,5 @@ class FakeDevice:
 class SameClock:
     """A host clock whose station began with the host."""
 
-    def host(self, station_time):
-        return station_time
+    def host(self, stamp, _now):
+        return stamp

@@ -1,6 +1,7 @@
 """Which devices a configuration opens, and with what preset, without any."""
 
 import math
+import time
 
 import pytest
 
@@ -8,7 +9,7 @@ from tests.cameras import pinhole
 from tfg_drake.config import HardwareConfig, RobotCameraConfig, RobotConfig
 from tfg_drake.hardware import robot_devices
 from tfg_drake.hardware.device import DeviceError
-from tfg_drake.hardware.robot_devices import open_devices
+from tfg_drake.hardware.robot_devices import HostClock, open_devices
 from tfg_drake.hardware.ros.preset import load_preset
 from tfg_drake.hardware.sensor_source import CamerasSource, SourceSpec, SweepSource
 from tfg_drake.hardware.watchdog import Limits
@@ -187,3 +188,9 @@ def test_sources_that_cannot_be_opened_leave_no_base_open(opened, monkeypatch):
 def test_an_unknown_preset(opened):
     with pytest.raises(DeviceError, match=r"^roomba: no such file or preset; name a YAML file or one of "):
         open_devices(HardwareConfig(robot="ros2", preset="roomba"), RobotConfig())
+
+
+def test_a_resumed_station_goes_on_at_its_time_whatever_is_asked_first():
+    clock = HostClock()
+    clock.host(0.0, 20.0)  # Of a message from before.
+    assert clock.station(time.monotonic(), 20.0) == pytest.approx(20.0, abs=1.0)

@@ -40,7 +40,7 @@ def test_without_ros(monkeypatch):
 def test_a_package_that_is_not_there(ros_domain):
     assert complaint(load_preset("turtlebot3")) == (
         "ros2: /sensor_state needs the package turtlebot3_msgs, which this ROS lacks: install "
-        "ros-$ROS_DISTRO-turtlebot3-msgs and source ROS again, or take the topic out of the preset"
+        "ros-$ROS_DISTRO-turtlebot3-msgs and source ROS again, or take it out of a preset that names it"
     )
 
 
