@@ -15,11 +15,13 @@ from tfg_drake.hardware.robot_devices import STALE, RobotDevices
 from tfg_drake.messages import Hazards, Odometry, message, replace
 from tfg_drake.notes import take_note
 from tfg_drake.slam import scan_matching
-from tfg_drake.slam.first_look import Message, held_against_odometry, remedies
+from tfg_drake.slam.first_look import Message, held_against_odometry, off_by_way, remedies
 from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
 # The first turn and a half, rad: so many moves of scans it takes to be sure of what is wrong with them.
 FIRST_TURN = 3.0 * math.pi
+# And the first way that tells where the scanner looks, m.
+FIRST_WAY = 1.5
 CONTRADICT = (
     "scans and odometry contradict each other for a while, the map may not hold: see whether the wheels slip, the "
     "scanner is frozen or its mount has moved"
@@ -32,8 +34,8 @@ _log = logging.getLogger("tfg_drake.hardware")
 class _BaseState:
     """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
     waiting: what it waits for, "" for nothing. begun: when it was first looked at, s, since: when it began to
-    wait. told: of what the operator is told. heard: what was said in the first turn so far, turned: whether
-    that is over. scans: held against the odometry all along."""
+    wait. told: of what the operator is told. heard: what was said in the first turn so far, or after it on the first
+    way; turned, driven: whether these are over. scans: held against the odometry all along."""
 
     hazards: Hazards
     tried: float = 0.0
@@ -44,6 +46,7 @@ class _BaseState:
     told: Spells = dataclasses.field(default_factory=dict)
     heard: tuple[Message, ...] = ()
     turned: bool = False
+    driven: bool = False
     scans: scan_matching.Watch = dataclasses.field(default_factory=scan_matching.Watch)
 
 
@@ -69,8 +72,9 @@ class HardwareBase(LeafSystem):
     the base may move and every sensor speaks.
 
     When the base has turned by FIRST_TURN, what tags and scans say of that is held against its odometry: where they
-    turn against it or by another measure, or the scanner's clock is wrong, it stands until it is enabled anew. Scans
-    are held against it all along; where they contradict it for long a note is taken.
+    turn against it or by another measure, or the scanner's clock is wrong, it stands until it is enabled anew; and
+    again when it has driven FIRST_WAY, where the scanner looks elsewhere than was said. Scans are held against it all
+    along; where they contradict it for long a note is taken.
 
     Raises DeviceError in a simulation when the robot is lost for good.
     """
@@ -108,7 +112,7 @@ class HardwareBase(LeafSystem):
         velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
         # Due at this time of the host: where the station is late the base does not obey what is out of date.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time, time))
-        now = self._Turned(now, context)
+        now = self._Checked(now, context)
         scans, contradict = scan_matching.watched(now.scans, self._odometry(context), self._inputs(context, "scan"))
         if contradict:
             take_note("contradiction", time, CONTRADICT)
@@ -140,25 +144,35 @@ class HardwareBase(LeafSystem):
             return replace(before, enabled=False)
         return before
 
-    def _Turned(self, before: _BaseState, context: Context) -> _BaseState:
-        """Holds the sensors against the odometry when the first turn is over, and locks the device by what is wrong."""
-        if before.turned or not before.enabled or not self.devices.checked:
+    def _Checked(self, before: _BaseState, context: Context) -> _BaseState:
+        """Holds the sensors against the odometry when the first turn is over, and the first way, and locks the device
+        by what is wrong."""
+        if before.driven or not before.enabled or not self.devices.checked:
             return before
         said: list[Message] = [self._odometry(context), *self._inputs.each(context, "scan", "detections")]
         known = {(type(one), one.stamp) for one in before.heard}
         heard = (*before.heard, *(one for one in said if (type(one), one.stamp) not in known))[-WAITING:]
-        heading = np.unwrap([one.X_OB[2] for one in heard if isinstance(one, Odometry)])
-        if np.abs(np.diff(heading)).sum() < FIRST_TURN:
+        x, y, heading = np.array([one.X_OB for one in heard if isinstance(one, Odometry)]).T
+        if before.turned:
+            moved, enough, how = np.hypot(np.diff(x), np.diff(y)), FIRST_WAY, "has driven"
+        else:
+            moved, enough, how = np.abs(np.diff(np.unwrap(heading))), FIRST_TURN, "turned"
+        if moved.sum() < enough:
             return replace(before, heard=heard)
-        tags, scan = held_against_odometry(heard)
-        # The camera's clock is learnt with the map.
-        wrong = remedies(replace(tags, lag=0.0), scan)
+        if before.turned:
+            wrong = off_by_way(heard)
+            if wrong is None:
+                return replace(before, heard=())
+        else:
+            tags, scan = held_against_odometry(heard)
+            # The camera's clock is learnt with the map.
+            wrong = remedies(replace(tags, lag=0.0), scan)
         if wrong:
             self._device.lock(wrong[0])
         else:
-            seen = "scan" if self.devices.tags is None else "scan, tags"
-            _log.info("%.2f s: %s and odometry agree on how it turned", context.get_time(), seen)
-        return replace(before, heard=(), turned=True)
+            seen = "scan" if self.devices.tags is None or before.turned else "scan, tags"
+            _log.info("%.2f s: %s and odometry agree on how it %s", context.get_time(), seen, how)
+        return replace(before, heard=(), turned=True, driven=before.turned)
 
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
         """Notes the stale message; raises DeviceError if it is so for too long."""

@@ -1,5 +1,7 @@
 """The first look held against odometry: turns of a simulated robot, by sensors that are mounted or stamped wrong."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from tfg_drake.messages import LaserScan, Odometry, TagDetections
 from tfg_drake.slam.first_look import (
     agreement,
     held_against_odometry,
+    off_by_way,
     remedies,
     turns_of_tags,
 )
@@ -131,6 +134,32 @@ def test_somebody_who_walks_by_is_no_fault_of_the_odometry():
     )
     assert judged(found, 0.05).refusal.startswith("scans and odometry contradict each other")
     assert held_against_odometry(seen)[1].refusal == ""
+
+
+def drive(yaw, walls=WALLS, seed=0):
+    """3 m ahead at 0.3 m/s; yaw: where the scanner looks, farther to the left than was said."""
+    rng, stamps = np.random.default_rng(seed), np.arange(0.0, 10.0, 1 / 16)
+    seen = [Odometry(t, np.array([0.3 * t, 0.0, 0.0]), np.array([0.3, 0.0])) for t in stamps]
+    for t in np.arange(0.03, 9.9, 0.1):
+        ranges = cast_rays(walls, np.array([0.3 * t - 1.0, 0.0]), ALL_ROUND + yaw, 8.0)
+        seen.append(LaserScan(t, ALL_ROUND, ranges + 0.015 * rng.normal(size=len(ranges)), 8.0, 0.015))
+    return seen
+
+
+@pytest.mark.parametrize("yaw", [np.pi, 0.5 * np.pi, -0.3])
+def test_a_drive_tells_where_the_scanner_looks(yaw):
+    (line,) = off_by_way(drive(yaw))
+    if yaw > 3.0:
+        assert line.startswith("scans travel backwards")
+    else:
+        assert float(re.search("looks (.*) degrees farther", line)[1]) == pytest.approx(np.degrees(yaw), abs=1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_drive_of_a_scanner_that_looks_ahead_tells_nothing(seed):
+    assert off_by_way(drive(0.0, seed=seed)) == []
+    corridor = np.array([[-30.0, 1.0, 30.0, 1.0], [30.0, -1.0, -30.0, -1.0]])
+    assert off_by_way(drive(np.pi, corridor, seed)) is None
 
 
 def test_where_nothing_is_told_nothing_is_wrong():

@@ -9,6 +9,7 @@ the scan in `tfg_drake.slam.scan_ranges`.)
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,11 +17,26 @@ import numpy as np
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.messages import FloatArray, LaserScan, Odometry, TagDetections, replace
 from tfg_drake.slam.evidence import sanitized
-from tfg_drake.slam.scan_matching import EXPLAINED, MOST, TELL, Pairs, Verdict, apart, compare, compared, judged
+from tfg_drake.slam.scan_matching import (
+    EXPLAINED,
+    LEAST_YAW,
+    MOST,
+    SURELY,
+    TELL,
+    Pairs,
+    Verdict,
+    apart,
+    compare,
+    compared,
+    judged,
+)
 
 # A clock that is wrong by no more than this is no fault, s: the camera's is learnt with the map, and a scan may be
 # stamped with its first ray.
 LEAST_OFFSET = 0.1
+# Scans and odometry that tell a way of the same length, up to such a share of it, tell the same way; its direction is
+# told where it is known as well, rad.
+ALIKE = 0.3
 # Standard deviation of a turn seen by tags, rad.
 STEP = 0.008
 TAGS_AGAINST = (
@@ -45,6 +61,18 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
         # The robot turns on the spot: what travels is somebody who walks by.
         found = replace(found, travelling=np.zeros(2))
     return agreement(odometry, by_tags), judged(found, LEAST_OFFSET)
+
+
+def off_by_way(messages: Sequence[Message]) -> list[str] | None:
+    """Return what a drive says of the scanner's yaw, one line where that is wrong by more than is learnt with the map;
+    None where it does not tell. How the robot turned is not asked."""
+    odometry = [one for one in messages if isinstance(one, Odometry)]
+    found = compare(odometry, [one for one in messages if isinstance(one, LaserScan) and len(one.angles)], True)
+    # Where somebody walks by in a corridor the scans tell another way, and another yaw.
+    if abs(found.travel - 1.0) > ALIKE or SURELY * found.deviations[3] > ALIKE:
+        return None
+    wrong = abs(found.yaw) > max(LEAST_YAW, SURELY * found.deviations[3])
+    return judged(replace(found, turning=np.zeros(2)), math.inf).lines[-1:] if wrong else []
 
 
 def remedies(tags: Verdict, scan: Verdict) -> list[str]:
