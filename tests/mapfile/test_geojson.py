@@ -10,6 +10,7 @@ from shapely.geometry import shape
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.mapfile.geojson import geojson_text
 from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
+from tfg_drake.messages import WALLS_BELOW
 from tfg_drake.tfg.graph import empty_map
 
 
@@ -67,3 +68,24 @@ def test_what_is_not_known_is_not_there(small_map):
     assert list(found) == ["tag"]
     assert [told["facing_rad"] for _, told in found["tag"]] == [None] * 4
     assert [told["doubtful"] for _, told in found["tag"]] == [False, True, False, False]
+
+
+def test_a_wall_that_is_a_landmark_has_its_deviation(small_map):
+    graph, wall = small_map.graph, WALLS_BELOW - 1
+    of_wall = {
+        "ids": [wall],
+        "p_ML": [[0.0, 1.0]],  # 1 m ahead of its anchor, from 2 m on its right to 1 m on its left
+        "anchor": [[2.0, 0.0]],
+        "reach": [[-2.0, 1.0]],
+        "landmark_covariance": [np.diag([0.01**2, 0.03**2])],
+    }
+    joined = {name: np.concatenate([rows, getattr(graph, name)]) for name, rows in of_wall.items()}
+    saved = dataclasses.replace(small_map, graph=dataclasses.replace(graph, **joined))
+    ((line, told),) = features(saved)["wall"]
+    # M lies at (5, 3) and is turned by 90 degrees.
+    np.testing.assert_allclose(line.coords, [[7.0, 6.0], [4.0, 6.0]], atol=1e-12)
+    assert told == {
+        "id": wall,
+        "length_m": pytest.approx(3.0),
+        "sigma_m": pytest.approx([math.hypot(0.03, 0.02), math.hypot(0.03, 0.01)]),
+    }

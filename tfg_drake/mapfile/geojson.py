@@ -8,20 +8,27 @@ from typing import Any
 
 import shapely
 
+from tfg_drake.geometry.se2 import transform
 from tfg_drake.mapfile.in_world import landmarks_in_world, stars_of, tfg_in_world
 from tfg_drake.mapfile.saved_map import KINDS, SavedMap
+from tfg_drake.slam.walls import known_walls
 
 # W as a coordinate system of its own, in metres, in OGC's WKT: without one a reader takes them for degrees.
 CRS = 'LOCAL_CS["W",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
 
 
 def geojson_text(saved: SavedMap) -> str:
-    """The file's contents: features whose property `layer` is free_space, surface, frontier or tag."""
+    """The file's contents: features whose property `layer` is free_space, surface, wall, frontier or tag. A wall
+    is a landmark, sigma_m the deviation of either end across it."""
     tfg, (p_WL, covariance) = tfg_in_world(saved), landmarks_in_world(saved)
     free = shapely.union_all([shapely.make_valid(shapely.Polygon(star), method="structure") for star in stars_of(tfg)])
     features = [_feature(free, "free_space", area_m2=free.area)] if not free.is_empty else []
     for piece, kind, ends in zip(tfg.segments, tfg.segment_kind.tolist(), tfg.segment_ids.tolist(), strict=True):
         features.append(_feature(shapely.LineString(piece.reshape(2, 2)), "surface", kind=KINDS[kind], landmarks=ends))
+    ids, p_ME, across = known_walls(saved.graph)
+    for wall, ends, sigma in zip(ids.tolist(), p_ME, across.tolist(), strict=True):
+        line = shapely.LineString(transform(saved.X_WM, ends))
+        features.append(_feature(line, "wall", id=wall, length_m=line.length, sigma_m=sigma))
     for p, length in zip(tfg.frontiers, tfg.frontier_length.tolist(), strict=True):
         features.append(_feature(shapely.Point(p), "frontier", length_m=length))
     columns = (saved.ids.tolist(), p_WL, covariance.tolist(), tfg.facing.tolist(), saved.is_doubtful.tolist())
