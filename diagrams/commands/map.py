@@ -122,8 +122,9 @@ def export(
     import numpy as np
 
     from tfg_drake.mapfile.summary import landmark_counts
-    from tfg_drake.messages import is_tag
+    from tfg_drake.messages import is_tag, replace
     from tfg_drake.slam.keyframe_graph import seen_by
+    from tfg_drake.table import take
 
     if name is None:
         name = next((one for one, form in FORMATS.items() if form.suffix == out.suffix.lower()), None)
@@ -135,6 +136,12 @@ def export(
         bad_input(f"{out}: --format {name} is written to a file that ends in {FORMATS[name].suffix}")
     saved = _load(map_file)
     _check_not_empty(saved, map_file, name)
+    graph, walls = saved.graph, np.setdiff1d(saved.graph.ids, saved.ids)
+    # The map that a session began with is a keyframe before its first view.
+    seen = seen_by(graph, graph.keyframes[graph.view_keyframe.min(initial=len(graph.keyframes)) :])
+    drawn = seen | is_tag(graph.ids) | np.isin(graph.ids, saved.tfg.segment_ids)
+    if draws := name not in (*OF_TAGS, *OF_GRAPH):
+        saved = replace(saved, graph=take(graph, n=drawn))
     with writing(out):
         if name == "html":
             _write_page(saved, map_file, out)
@@ -150,11 +157,8 @@ def export(
         mask = _write_mask(saved, map_file, out) if name == "map_server" else []
     files = [out, out.with_suffix(BESIDE[name]), *mask] if name in BESIDE else [out]
     size = sum(file.stat().st_size for file in files)
-    graph, walls = saved.graph, np.setdiff1d(saved.graph.ids, saved.ids)
-    # The map that a session began with is a keyframe before its first view.
-    seen = seen_by(graph, graph.keyframes[graph.view_keyframe.min(initial=len(graph.keyframes)) :])
-    unseen = np.setdiff1d(graph.ids[~seen & ~is_tag(graph.ids)], saved.tfg.segment_ids).size
-    if unseen and name not in (*OF_TAGS, *OF_GRAPH):
+    if draws and not drawn.all():
+        unseen = len(drawn) - drawn.sum()
         print(f"{map_file}: {unseen} walls of the known map are not drawn, as this session has not seen them")
     print(f"{', '.join(map(str, files))}: {landmark_counts(len(saved.ids), len(walls))}, {size / 1e3:.0f} kB")
 

@@ -156,6 +156,9 @@ def test_walls_that_only_an_earlier_session_has_seen_are_told(call, finished, tm
     assert walls > 0
     assert told in call("map", "export", tmp_path / "day2.npz", tmp_path / "plan.svg")[1]
     assert told not in call("map", "export", tmp_path / "day2.npz", tmp_path / "graph.g2o")[1]
+    assert call("map", "export", tmp_path / "day2.npz", tmp_path / "plan.geojson")[0] == 0
+    drawn = (tmp_path / "plan.geojson").read_text().count('"layer": "wall"')
+    assert drawn == len(graph.ids) - len(saved.ids) - walls
     for whole in (finished.folder, tmp_path / "merged.npz"):
         assert "not drawn" not in call("map", "export", whole, tmp_path / "whole.svg")[1]
 
