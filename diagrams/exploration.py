@@ -140,7 +140,7 @@ def explore(
     make_kernels_ready()
     before = None
     if resume is not None:
-        given = {"seed": seed, "world": world, "start": start, "map": map, "tag_spacing": spacing}
+        given: dict[str, Any] = {"seed": seed, "world": world, "start": start, "map": map, "tag_spacing": spacing}
         given |= {"settings": settings or None, "scenario": None if named == "paper" else scenario}
         if again := [name for name, value in given.items() if value is not None]:
             raise BadInput(f"{'=, '.join(again)}=: of the run that is resumed, {resume}; leave out")

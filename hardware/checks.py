@@ -126,7 +126,7 @@ def _arrives(name: str, heard: Heard, mend: str) -> Check:
 def _rays(scans: Sequence[LaserScan]) -> Check:
     if not scans:
         return Check("rays", "no scan to count them in")
-    rays = len(scans[-1].ranges)
+    rays = max(len(one.ranges) for one in scans)
     met = int(np.median([np.count_nonzero((one.ranges > 0.0) & (one.ranges < np.inf)) for one in scans]))
     frozen = len(scans) >= SAME_SCANS and len({one.ranges.tobytes() for one in scans}) == 1
     mend = ""

@@ -109,6 +109,16 @@ def test_nothing_has_changed_in_the_same_map(small_map):
     assert told(changes) == "nothing"
 
 
+def test_each_thing_that_is_new_or_gone_is_told_by_itself(small_map):
+    nothing = map_changes(small_map, small_map)
+    table = [[1.0, 0.0, 1.2, 0.0], [1.2, 0.0, 1.4, 0.0], [1.4, 0.0, 1.4, 0.2]]
+    chest = [[5.0, 3.0, 5.0, 3.2]]
+    changed = nothing | {"surfaces_new": chest + table, "surfaces_gone": chest}
+    assert told(changed) == (
+        "surface new: 0.6 m about (1.3, 0.0), 0.2 m about (5.0, 3.1); surface gone: 0.2 m about (5.0, 3.1)"
+    )
+
+
 def test_moved_lost_and_new_tags_are_told(small_map):
     graph = small_map.graph
     tags = np.flatnonzero(small_map.is_tag)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import transform
@@ -18,6 +20,8 @@ MOVED, DEVIATIONS = 0.15, 4.0
 # A piece of surface, this long at most, m, is new, or gone, where all of it is farther than this from what is there in
 # the other map and one view of that saw free space from half as far before it to half as far behind.
 APART = 0.2
+# Pieces whose middles are nearer to each other than this, m, are told as one.
+TOGETHER = 0.5
 
 
 def map_changes(before: SavedMap, after: SavedMap) -> dict[str, Any]:
@@ -47,9 +51,12 @@ def told(changes: dict[str, Any]) -> str:
     for name in ("new", "gone"):
         pieces = np.array(changes[f"surfaces_{name}"]).reshape(-1, 4)
         if len(pieces):
-            x, y = pieces[:, :2].mean(axis=0)
-            length = np.hypot(*(pieces[:, 2:] - pieces[:, :2]).T).sum()
-            parts.append(f"{length:.1f} m of surface {name}, about ({x:.1f}, {y:.1f})")
+            length = np.hypot(*(pieces[:, 2:] - pieces[:, :2]).T)
+            middle = 0.5 * (pieces[:, :2] + pieces[:, 2:])
+            _, thing = connected_components(cdist(middle, middle) < TOGETHER)
+            total, (x, y) = np.bincount(thing, length), (np.bincount(thing, at) / np.bincount(thing) for at in middle.T)
+            places = [f"{total[k]:.1f} m about ({x[k]:.1f}, {y[k]:.1f})" for k in np.argsort(-total, kind="stable")]
+            parts.append(f"surface {name}: {', '.join(places)}")
     return "; ".join(parts) or "nothing"
 
 
