@@ -10,10 +10,12 @@ from tfg_drake.slam.place_search import (
     BLUR,
     STEP,
     WRONG,
+    Places,
     Prior,
     find_places,
     is_straight,
     log_odds,
+    no_places,
     nothing_seen,
     peaks,
     seen_from,
@@ -218,6 +220,18 @@ def test_the_field_and_its_scores_are_those_of_the_nearest_points():
         cell = np.floor(p / side).astype(int)
         inside = ((cell >= 0) & (cell < 40)).all(axis=1)
         assert scores[a, i, j] == pytest.approx(field[cell[inside, 1], cell[inside, 0]].sum() / len(query))
+
+
+@pytest.mark.parametrize(
+    ("probability", "may_be"), [([0.497, 0.497], True), ([0.7, 0.3], False), ([0.35, 0.25], True), ([0.0, 1.0], True)]
+)
+def test_it_may_be_where_no_other_place_is_twice_as_probable(probability, may_be):
+    """Of a corridor's two places, alike, either may be the right one."""
+    X = np.array([[1.0, 0.0, 0.0], [2.2, 0.0, np.pi]])
+    found = Places(X, np.array(probability), np.ones(2, dtype=bool))
+    assert found.may_be(np.array([2.21, 0.01, -np.pi + 0.01]), np.array([0.05, 0.05, 0.02])) is may_be
+    assert not found.may_be(np.array([1.6, 0.0, 0.0]), np.array([0.05, 0.05, 0.02]))
+    assert not no_places().may_be(np.zeros(3), np.ones(3))
 
 
 def test_peaks_are_apart_and_the_best_come_first():

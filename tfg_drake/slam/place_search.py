@@ -55,6 +55,8 @@ ALONG, STRAIGHT, ACROSS, SAME_NORMAL = 3, 0.75, 0.1, 0.92
 BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
 # The probability of a wrong place with which one is believed.
 WRONG = 1e-4
+# What is so probable is likely; a place may be the right one that is more than this times as probable as the likeliest.
+LIKELY = 0.5
 
 
 class Seen(NamedTuple):
@@ -142,6 +144,11 @@ class Places(NamedTuple):
         off = np.abs(self.X - X)
         off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
         return float(self.probability[np.all(off < within, axis=1)].sum())
+
+    def may_be(self, X: FloatArray, within: FloatArray) -> bool:
+        """Return whether a pose (3,) within tolerances, m, m and rad, is more than LIKELY times as probable as the
+        likeliest place. Along a corridor several places are alike, none more probable than half."""
+        return self.near(X, within) > LIKELY * float(self.probability.max(initial=0.0))
 
 
 def no_places() -> Places:

@@ -48,6 +48,7 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, adrift, empty_map, move
 from tfg_drake.slam.localizer import Localizer, localized_pose, placed_localizer, without_local
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.place_search import (
+    LIKELY,
     WRONG,
     Places,
     Prior,
@@ -81,9 +82,10 @@ STILL = 0.9
 ELSEWHERE = 5.0
 # After so many more frames that contradict the pose than others the robot may be elsewhere.
 CONTRADICTIONS = 3
-# Among walls the robot is looked for after so many more looks, where its pose is no likelier than this within so much,
-# m, m, rad, and three deviations, and is elsewhere if it has not found itself for so long, s.
-LOOKS, LIKELY, LONGEST_SEARCH = 5, 0.5, 5.0
+# Among walls the robot is looked for after so many more looks. It is elsewhere if it is likelier to have been carried
+# than to have drifted, or may not be within so much of its pose, m, m, rad, and three deviations, and has not found
+# itself for so long, s.
+LOOKS, LONGEST_SEARCH = 5, 5.0
 HERE = np.array([0.05, 0.05, 0.02])
 # That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
 # logarithm, and by this for each metre: the other end of a building, not mapped yet, may be alike.
@@ -200,7 +202,8 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if not by_surfaces and found is None:
         by_walls = not (rows_of(seen[0].ids, known.ids)[1].any() or state.is_kidnapped or begin)
         return _drifted(state, newest) if at_last and by_walls else state
-    here = not state.is_kidnapped and places.near(expected, HERE + 3.0 * suspect.sigma) > LIKELY
+    is_carried = state.is_kidnapped or places.near(expected, 3.0 * DRIFTED) < LIKELY
+    here = not is_carried and places.may_be(expected, HERE + 3.0 * suspect.sigma)
     # One that is lost, and maps apart, cannot be more lost.
     if here or (begin and found is None and not state.is_kidnapped):
         return replace(state, contradictions=0.0, suspect=None)
