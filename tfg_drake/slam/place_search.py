@@ -25,37 +25,40 @@ from tfg_drake.slam.keyframe import moved_points
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.surface_fit import CELL, Surfaces, surface_points, thinned
 
-# Side of a cell, m, in a window and in a whole map; blur and step, in cells; a turn, in cells at this distance, m.
+# Correlation grid: the cell's side, m, in a window (SIDE) and in a whole map; blur and step, in cells; the distance AT,
+# m, at which a step of heading moves a point by a step of position.
 SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
-# Another place is so far off, m, or turned, rad; so many places are tried, and points of the query, coarsely and in the
-# fit, at most. Coarsely those count that are no farther than this, m, from where the newest were seen.
+# Peaks of the correlation are APART, m, or TURNED, rad, from each other, at most PLACES of them. At most COARSE points
+# of the query are correlated, those within SURROUNDINGS, m, of the newest eye; at most QUERY points are fitted.
 APART, TURNED, PLACES, COARSE, QUERY, SURROUNDINGS = 1.0, 0.3, 30, 130, 400, 8.0
-# The fit of a place known to a step: gates, m, and as good as no information.
+# The fit of a peak: the correspondence distance of each iteration, m, and a prior without information.
 LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
-# A place is told by so much surface, m, and in both directions: the smaller information is such a share of the larger.
+# A query determines its place with LEAST_LENGTH metres of surface and at least this ratio of the smaller eigenvalue of
+# the position's information to the larger.
 LEAST_LENGTH, LEAST_ACROSS = 5.0, 0.03
-# Poses no farther from each other than this, m, m and rad, are one place.
+# Poses within this of each other, m, m and rad, are one place.
 SAME_PLACE = np.array([0.5, 0.5, 0.3])
-# Places where so much less of the query, as a share, lies on surfaces than in the best are out of the question.
+# A fit whose share of points on surfaces is lower than the best one's by this is rejected.
 MUCH_LESS = 0.3
-# What a metre adds to the logarithm of the odds of a place against none of the map's: it is seen on a surface of the
-# map; or one has looked through it who should have seen it, by it straight or not; or it is seen where the map has not
-# looked, which is no less likely than MOST_BEYOND altogether, and GROWING in a map that is not finished. Among its
-# places a metre there counts HALF as much as one on a surface, for no more metres than these: else those would win that
-# are mapped well. What is not mapped yet explains a share, ALIKE, of what the second place does.
+# Log odds of a place per metre of surface. ON: seen on a surface of the map. AGAINST, MOVABLE: one side has looked
+# through it and should have seen it; straight surface, other surface. BEYOND: seen where the map has not looked, in all
+# no less than MOST_BEYOND, or GROWING in an unfinished map. There, lest places win that are mapped well, a metre beyond
+# counts HALF a metre ON, up to the length of the latter, and unmapped surface explains the share ALIKE of what the
+# second best place explains.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
 HALF, ALIKE = 0.5, 0.6
-# Something is on a surface within this, m, is looked through so much, m, before what is seen, and apart from what is
-# there.
+# A cell within NEAR, m, of a surface is on it. It is looked through by an eye that sees at least DEPTH, m, farther,
+# unless the other side has a surface within BESIDE, m, of it.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
-# A cell is of something straight among so many, itself aside, within this, m, along it and this across, and whose
-# normals are so alike (cosine).
+# A cell is straight with at least ALONG other cells within STRAIGHT, m, that lie within ACROSS, m, of its tangent and
+# whose normals' cosine with its own exceeds SAME_NORMAL.
 ALONG, STRAIGHT, ACROSS, SAME_NORMAL = 3, 0.75, 0.1, 0.92
-# Bearings that are told apart, and from how far, m, and how slantwise, by its cosine, a surface is surely seen.
+# Number of bearings of an eye's ranges. A surface within SIGHT, m, whose incidence has a cosine above SLANT is seen for
+# certain.
 BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
-# The probability of a wrong place with which one is believed.
+# A place is accepted below this error probability.
 WRONG = 1e-4
-# What is so probable is likely; a place may be the right one that is more than this times as probable as the likeliest.
+# The threshold of a likely event; and the least ratio to the likeliest place's probability of one that may be right.
 LIKELY = 0.5
 
 

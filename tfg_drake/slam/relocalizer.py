@@ -67,36 +67,36 @@ from tfg_drake.table import empty
 
 # The tags and surfaces of a map, or of a look.
 Look = tuple[MapEstimate, Seen]
-# Deviations of a pose by walls, m, m, rad.
+# Deviations of a pose found by surfaces, m, m, rad.
 BY_WALLS = np.array([0.05, 0.05, 0.005])
-# The pose is looked for in the first turn after so many frames, and whenever the robot has turned by so much, rad.
+# In the first turn a session searches its place after FRAMES frames, then each time it has turned by TURNED, rad.
 FRAMES, TURNED = 4, 1.0
-# And after each of the first views, so many, and then after each of so many. Both maps are one for good once so many
-# views have followed.
+# After that it searches at each of the first EACH_VIEW views, then at every LATER-th. The maps are joined for good
+# EACH_VIEW views after they were joined.
 EACH_VIEW, LATER = 4, 4
-# The place that somebody says is so much likelier than others, as a logarithm.
+# Log prior odds of a place other than the one that a person has stated.
 SAID = -4.0
-# One that was believed is so as long as it is this probable.
+# A place that was accepted is kept as long as its probability exceeds this.
 STILL = 0.9
-# A tag seen this far from where it is mapped, m, contradicts the pose, however long the robot has driven blindly.
+# A tag this far from its mapped place, m, contradicts the pose, however long the robot has driven without tags.
 ELSEWHERE = 5.0
-# After so many more frames that contradict the pose than others the robot may be elsewhere.
+# The pose is in doubt after this many more frames that contradict it than agree.
 CONTRADICTIONS = 3
-# Among walls the robot is looked for after so many more looks. It is elsewhere if it is likelier to have been carried
-# than to have drifted, or may not be within so much of its pose, m, m, rad, and three deviations, and has not found
-# itself for so long, s.
+# In doubt, surfaces are searched at every LOOKS-th frame with lines. The doubt ends if the robot is likelier to have
+# drifted than to have been carried, and its pose, within HERE, m, m, rad, and three deviations, may be right. Without a
+# place it counts as kidnapped after LONGEST_SEARCH, s.
 LOOKS, LONGEST_SEARCH = 5, 5.0
 HERE = np.array([0.05, 0.05, 0.02])
-# That it has drifted, with such deviations, m, m, rad, is likelier than that somebody has carried it: by so much, as a
-# logarithm, and by this for each metre: the other end of a building, not mapped yet, may be alike.
+# Deviations of a drift, m, m, rad. Log prior odds of a place beyond three of them, that is, of having been carried: a
+# constant, and per metre, as the other end of a building, not mapped yet, may look alike.
 DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
-# The prior of one that is elsewhere.
+# The same for a robot that is known to be elsewhere: no place is preferred.
 FROM_HERE = np.zeros(3), 0.0
-# A pose is contradicted whose odds, as a logarithm, are no better by what the views see that are no farther away than
-# this, m. Of 310 turns of robots that nobody carried the worst has -0.1, without people 0.2; 18 that were carried have
-# -0.5 and less at the first turn or the second.
+# A turn contradicts the pose if its log odds against the views within AROUND, m, are at most DOUBTFUL. Of 310 turns of
+# robots that nobody carried the lowest odds are -0.1, without people 0.2; each of 18 that were carried had -0.5 or less
+# at its first or second turn.
 DOUBTFUL, AROUND = -0.3, 8.0
-# Deviations of a pose found among walls, m, m, rad: far more than of that, which what is seen from it tells again.
+# Deviations of a pose found among walls, m, m, rad, wider than BY_WALLS, as what is seen from there counts again.
 PLACED = np.array([0.1, 0.1, 0.03])
 
 _log, _operator = logging.getLogger("tfg_drake.slam"), logging.getLogger("tfg_drake.operator")
