@@ -12,31 +12,31 @@ from tfg_drake.slam.odometry_model import wrap
 
 # Least length of a line, m, and number of its rays.
 LENGTH, RAYS = 0.5, 8
-# Rays that meet the line more slantwise than this are left out (cosine of 75 degrees).
+# Rays whose incidence on the line has a smaller cosine than this, of 75 degrees, are left out.
 SLANT = math.cos(math.radians(75.0))
-# Neighbouring rays are on one surface where their ranges differ by no more than those of a plane seen at SLANT, and by
-# this, m, and four deviations beside.
+# Neighbouring rays are on one surface if their ranges differ by at most what they do on a plane seen at SLANT, plus STEP,
+# m, and four deviations.
 STEP = 0.01
-# A stretch is cut at the ray farthest from its chord where that is more than so many deviations off.
+# A stretch is split at the ray farthest from its chord if that is more than this many deviations off.
 SPLIT = 4.0
-# Rays left out at either end: they may be on the next surface.
+# Rays left out at either end, as they may be on the next surface.
 TRIM = 1
-# Squared errors of the rays and their bend, in deviations, beyond which a stretch is not straight by chance.
+# A stretch is straight if the rays' squared errors and their bend are within this many deviations of chance.
 STRAIGHT = 3.5
-# A line is a chord of a curve where the stretch that it is of, so much of its length farther, is smooth but bends by so
-# many deviations, and by more than this, rad, along the line.
+# A line is a chord of a curve if a parabola fits it and the surface up to FARTHER times its length beyond either end,
+# and bends by more than BENDS deviations and by more than BEND, rad, along the line.
 FARTHER, BENDS, BEND = 1.0, 4.0, 0.03
-# Median of what is normal, in deviations.
+# The median of the absolute value of a standard normal variable.
 NORMAL = 0.6745
 # Least standard deviation of a range, m: no wall is straighter.
 LEAST_SIGMA = 0.002
-# Over this length, m, an uneven wall is off its plane one way.
+# The length, m, over which an uneven wall is off its plane to one side.
 STRETCH = 0.5
-# Rays of half a stretch, at most, and rays that tell it, at least. Its variance changes by such a share of itself a
-# scan, or of that of so much, m; it is no greater than that of walls in buildings that are lived in, m: what is more is
-# no wall.
+# Unevenness of walls: half a stretch has MOST_RAYS rays at most, a scan counts with LEAST_RAYS rays. Each scan changes
+# the variance by the share SLOWLY of itself, or of that of LEAST_UNEVEN, m, if that is more; it is at most that of
+# MOST_UNEVEN, m, of walls in inhabited buildings: what is more uneven is no wall.
 MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN, MOST_UNEVEN = 24, 30, 0.05, 0.004, 0.03
-# A ray is on a line within this, m.
+# A ray within this distance of a line, m, is on it.
 ON_LINE = 0.1
 
 
@@ -50,9 +50,9 @@ def scan_lines(scan: LaserScan) -> FloatArray:
     alone; the derivatives of angle and middle distance on the sweep of a turning scanner, which enlarges bearings by a
     share of themselves, beyond the effect of the bearing of the middle; and their derivatives on the motion of a
     scanner along the normal, which lengthens ranges by a length per radian of bearing. Chords of curves are excluded,
-    as a curve looks different from elsewhere.
+    as a curve has other chords from elsewhere.
     """
-    # A scanner may be noisier than its data sheet: most rays lie on planes, where ranges hardly bend.
+    # A scanner may be noisier than its data sheet. Most rays lie on planes, where second differences of ranges are noise.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
     return np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
 
@@ -124,7 +124,7 @@ def surface_seen(scan: LaserScan) -> float:
     apart = np.flatnonzero((np.diff(rays) > 3) | (np.abs(np.diff(r)) > most)) + 1
     points, total = np.column_stack([r * np.cos(angle), r * np.sin(angle)]), 0.0
     for stretch in np.split(points, apart):
-        # By every fourth ray: noise makes longer ways of it.
+        # The length by every fourth ray, as noise lengthens that by every ray.
         length = float(np.hypot(*np.diff(stretch[::4], axis=0).T).sum())
         total += length if len(stretch) >= RAYS and length >= LENGTH else 0.0
     return total
@@ -150,13 +150,12 @@ def _lines(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: floa
     rays = np.flatnonzero((ranges > 0.0) & (ranges < range_max - 3.0 * sigma))
     x, y, r = ranges[rays] * np.cos(angles[rays]), ranges[rays] * np.sin(angles[rays]), ranges[rays]
     found, n = np.empty((len(rays) // RAYS + 1, 11)), 0
-    # Stretches that are still to be looked at, the first on top.
+    # A stack of stretches to be split or fitted, the first on top: their rays, and those of their whole surface.
     begin = len(rays)
     stack = np.empty((len(rays) + 1, 4), dtype=np.int64)
     top, end = 0, len(rays)
     for i in range(len(rays) - 1, -1, -1):
         if i == 0 or _apart(i - 1, i, rays, angles, r, sigma):
-            # With what of its surface is seen.
             stack[top] = np.array([i, end, i, end])
             top, end = top + 1, i
     while top:
@@ -219,7 +218,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
         normal = (c * x + s * y) / r
         met = normal >= SLANT
         normal, along = normal[met], ((-s * x + c * y) / r)[met]
-        # Range that the line says, and its derivatives.
+        # The range by the line, and its derivatives.
         error = (offset / normal - r[met]) / sigma
         by_offset, by_angle = 1.0 / normal / sigma, -offset * along / (normal * normal) / sigma
         H00, H01, H11 = (by_angle * by_angle).sum(), (by_angle * by_offset).sum(), (by_offset * by_offset).sum()
@@ -246,7 +245,7 @@ def _fitted(x: FloatArray, y: FloatArray, r: FloatArray, sigma: float, line: Flo
     squares, bend, u2 = (error * error).sum(), (u * off / sigma).sum(), (u * u).sum()
     if squares > freedoms + STRAIGHT * math.sqrt(2.0 * freedoms) or abs(bend) > STRAIGHT * math.sqrt(u2):
         return False
-    # The offset at tangential t changes by -t dangle; where that is uncorrelated with the angle.
+    # The distance at t along the line changes by -t dangle; at the middle its error is uncorrelated with the angle's.
     V00, V01, V11 = H11 / det, -H01 / det, H00 / det
     middle = V01 / V00
     line[0], line[1], line[2], line[3], line[4] = math.atan2(s, c), offset, begin, end, middle

@@ -21,46 +21,47 @@ from tfg_drake.messages import BoolArray, FloatArray, LaserScan, Odometry, TagDe
 from tfg_drake.notes import Note
 from tfg_drake.slam.scan_matching_kernels import fitting, normals, searched
 
-# Rays that count, of a finer scan; so few are too few.
+# A finer scan is thinned to RAYS rays; with fewer than FEWEST there is no match.
 RAYS, FEWEST = 360, 20
-# Share of the rays that fit, of those that are in view of both, and that so many deviations away as many fit.
+# A match needs the share SHARE of the rays in view of both scans. It is ambiguous if a pose that is more than DISTINCT
+# deviations away reaches the share RIVAL of its score.
 SHARE, RIVAL, DISTINCT = 0.5, 0.93, 6.0
-# A fit is believed to so many of its rays' variances, for neighbours have errors in common; to no less than this, m and
-# rad, and where nothing tells to no more than this, m.
+# Covariance of a match: that of independent rays times COMMON, as neighbours have common errors, plus the variances of
+# LEAST, m, m, rad; directions that the scans do not determine have MOST, m.
 COMMON, LEAST, MOST = 4.0, (0.002, 0.002, 0.0007), 10.0
 
-# Where the turn is known no better, rad, what is known of the way is no Gaussian.
+# Matches whose heading has a greater deviation, rad, are not used: their position is no Gaussian.
 MOST_DEVIATION = 0.1
 
-# Two scans that are compared are so far apart, s, and no farther: beyond half a metre other places fit.
+# The scans of a pair are at least APART and less than TOO_FAR apart, s: after half a metre other places fit.
 APART, TOO_FAR = 0.35, 0.8
-# Clocks are compared up to so much before or after each other, s.
+# Clock lags are searched up to MOST_LAG, s, either way, in steps of LAG_STEP, s.
 MOST_LAG, LAG_STEP = 1.2, 0.04
-# Of so many pairs at most their lag is looked for.
+# The lag is fitted to at most this number of pairs.
 MOST_PAIRS = 1000
-# Errors of a turn (rad) and of a way (m) of odometry within APART, and as a share of it.
+# Deviations of the odometry within APART: of a turn (rad), of a distance (m), and as a share of either.
 TURN_ERROR, WAY_ERROR, SHARE_ERROR = 0.006, 0.008, 0.02
-# Errors of more than so many deviations count less and less.
+# Residuals beyond this many deviations are downweighted (Cauchy).
 ROBUST = 2.5
-# What is known of the way's factor and of the scanner's lever, some 0.2 m, beforehand: information.
+# Prior information of the distance's complex factor and of the scanner's lever arm, which is some 0.2 m.
 LEVER_PRIOR = np.array([1e-6, 1e-6, 0.2**-2, 0.2**-2])
-# What moves, m and rad, in APART. By so many deviations something is sure.
+# A pair moves if either sensor shows more than this, m and rad. A value beyond SURELY deviations is significant.
 MOVES, SURELY = (0.05, 0.05), 5.0
-# A pair contradicts the odometry from this on, m and rad.
+# A pair contradicts the odometry only if the two differ by this much, m or rad.
 CONTRADICTS = (0.1, 0.1)
-# What contradicts it again so soon, s, does so all the time.
+# Contradictions within this time of each other, s, are one stretch.
 ONE_STRETCH = 1.0
-# So many pairs that move tell something; where fewer than this share are explained nothing explains them. So many that
-# are explained tell a factor, if that is sure.
+# At least PAIRS moving pairs are needed for a verdict; if less than the share EXPLAINED of them fits, odometry and scans
+# contradict each other. A factor is corrected if TELL moving pairs fit.
 PAIRS, EXPLAINED, TELL = 12, 0.5, 5
-# Smaller errors are learnt with the map: of scales, s, rad. Beyond this factor no scale is believed.
+# Smaller errors of scales, lag (s) and yaw (rad) are learnt with the map. A scale beyond MOST_SCALE is a wrong unit.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0
 # Scans, or frames of tags.
 View = TypeVar("View", LaserScan, TagDetections)
 AGAINST = "scans turn against the odometry"
 
-# While a robot drives its scans are held against the odometry so often, s; and what contradicts it so many times in a
-# row is told. So many messages of odometry are kept for it.
+# While the robot drives, a pair of scans is compared with odometry every EVERY, s; LONG consecutive contradictions are
+# reported. KEPT odometry messages are kept for that.
 EVERY, LONG, KEPT = 2.0, 4, 128
 
 
@@ -322,7 +323,7 @@ def _contradicted(
     errors = np.array([WAY_ERROR, WAY_ERROR, TURN_ERROR]) ** 2 + (SHARE_ERROR * X) ** 2
     if off @ np.linalg.solve(covariance + np.diag(errors), off) < SURELY**2:
         return False
-    # There as much may fit.
+    # The predicted motion may fit the scans as well.
     seen = surface(before), surface(after)
     return bool(fitting(*seen, predicted.copy()) < RIVAL * fitting(*seen, X.copy()))
 
@@ -335,7 +336,7 @@ def _ways(scans: Sequence[LaserScan]) -> Pairs:
     seen = surface(scans[0]) if n else np.zeros((0, 6))
     for k, scan in enumerate(scans[1:]):
         was, seen, duration = seen, surface(scan), stamps[k + 1] - stamps[k]
-        # It may have begun or ceased to turn.
+        # Half of the previous turn rate, as the robot may have begun or ceased to turn.
         one = _matched(was, seen, speed * duration * [1.0, 1.0, 0.5]) if duration < TOO_FAR else None
         speed = np.zeros(3) if one is None else one.X / duration
         if one is not None:

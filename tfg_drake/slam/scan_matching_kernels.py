@@ -13,15 +13,15 @@ from numba import njit
 
 from tfg_drake.messages import FloatArray
 
-# A ray's normal is that of the rays within this of where it met, m, which are on one surface where they are no farther
-# apart than on a plane seen at this cosine, and by so much, m. It must be known to this, rad.
+# A ray's normal is fitted to the rays of its surface within REACH, m. Neighbours are on one surface if they are no
+# farther apart than on a plane seen at the cosine SLANT, plus STEP, m. A normal's deviation is at most NORMAL, rad.
 REACH, SLANT, STEP, NORMAL = 0.2, 0.13, 0.08, 0.15
-# How far from a point its surface may be while it is looked for, m, and from coarse to fine. The last is that of a fit.
+# Correspondence distances of the iterations, m: of the search, of the fit; and with which rays are counted as fitting.
 COARSE, FINE, FIT = (0.6, 0.4), (0.4, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1), 0.1
-# Turns about the guess from which it is looked for, rad.
+# The search starts from TURNS headings to either side of the guess, TURN_STEP, rad, apart.
 TURNS, TURN_STEP = 9, 0.13
-# So large a share of the rays should be in view of both, and so much less is a radian beside the guess believed: of
-# what a corner shows as much fits when it is turned by a right angle.
+# The score is the share of fitting rays among those in view of both scans, but at least the share VIEW of all. It falls
+# by UNLIKELY per radian from the guess, as a corner fits as well when turned by a right angle.
 VIEW, UNLIKELY = 0.6, 0.1
 
 

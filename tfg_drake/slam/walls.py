@@ -26,32 +26,33 @@ if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
 PROVISIONAL = 2 * WALLS_BELOW
-# Two looks of a turn are at one wall where their directions differ by no more than this, rad, the middle of one is off
-# the other's line by no more than this, m, each beside three deviations, and what was seen overlaps.
+# Two looks of a turn are at one wall if their directions differ by at most SAME_ANGLE, rad, and the middle of one is off
+# the other's line by at most SAME_LINE, m, each plus three deviations, and the seen pieces overlap.
 SAME_ANGLE, SAME_LINE = 0.05, 0.05
-# And beside this share of the distance, by which the heading may have wandered since.
+# SAME_LINE grows by this share of the distance, as the heading may have drifted between the looks.
 DRIFT = 0.02
-# What all looks of a keyframe at one wall share: its direction (rad) and distance (m) as a scanner sees it, no surface
-# being quite a plane. How walls agree that are seen again says which of some multiples it is; their prior.
+# The error of angle (rad) and distance (m) that all looks of a keyframe at one wall share, as no surface is a plane; its
+# multiples, one of which is estimated from walls that are seen again, and their prior.
 FLOOR = np.array([1e-3, 2e-3])
 FLOORS = np.exp2(np.arange(-1.0, 6.0))
 PRIOR = np.array([0.25, 0.4, 0.25, 0.1, 0.1, 0.1, 0.1])
-# A wall is the map's where the squared error of angle and distance is less than this (2 freedoms: 1 in 3000), its
-# direction differs by less than this (cosine) and what was seen overlaps by this, m, or half of what was seen.
+# A seen wall is associated with one of the map if the squared Mahalanobis distance of angle and distance is below GATE
+# (2 degrees of freedom: exceeded once in 3000), the cosine between their normals is at least SAME_DIRECTION, and they
+# overlap by more than OVERLAP, m, or half of the seen piece.
 GATE = 16.0
 SAME_DIRECTION = 0.9
-# A point is on a wall no farther from it than this, m.
+# A point within this distance of a wall, m, is on it.
 ON_WALL = 0.1
 OVERLAP = 0.3
-# And where it must be is known better than this, m: else anything may be it.
+# No wall is associated whose predicted place has a greater deviation than this, m: anything could be it.
 MOST_DEVIATION = 0.5
-# One that is off by no more than this, m, is neither that wall nor a new one: what is unclear waits.
+# A wall within this distance of one of the map, m, that fails the gate is neither that wall nor a new one.
 UNCLEAR = 0.4
-# Two walls of the map so near to each other, m, are one for whoever looks at both.
+# Two walls of the map within this distance, m, at the seen piece are no rivals in an association.
 ONE_WALL = 0.05
-# A new wall has been seen by so many looks, so long, m.
+# Number of looks and length, m, that a new wall needs.
 LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
-# Keyframes are of one wall where it is no farther off than this, m and rad: by other parameters it may be another.
+# A keyframe reduced anew replaces the old one unless one of its walls has moved by more than this, m and rad.
 SAME_WALL = 0.3
 
 
@@ -319,7 +320,7 @@ def identified(
     squared, off, overlap = compared(seen, R, mapped, entry, estimate.X_MD, estimate.covariance)
     provisional, ids, again = [], [], []
     taken, next_id = np.zeros(len(known), dtype=bool), int(estimate.ids.min(initial=WALLS_BELOW)) - 1
-    # The longest first: of two pieces of one wall it is the wall.
+    # The longest first: of two pieces of one wall the longer one is associated.
     for k in np.argsort(-length, kind="stable"):
         agrees = squared[k] < GATE
         if agrees.any():
@@ -350,7 +351,7 @@ def renamed(
     joint = estimate.covariance.copy()
     joint[-3:], joint[:, -3:] = 0.0, 0.0
     joint[-3:, -3:] = covariance
-    # No look counts: none of them is new to `identified`, which leaves what is not clear.
+    # With no looks `identified` accepts no new wall.
     none = np.zeros(len(one.ids), dtype=np.int64)
     again, walls = identified(one, none, walls, replace(estimate, X_MD=X_MA, covariance=joint), 0.0)
     ids = one.ids[: one.walls]
