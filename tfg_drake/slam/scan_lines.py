@@ -14,8 +14,8 @@ from tfg_drake.slam.odometry_model import wrap
 LENGTH, RAYS = 0.5, 8
 # Rays whose incidence on the line has a smaller cosine than this, of 75 degrees, are left out.
 SLANT = math.cos(math.radians(75.0))
-# Neighbouring rays are on one surface if their ranges differ by at most what they do on a plane seen at SLANT, plus STEP,
-# m, and four deviations.
+# Neighbouring rays are on one surface if their ranges differ by at most what they would on a plane seen at SLANT, plus
+# STEP, m, and four deviations.
 STEP = 0.01
 # A stretch is split at the ray farthest from its chord if that is more than this many deviations off.
 SPLIT = 4.0
@@ -52,7 +52,8 @@ def scan_lines(scan: LaserScan) -> FloatArray:
     scanner along the normal, which lengthens ranges by a length per radian of bearing. Chords of curves are excluded,
     as a curve has other chords from elsewhere.
     """
-    # A scanner may be noisier than its data sheet. Most rays lie on planes, where second differences of ranges are noise.
+    # A scanner may be noisier than its data sheet. Most rays lie on planes, where second differences of ranges are
+    # noise.
     sigma = max(scan.sigma, _bend(scan.ranges) / (NORMAL * math.sqrt(6.0)), LEAST_SIGMA)
     return np.asarray(_lines(scan.angles, scan.ranges, scan.range_max, sigma))
 

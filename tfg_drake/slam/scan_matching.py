@@ -51,8 +51,8 @@ MOVES, SURELY = (0.05, 0.05), 5.0
 CONTRADICTS = (0.1, 0.1)
 # Contradictions within this time of each other, s, are one stretch.
 ONE_STRETCH = 1.0
-# At least PAIRS moving pairs are needed for a verdict; if less than the share EXPLAINED of them fits, odometry and scans
-# contradict each other. A factor is corrected if TELL moving pairs fit.
+# At least PAIRS moving pairs are needed for a verdict; if less than the share EXPLAINED of them fits, odometry and
+# scans contradict each other. A factor is corrected if TELL moving pairs fit.
 PAIRS, EXPLAINED, TELL = 12, 0.5, 5
 # Smaller errors of scales, lag (s) and yaw (rad) are learnt with the map. A scale beyond MOST_SCALE is a wrong unit.
 LEAST_SCALE, LEAST_LAG, LEAST_YAW, MOST_SCALE = 0.07, 0.03, 0.1, 6.0

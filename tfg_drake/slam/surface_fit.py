@@ -17,20 +17,20 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y, SCANNER_YAW
 from tfg_drake.slam.surfaces import POINT
 from tfg_drake.slam.walls import ends_seen
 
-# The map's points are put together in cells of this side, m, and DIRECTIONS of their normals, from two on, twice:
-# what a border divides the first time is whole the second.
+# The map's points are averaged over cells with side CELL, m, and DIRECTIONS of their normals, if there are ENOUGH of
+# them; and once more with shifted cells, in which what a border divided is whole.
 CELL, DIRECTIONS, ENOUGH = 0.2, 12, 2
-# A point lies on so many surfaces, at most, no farther off than this, m, whose normals are alike (cosine).
+# A point is compared with at most MOST surfaces within NEAR, m, whose normals' cosine with its own exceeds SAME_WAY.
 MOST, NEAR, SAME_WAY = 4, 0.3, 0.85
-# Least scale of Cauchy's weights, m, for gates, m, that are three times as wide. Points of one scan have errors in
-# common: they count as so many times fewer.
+# Scale of the Cauchy weights: a third of the correspondence distance, but at least ROBUST, m. Points of one scan have
+# common errors: information is divided by ALIKE.
 ROBUST, ALIKE = 0.04, 5.0
-# Walls are told by points so far apart, m.
+# Spacing of the points that stand for a wall, m.
 SPACING = 0.1
-# A point is on the surfaces within this, m.
+# A point within this distance of a surface, m, is on it.
 ON = 0.06
-# Deviations of a scan's pose by those of keyframes before and after it, m, m, rad; gates, m; points that it is fitted
-# by, at most.
+# Deviations of a scan's pose that is interpolated between keyframes, m, m, rad; correspondence distances of the steps
+# of its fit, m; greatest number of points in it.
 BETWEEN, GATES, QUERY = np.array([0.03, 0.03, 0.01]), (0.3, 0.2, 0.15, 0.1), 200
 
 

@@ -19,20 +19,20 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import moved_points, moves_of_origin
 from tfg_drake.slam.odometry_model import wrap
 
-# Side of a cell, m. Points of one look the same way where their normals, by direction, follow each other within this,
-# rad, and their mean is no shorter than this.
+# Side of a cell, m. Points of a cell are one piece if their normals, sorted by direction, differ by at most SAME_WAY,
+# rad, from one to the next, and the normals' mean is longer than COMMON.
 CELL = 0.3
 SAME_WAY, COMMON = 0.45, 0.8
-# Directions are put in order by so many parts of a turn.
+# Number of intervals of a full turn by which directions are sorted.
 TURNS = 4096
 # Deviations of a point, m, of all that one keyframe sees of a piece, m, and of the slope of a piece to the mean of its
 # points' normals.
 POINT, FLOOR, SLOPE = 0.02, 0.01, 0.15
-# What a point on an edge tells, as a share: it is another with each place it is seen from.
+# The weight of a point on an edge, as the edge seen varies with the place it is seen from.
 EDGE = 0.25
-# Farther off than this, m, a point counts less and less (Cauchy), by weights that have settled after so many rounds.
+# Scale of the Cauchy weights, m, and the iterations after which they have converged.
 ROBUST, ROUNDS = 0.04, 5
-# The scans of one keyframe are put together by so many steps of Gauss and Newton.
+# Gauss-Newton steps that align the scans of one keyframe.
 STEPS = 2
 
 
@@ -71,7 +71,7 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
         none = np.zeros(0, dtype=np.int64)
         return Pieces(np.zeros((0, 4)), np.zeros(1, dtype=np.int64), none, np.zeros((0, 6)))
     rng = np.random.default_rng(seed)
-    # An edge is at one place in both directions.
+    # An edge is a piece in either direction.
     edge = ~points.p_AP[:, 2:].any(axis=1)
     of_kind = [np.flatnonzero(~edge), np.flatnonzero(edge), np.flatnonzero(edge)]
     kind, every = np.repeat(np.arange(3), [len(some) for some in of_kind]), np.concatenate(of_kind)
@@ -97,7 +97,7 @@ def pieces_of(points: Points, X_MN: FloatArray, seed: int, unevenness: float = 0
     mean = np.add.reduceat(p_MP[rows], begin[looks[:-1]], axis=0) / np.diff(begin[looks])[:, None]
     length = np.hypot(mean[:, 2], mean[:, 3])
     mean[:, 2:] /= np.maximum(length, COMMON)[:, None]
-    # Those of one keyframe alone tie nothing, and what looks every way is no surface.
+    # A piece of one keyframe alone ties nothing; points with normals in all directions are no surface.
     kept = (np.diff(looks) > 1) & (length > COMMON)
     some, worth, floor = np.repeat(kept, np.diff(looks)), np.where(kind > 0, EDGE, 1.0), FLOOR**2 + unevenness**2
     placed = p_MP[rows], points.p_AP[rows], worth[rows]

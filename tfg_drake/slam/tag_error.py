@@ -13,12 +13,12 @@ from scipy.special import gammaincc
 
 from tfg_drake.messages import FloatArray
 
-# What noise alone does with no greater chance than this has another cause: tags are taken to have errors where the
-# keyframes pull at them so hard; from so many tags on.
+# Tags are taken to have errors if noise alone would explain the keyframes' gradients on them with less than this
+# probability; a test needs LEAST_TAGS tags.
 LEAST_CHANCE = 1e-4
 LEAST_TAGS = 10
-# The deviations with which they are first looked for, m and rad, which count as much as so many tags do; and such as
-# are none.
+# Initial deviations of range and bearing, m and rad, which count as prior like FIRST_WORTH tags; estimated deviations
+# that are both below LEAST are taken as zero.
 FIRST = (0.01, 0.003)
 FIRST_WORTH = 5.0
 LEAST = (4e-3, 1e-3)
@@ -40,7 +40,7 @@ def suspected(pull: FloatArray, information: FloatArray) -> FloatArray:
     """
     if np.count_nonzero(information) < 2 * LEAST_TAGS:
         return np.zeros(2)
-    # The most powerful sum is that of the squares each in the first deviation, about chi squared (Satterthwaite 1946).
+    # The most powerful test is the sum of squares weighted by FIRST, approximately chi squared (Satterthwaite 1946).
     by_noise, squared = np.square(FIRST) * information, np.square(FIRST) * pull**2
     freedoms = np.sum(by_noise) ** 2 / np.sum(by_noise**2)
     if gammaincc(0.5 * freedoms, 0.5 * freedoms * np.sum(squared) / np.sum(by_noise)) > LEAST_CHANCE:

@@ -46,31 +46,32 @@ from tfg_drake.slam.surfaces import Ties, put_together
 from tfg_drake.slam.walls import Looks, Names, grouped, no_lines, seen_walls, with_floor
 from tfg_drake.table import concat, empty
 
-# A detection this far off, in sigmas of its two whitened components together, is an outlier.
+# A sighting is an outlier if the norm of its two whitened residuals exceeds this.
 OUTLIER_SIGMAS = 5.5
 # Huber threshold, in sigmas, of the pass that looks for outliers.
 HUBER_SIGMAS = 1.5
-# Random walks, as `random_walks`, of a robot whose wheels slip or which somebody pushes meanwhile.
+# Random walks, as `random_walks`, of a robot whose wheels slip or that is pushed.
 SLIPPING = np.array([0.2, 0.1, 0.2])
-# It did if that explains at least so many sightings that are outliers else, and leaves at most this share of them.
+# The robot has slipped if these random walks explain at least SLIP_EXPLAINS of the outliers and leave at most the share
+# SLIP_LEAVES of them.
 SLIP_EXPLAINS = 3
 SLIP_LEAVES = 1 / 3
 # Instants closer than this are one, s.
 SAME_INSTANT = 1e-6
-# The robot's twist at a frame is that of so long before and after, s.
+# The robot's twist at a frame is averaged over this time to either side, s.
 TWIST_SPAN = 0.12
-# Information that holds a parameter of which a piece without tags says nothing.
+# Prior information of a parameter that a piece without tags does not determine.
 HELD = 1e12
-# Where the parameters and the tags begin in the dense rest: after D. They are the shared parameters, the scales of
-# distance and of ranges over that of the chain's unit.
+# Where the parameters and the tags begin in the dense rest, after D. The parameters are the shared ones, with the
+# scales of distance and range divided by that of the chain's unit.
 CALIBRATION, TAGS = 3, 3 + SHARED
 SCALES = np.array([DISTANCE_SCALE, RANGE_SCALE])
-# Steps at most; one shorter than this (m, rad) is the last: what it leaves is a hundredth of it or less.
+# Greatest number of steps. A step below LAST_STEP (m, rad) is the last, as the next would be at most a hundredth of it.
 MOST_STEPS = 50
 LAST_STEP = 1e-8
-# Where a step raises the cost by more than this, of it and of one, half of it is tried.
+# A step is halved if it raises the cost by more than this, relative to the cost and absolutely.
 ROUNDING = 1e-9
-# Least pivot of a factorisation: rounding may leave none.
+# Least pivot of a factorisation, against rounding.
 LEAST_PIVOT = 1e-30
 
 
@@ -249,7 +250,7 @@ def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unev
     looks = grouped(*looked, X_AB)
     problem = _Problem(noise, shared, clock, X_OB, np.repeat(node, counts), ids, z, looks)
     solution, dropped, slipped = _solved(problem, X_AB), 0, False
-    # By odometry a wall that was seen again after a turn round may seem to be another.
+    # By the odometry's poses a wall that is seen again after a full turn may seem to be another one.
     again = grouped(*looked, solution.at.X_AB)
     if len(again.anchor) < len(looks.anchor):
         problem = problem._replace(looks=again)
@@ -257,7 +258,7 @@ def reduced(noise: Noise, piece: Piece, shared: Shared, floor: float = 1.0, unev
     if np.any(solution.squared > OUTLIER_SIGMAS**2):
         solution, dropped = _without_outliers(problem, X_AB)
         if dropped >= SLIP_EXPLAINS:
-            # A push moves a robot at rest, too: by the time that passed, not by that of its motion.
+            # A push also moves a robot at rest: its random walk grows with time, not with the time in motion.
             slipping = replace(noise, walks=np.maximum(noise.walks, SLIPPING))
             other, left = _without_outliers(problem._replace(noise=slipping, clock=stamps), X_AB)
             if left <= min(dropped - SLIP_EXPLAINS, SLIP_LEAVES * dropped):
@@ -510,13 +511,13 @@ def _motions(ties: _Ties) -> Pair:
 
 @njit(cache=True)
 def _add(rows: FloatArray, first: int, poses: int, at: IntArray, equations: Pair) -> None:
-    """Add the products of rows' columns from the first on with each other and with the last, the error. at: (c,) which
-    unknown each but the last is, ascending: three a pose, D's the last of these, which so many columns have, then the
-    border's."""
+    """Add the products of rows' columns from `first` on with each other and with the last, the error. at: (c,) the
+    unknown of each column but the last, ascending: three per pose, D's last of them, for the first `poses` columns, and
+    then the border's."""
     (chain, rest), d = equations, 3 * len(equations[0]) - 3
     for a in range(first, len(at)):
         i = at[a] // 3
-        # Where the poses' columns begin in its row, and the border's, which follow the next pose's there.
+        # Offsets of the poses' and of the border's columns in the row; the latter follow the next pose's.
         row, of_pose, border = (chain[i, at[a] - 3 * i], 3 * i, d - 3) if at[a] < d else (rest[at[a] - d], d, d)
         for b in range(a, poses):
             row[at[b] - of_pose] += _dot(rows, a, b)
@@ -553,7 +554,7 @@ def _add_odometry(ties: _Ties, X: FloatArray, border: FloatArray, motions: Pair,
         rows[:, 9:12] = -on_calibration
         rows[0, last], rows[1, last] = x - ahead[0], y - ahead[1]
         rows[2, last] = wrap(X[i + 1, 2] - X[i, 2] - ahead[2])
-        # Noise is added to what is measured: errors count in its units. In others the scales would follow the noise.
+        # Noise belongs to the measured increment, so residuals are in its units; otherwise the scales would be biased.
         for a in range(3):
             scale = 1.0 + (border[0] if a < 2 else border[2])
             by_scale = rows[a, last]
@@ -574,12 +575,13 @@ def _add_measurements(
     """Add the normal equations of m sightings and q looks at walls and set their squared errors (m + q,), in sigmas;
     returns the cost.
 
-    A sighting's noise less what is left in it of the noise before is white. The pose of the sighting before is taken to
-    be off as the one before this is: they are the same, unless the tag was not seen for some frames.
+    The noise of a tag's sightings is a first-order autoregression: a sighting minus the correlated part of the previous
+    one is white. The previous sighting's pose is taken for the chain's previous pose, which it is unless the tag was
+    not seen for some frames.
     """
     cost, z, looks, sightings = 0.0, ties.z, ties.looks, len(ties.node)
     first_wall = len(border) - 2 * len(looks.anchor)
-    # Rows of every measurement; and, with the pose before in front, of what the sighting before does not tell yet.
+    # Rows of every measurement; and those of its white part, with the previous pose in front.
     every, fresh, last = np.zeros((len(squared), 2, COLUMNS)), np.zeros((2, 3 + OF_TWIST)), 3 + ERROR
     at = np.empty(last, dtype=np.int64)
     for j in range(len(squared)):
@@ -613,8 +615,8 @@ def _add_measurements(
 
 @njit(cache=True)
 def _whiten(rows: FloatArray, sigma_first: float, sigma_second: float, huber: float) -> tuple[float, float]:
-    """Divide a measurement's rows by their deviations, in place; its squared error, and what its cost is above half of
-    the square of its rows. Farther off than `huber`, in sigmas, it pulls with a constant force."""
+    """Divide a measurement's rows by their deviations, in place; returns its squared error, and its cost minus half the
+    squared norm of its rows. Beyond `huber`, in sigmas, its loss is linear."""
     first, second = rows[0, ERROR] / sigma_first, rows[1, ERROR] / sigma_second
     squared, more, weight = first * first + second * second, 0.0, 1.0
     sigmas = math.sqrt(squared)
