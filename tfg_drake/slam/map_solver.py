@@ -20,20 +20,21 @@ from tfg_drake.slam.shared import SHARED, Shared, scale_of
 from tfg_drake.slam.solver import LEAST_DAMPING, Keyframes, Unknowns, Values
 from tfg_drake.slam.tag_error import learnt, suspected
 
-# Landmarks known jointly: those nearest to the robot; and so many of all others once everything is explored.
+# Number of jointly known landmarks: the nearest to the robot; and of others, spread over the map, after exploration.
 JOINT = 500
 SPREAD = 600
-# At the end of a mission those of the whole map are, if they are no more than this: their covariance has 200 MB then.
+# At the end of a mission all landmarks are jointly known, up to this number, whose covariance takes 200 MB.
 MOST_JOINT = 2500
-# Steps of one solve, at most, and the largest component (m, rad) of a step after which no other is needed.
+# Greatest number of steps of a solve; it has converged after a step whose largest component (m, rad) is below
+# SMALL_STEP.
 MOST_STEPS = 20
 SMALL_STEP = 2e-5
-# A step that fails to lower the error is halved, so many times at most.
+# A step that raises the error is halved, at most this number of times.
 MOST_HALVINGS = 10
-# Where no step can be made, what holds every unknown grows each time, so far at most.
+# If the information is not positive definite, the damping is multiplied by DAMPING_GROWTH, up to MOST_DAMPING.
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
-# Deviations, m, m, rad, of the way to what is adrift, so that this stays where it begins.
+# Deviations, m, m, rad, of the motion to an adrift part while it is held at its start.
 HELD = np.array([1e-3, 1e-3, 1e-4])
 
 
@@ -83,7 +84,7 @@ def solved(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[KeyframeGr
         graph = _with_way(graph, j, unknown)
     tag_error, m = graph.tag_error, 2 * len(local)
     if graph.solver == "gtsam":
-        # Its library is loaded only where it is asked for.
+        # GTSAM is loaded only if it is asked for.
         from tfg_drake.slam import gtsam_solver
 
         values, covariance, log_information = gtsam_solver.solution(graph, local, node)

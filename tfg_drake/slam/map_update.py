@@ -19,23 +19,24 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph, extended
 from tfg_drake.slam.shared import METRES, SHARED, Shared, scale_of
 from tfg_drake.slam.walls import wall_ends
 
-# Squared Mahalanobis distance of a known tag from what all others say, beyond which the tag is left out: it was
-# misread, has been moved or is tied to the wrong place. What comes of that, `evidence` says.
+# A known tag whose squared Mahalanobis distance from its prediction by all others exceeds this is rejected: it was
+# misread, moved or associated wrongly. `evidence` decides what follows.
 REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
-# The graph is solved when a landmark has moved this far, m, since the last solve, when it has half as many keyframes
-# more, or so many, when one of so many landmarks nearest to the robot is not known jointly, when a parameter has moved
-# by this share of the deviation that it had at the last solve, or when a turn of the map about its origin by what the
-# heading deviates takes what is seen, so far off the robot, m, this far, m, off the tangent that updates follow: each
-# would tell a little of the heading that nobody saw.
+# The graph is solved if, since the last solve, a landmark has moved by more than FAR_MOVED, m; half as many keyframes
+# or MANY_KEYFRAMES were added; a shared parameter has moved by PARAMETER_MOVED of its deviation then; the pose's
+# deviation has grown by LOOSER, m and rad, in quadrature; or one of the NEAREST landmarks to the robot is not jointly
+# known. It is also solved if a rotation of the map about its origin by the heading's deviation leaves the tangent by
+# more than OFF_TANGENT, m, at the distance BEYOND, m, past the robot: each update would add false information on the
+# heading.
 FAR_MOVED = 0.05
 BEYOND, OFF_TANGENT = 5.0, 0.003
 MANY_KEYFRAMES = 32
 NEAREST = 100
 LOOSER = np.array([0.02, 0.005])
 PARAMETER_MOVED = 1.0
-# Directions of the parameters of which a keyframe says less than this, in prior deviations, are left out.
+# Directions of the parameters on which a keyframe has less information than this, in prior deviations, are ignored.
 LEAST_TOLD = 1e-9
 
 
@@ -289,7 +290,7 @@ def _joined(
     """Return graph and map with a keyframe whose known tags are all accepted. before: the map's joint, by: their
     update."""
     (mean, covariance), (_, known), local_row = before, rows_of(one.ids, estimate.ids), by.local_row
-    # What it says besides of known tags: in A, new tags and D. The errors of all of it go together.
+    # Its new landmarks and D, in A, whose errors are correlated with those of its known tags.
     beyond = np.append(np.repeat(~known, 2), np.ones(3, dtype=np.bool_))
     size, more, R, G = len(covariance), int(np.count_nonzero(beyond)), told.covariance, told.by_shared
     G_b = G[beyond]
@@ -311,7 +312,7 @@ def _joined(
     R_MA, fresh = se2.rotation(float(X_MA[2])), one.ids[~known]
     p_AL, X_AD, walls = y[:-3].reshape(-1, 2), y[-3:], int(np.count_nonzero(~is_tag(fresh)))
     p_ML, _ = placed(X_MA, fresh, p_AL, one.anchor[~known])
-    # A wall keeps its anchor, past which the pose brings it along its normal.
+    # A wall's anchor is fixed in M: a change of the pose shifts the wall along its normal.
     lever = np.vstack([one.anchor[~known][:walls], p_AL[walls:], X_AD[:2]]) @ R_MA.T
     J = np.zeros((more + SHARED, 3 + SHARED + more))
     of_places = J[: more - 1]

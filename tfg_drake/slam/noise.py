@@ -15,18 +15,20 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray, TagDetections, message, replace
 
-# Logarithms of the deviations of distance, heading, tags and looks at walls over those told, and Fisher's z of the
-# correlation of a tag's noise from frame to frame, are learnt; prior deviations, and the least and the most that is
-# believed. What errs little in the seconds of a sample may drift in minutes: nothing is much better than
-# its data sheet. Furniture may look like walls: looks may be far worse than their rays tell.
+# The learnt levels: logarithms of the factors on the stated deviations of distance, heading, tags and looks at walls,
+# and Fisher's z of the correlation of a tag's noise from frame to frame; their prior deviations and bounds. The lower
+# bounds are narrow, as a sensor that errs little within a sample may drift over minutes; the upper bound of looks is
+# wide, as furniture may look like walls.
 DISTANCE, HEADING, TAGS, CORRELATION, LOOKS = range(5)
 PRIOR = np.array([0.35, 0.35, 0.3, 0.7, 0.7])
 LEAST = np.array([-0.35, -0.35, -0.35, -0.1, 0.0])
 MOST = np.array([1.6, 1.6, 1.6, 1.7, 2.5])
-# Samples kept. The noise is learnt anew when there have been so many times more.
+# The newest MOST_SAMPLES samples are kept. The noise is learnt whenever the number of samples has grown by GROWTH
+# times.
 MOST_SAMPLES = 32
 GROWTH = 3
-# Steps of one learning at most, and that after which the next would be none, in deviations; step of the differences.
+# Greatest number of Newton steps; it has converged after a step below SMALL, in deviations. DIFFERENCE: of the
+# numerical derivatives.
 MOST_STEPS = 6
 SMALL = 1.0
 DIFFERENCE = 0.01
@@ -106,7 +108,7 @@ class LearntNoise:
         for _ in range(MOST_STEPS):
             gradient, curvature = self._differences(level, cost)
             sigma = np.sqrt(np.diag(np.linalg.inv(curvature)))
-            # What a bound holds is not free.
+            # The active set: levels at a bound stay there.
             free = (gradient < 0.0) & (level < MOST) | (gradient > 0.0) & (level > LEAST)
             step = np.zeros(len(level))
             step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
