@@ -18,9 +18,9 @@ from tfg_drake.slam.shared import CAMERA_YAW, SCANNER_YAW
 
 # Where the columns of a row begin.
 OF_MOUNT, OF_LANDMARK, ERROR, OF_TWIST, COLUMNS = 3, 8, 10, 11, 13
-# The mounts begin here among the shared parameters, so many each.
+# The first of a mount's parameters among the shared ones, and their number.
 CAMERA, SCANNER, OF_SENSOR = CAMERA_YAW, SCANNER_YAW, 5
-# A tag is no nearer to the camera than this, m, and none is planned to be looked at from nearer.
+# Least range of a tag in a linearisation, m, and in planned views.
 LEAST_RANGE, LEAST_RANGE_PLANNED = 1e-3, 0.05
 
 
@@ -99,7 +99,7 @@ def linearise_wall(
     x, y = X_FB[0] + p_x - p_FC[0], X_FB[1] + p_y - p_FC[1]
     n_x, n_y = math.cos(wall[0]), math.sin(wall[0])
     n_ahead, n_left, by_turn = c * n_x + s * n_y, c * n_y - s * n_x, n_y * m_x - n_x * m_y
-    # What the sweep makes of the direction and of the distance, over itself, and what their change by the normal is.
+    # Derivatives of direction and distance on the sweep, and what these add to the derivatives on the heading.
     swept, swept_off = rate * look[3] + speed * n_ahead * look[5], rate * look[4] + speed * n_ahead * look[6]
     bend, bend_off = sweep * speed * n_left * look[5], sweep * speed * n_left * look[6]
     rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3] = 0.0, 0.0, bend - 1.0, -1.0

@@ -15,11 +15,11 @@ from tfg_drake.config import OdometryConfig
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Odometry, message
 
-# A robot whose wheels stand may have turned by less than an encoder tells: errors accrue at this share of their rate in
-# motion, which makes 0.3 mrad in half a minute; a tick of one wheel of a Kobuki is 0.4 mrad.
+# At rest errors accrue at this share of their rate in motion, as a robot may turn by less than an encoder's tick: 0.3
+# mrad in half a minute, where one tick of a Kobuki's wheel is 0.4 mrad.
 REST_SHARE = 0.0001
-# Deviations of a way that odometry does not tell but guesses, by the velocity before: so much at once, m, m, rad, and
-# so much a second, m/s, m/s, rad/s.
+# Deviations of a motion that is extrapolated by the previous velocity: a constant, m, m, rad, and their growth, m/s,
+# m/s, rad/s.
 BREAK, BREAK_RATE = np.array([0.02, 0.02, 0.02]), np.array([0.5, 0.5, 1.0])
 
 

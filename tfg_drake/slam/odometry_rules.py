@@ -16,15 +16,16 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Odometry, message, replace
 from tfg_drake.notes import Note
 
-# What no ground robot's velocity exceeds, m/s and rad/s.
+# The greatest velocity of any ground robot, m/s and rad/s.
 FASTEST, FASTEST_TURN = 5.0, 20.0
-# A base drives at most so fast, m/s and rad/s, or this many times as fast as it did before.
+# The expected limit: these velocities, m/s and rad/s, or TWIST_SHARE times the previous one, if that is more.
 USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
-# And so far beyond that, m and rad: stamps are late and messages get lost.
+# Motion in excess of the expected limit, summed, is a jump from here on, m and rad: stamps are late and messages get
+# lost.
 LEAP, LEAP_TURN = 0.5, 0.5
-# One message that is farther than this from the last, m, is a jump where that would be faster than any robot.
+# A single step longer than this, m, is a jump if it is faster than FASTEST.
 SUDDEN = 0.15
-# Odometry cannot be reckoned over a silence longer than this, s; the last velocity is believed for so long at most.
+# After a silence longer than this, s, the motion is unknown. Over a jump the last velocity is held for at most HELD, s.
 SILENCE, HELD = 2.0, 1.0
 
 

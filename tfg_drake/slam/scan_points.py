@@ -10,26 +10,26 @@ from numba import njit
 from tfg_drake.messages import FloatArray, IntArray, LaserScan
 from tfg_drake.slam.scan_lines import LEAST_SIGMA, NORMAL, RAYS
 
-# Least and greatest number of rays that a normal is told by: the least that can look bent; 0.3 m of a
-# wall 1.5 m away for a scanner of three rays a degree, as the direction of less drowns in 30 mm of noise.
+# Least and greatest number of rays of a normal's window: the fewest that can bend; and 0.3 m of a wall 1.5 m away for a
+# scanner of three rays a degree, as in 30 mm of noise a shorter piece has no direction.
 FEWEST, MOST = 3, 33
-# Greatest length, m, of surface that a normal is told by: it is the normal of a place, not of a wall.
+# Greatest length of a window, m: the normal is that of a place, not of a wall.
 LENGTH = 1.2
-# Curvature, 1/m, that surfaces may have: so much the normal turns on the way from the middle of the rays it is told by,
-# where it is that of their chord. A column of half a metre radius has 2, the round end of a hall 0.1.
+# Assumed curvature of surfaces, 1/m, by which a normal turns between the middle of its window and the ray. A column of
+# half a metre radius has 2, the round end of a hall 0.1.
 CURVATURE = 1.0
-# Greatest standard deviation of a normal, rad: so surfaces that meet at 30 degrees are told apart.
+# Greatest standard deviation of a normal, rad, so that surfaces that meet at 30 degrees are distinguished.
 WORST = 0.2
-# Errors of rays and their bend, in deviations, beyond which rays are not straight by chance.
+# A window is straight if the rays' squared errors and their bend are within this many deviations of chance.
 STRAIGHT = 2.0
-# A surface that is seen more slantwise than this has no normal (cosine of 82.5 degrees): 8 m away rays of a degree meet
-# it at every metre, and tell nothing of what is between.
+# Least cosine of the incidence of a ray with a normal, of 82.5 degrees: more obliquely, 8 m away, the rays of a scanner
+# of one ray a degree are a metre apart, and what is between them is unknown.
 SLANT = math.cos(math.radians(82.5))
-# Rays are neighbours where no more than two between them met nothing.
+# Rays are neighbours if at most two rays between them met nothing.
 BESIDE = 3
-# An edge is so much, m, before what is seen beside it: more than noise, or than the depth of a door's frame. It is
-# somewhere between its ray and the next, which meet its surface no more than this, m, apart: so its deviation is no
-# more than what `surfaces.EDGE` has it count for.
+# An edge is EDGE, m, in front of what is seen beside it, more than noise or the depth of a door frame. It lies between
+# its ray and the next, which meet its surface within APART, m, of each other, so that its deviation is at most what the
+# weight `surfaces.EDGE` stands for.
 EDGE, APART = 0.2, 0.14
 
 
@@ -50,13 +50,13 @@ def _points(angles: FloatArray, ranges: FloatArray, range_max: float, sigma: flo
     n, m = len(met), len(angles)
     if n < FEWEST:
         return np.empty((0, 4))
-    # A scanner may be noisier than its data sheet: most rays lie on planes, as do those on either side of them.
+    # A scanner may be noisier than its data sheet. Most rays and their neighbours lie on planes.
     mid = np.flatnonzero(measured[:-2] & measured[1:-1] & measured[2:]) + 1
     if len(mid) > RAYS:
         left, right, half = ranges[mid - 1], ranges[mid + 1], 0.5 * (angles[mid + 1] - angles[mid - 1])
         off = np.median(np.abs(ranges[mid] - 2.0 * np.cos(half) * left * right / (left + right)))
         sigma = max(sigma, off / (NORMAL * math.sqrt(1.5)))
-    # Of a scanner that sees all round, the first rays follow the last once more.
+    # For a scanner with a full field of view the first rays are repeated after the last.
     swept = angles[-1] - angles[0]
     around = (2.0 * math.pi - swept) * (m - 1) < 2.0 * swept
     again = np.arange(n + min(n, MOST) - 1 if around else n)
@@ -89,7 +89,7 @@ def _normals(
             step = min(r[j], r[j - 1]) * (bearings[j] - bearings[j - 1])
             if rays[j] - rays[j - 1] > BESIDE or abs(r[j] - r[j - 1]) > step / SLANT + 4.0 * sigma:
                 break
-            # From the first ray, in m, and by the t-th of them.
+            # Relative to the window's first ray, m; t: number of the ray in the window.
             dx, dy, t = x[j] - x[i], y[j] - y[i], float(j - i)
             s_x, s_y, s_xx, s_xy, s_yy = s_x + dx, s_y + dy, s_xx + dx * dx, s_xy + dx * dy, s_yy + dy * dy
             t_x, t_y, tt_x, tt_y = t_x + t * dx, t_y + t * dy, tt_x + t * t * dx, tt_y + t * t * dy
@@ -138,7 +138,7 @@ def _is_edge(k: int, r: FloatArray, bearings: FloatArray, rays: IntArray, n: int
         if (side * (rays[far] - rays[k])) % m > BESIDE or (side * (rays[k] - rays[other])) % m > BESIDE:
             continue
         ahead, behind = side * (bearings[far] - bearings[k]), side * (bearings[k] - bearings[other])
-        # Of what is as thin as one ray that behind is no surface.
+        # Behind an object that only one ray hits the next ray is on another surface.
         slant = r[k] - r[other] if r[other] < r[k] + EDGE else 0.0
         if math.hypot(slant, r[k] * behind) > APART:
             continue

@@ -27,32 +27,33 @@ from tfg_drake.slam.shared import (
     Shared,
 )
 
-# The parameters that a comparison is linear in: those of the camera less those of the scanner, and the distance of tags
-# before their surfaces, m.
+# The parameters in which a comparison is linear: those of the camera minus those of the scanner, and the distance of
+# tags in front of their surfaces, m.
 COMPARED = (RANGE_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y)
 OF_SCANNER = (SCANNER_YAW, SCANNER_X, SCANNER_Y)
 # Prior standard deviation of that distance.
 BEFORE_SURFACE = 0.02
 # Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
 TAG_SIGMA = 0.01
-# Pairs that differ by more than this many standard deviations are of two different things.
+# A pair is an outlier beyond this many standard deviations.
 GATE = 4.0
-# So large a share, where it is this many standard deviations from none, is reported: tags are of another size, or the
-# calibration is of another camera. So many pairs must say so where they agree with no scale that may well be.
+# A scale error is reported if it exceeds REPORTED by SIGNIFICANT standard deviations: tags of another size, or another
+# camera's calibration. An error so great that most pairs are outliers needs MANY of them that agree.
 REPORTED, SIGNIFICANT = 0.03, 4.0
 MANY = 100
-# They are counted by the logarithm of range over range, in bins this wide, up to as much more or less as MOST, a factor
-# of 50. Half of all pairs must lie this near together, whichever is the more: so many bins, or so large a share of what
-# is reported.
+# The outliers' histogram by the logarithm of the ranges' ratio: bins of BIN, up to MOST, a factor of 50, either way.
+# They agree if half of all pairs lie within NEAR bins or within the share NEARLY of the reported error, whichever is
+# more.
 BIN, MOST = 0.02, 3.92
 NEAR, NEARLY = 3, 0.25
-# Surfaces seen more slantwise than this are left out (tangent of 60 degrees): a bearing error becomes a range error.
+# Greatest tangent of the incidence on a surface, of 60 degrees: on more oblique ones a bearing error becomes a range
+# error.
 STEEPEST = 1.75
-# Neighbouring rays belong to one surface when their ranges differ by less than this share; the surface is the line
-# through this many of them on either side.
+# Neighbouring rays belong to one surface if their ranges differ by less than this share; the surface is the line
+# through RAYS of them on either side.
 SAME_SURFACE = 0.1
 RAYS = 4
-# They bend where the outer half of them is this many standard deviations nearer or farther than the inner half.
+# The rays bend if the outer half of them is this many standard deviations nearer or farther than the inner half.
 STRAIGHT = 3.0
 
 
@@ -99,10 +100,10 @@ def scan_information(ranges: ScanRanges, worth: float) -> tuple[FloatArray, Floa
     """Return the information (13, 13) of all pairs on the shared parameters, and the gradient (13,) at zero. worth: the
     information of one of many frames, as a share of that by the data sheet."""
     of_tag, weight = worth * ranges.of_tag[:, :6], worth * ranges.of_tag[:, 6]
-    # Each tag's own error eliminated.
+    # Eliminate each tag's own error.
     M = worth * ranges.total - (of_tag / (weight + TAG_SIGMA**-2)[:, None]).T @ of_tag
     J, gradient = M[:5, :5], -M[:5, 5]
-    # The distance eliminated; the scanner's place and heading count as the camera's do, the other way round.
+    # Eliminate the distance to the surface. The scanner's mount has the camera's derivatives with the opposite sign.
     share = J[:4, 4] / (J[4, 4] + BEFORE_SURFACE**-2)
     by = np.zeros((4, SHARED))
     by[np.arange(4), COMPARED] = 1.0
@@ -130,7 +131,7 @@ def surface(bearing: float, angles: FloatArray, ranges: FloatArray, sigma: float
         return math.nan, math.nan
     total, slope = (1.0 / r).sum(), (ray / r).sum()
     bend = (np.where(np.abs(ray) > 0.5 * RAYS, 1.0, -1.0) / r).sum()
-    # Rays that meet two walls on both sides of a corner.
+    # Rays on either side of a corner bend.
     if abs(bend) > STRAIGHT * sigma * math.sqrt(2.0 * RAYS) * (total / (2 * RAYS)) ** 2:
         return math.nan, math.nan
     slope /= RAYS * (4 * RAYS * RAYS - 1) / 6.0
@@ -171,7 +172,7 @@ def _with_pairs(
         for a in range(5):
             predicted += (row[a] * sigma[a]) ** 2
             error -= row[a] * mean[a] if a != 1 else 0.0
-        # Where the parameters are zero the scan would be read elsewhere.
+        # Extrapolate the difference to parameters of zero.
         row[5] += row[1] * mean[1]
         if error * error > GATE**2 * predicted:
             longer = math.log(range_[k] / distance)

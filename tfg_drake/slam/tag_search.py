@@ -13,18 +13,19 @@ from tfg_drake.slam.estimator_state import Placed
 from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.place_search import is_elsewhere
 
-# Tags that must agree, and the share of those that are in both.
+# Number of tags that must agree, and their share of the common ones.
 LEAST_TAGS, LEAST_SHARE = 3, 0.6
-# Squared deviations of a tag from where it should be, beyond which they say no more: it is misread, or was moved.
+# A tag whose squared Mahalanobis distance from its expected place exceeds this is an outlier: misread or moved.
 GATE = 3.5**2
-# A tag may be this far from where the map has it, m. One less certain than LOOSE, m, is not where it seems.
+# Additional deviation of a tag's mapped place, m. Tags whose deviation exceeds LOOSE, m, are not used.
 MAP_SIGMA, LOOSE = 0.05, 10.0
-# Two tags nearer than this to each other tell no heading, m. Tags that are tried, the surest.
+# Least distance of the two tags of a hypothesis, m, as nearer ones give no heading; pairs are formed of the MOST_TAGS
+# most certain tags.
 LEAST_BASE, MOST_TAGS = 0.4, 12
-# Steps to the least squares.
+# Iterations of the robust least squares.
 STEPS = 8
-# A pose is known when its deviations amid the tags are below these, m, m, rad, and any that is another place leaves so
-# many squared deviations more.
+# A pose is accepted if its deviations, at the middle of the tags, are below KNOWN, m, m, rad, and the cost of every
+# other place exceeds its own by AHEAD.
 KNOWN, AHEAD = np.array([0.3, 0.3, 0.1]), 6.0
 
 
