@@ -20,21 +20,23 @@ from tfg_drake.slam.place_search import COARSE, LOOSELY, QUERY, UNTIED, peaks
 from tfg_drake.slam.surface_fit import Surfaces, map_points
 from tfg_drake.slam.surfaces import Ties
 
-# Way, m, that counts as lately, and after which a place is an old one; way of old keyframes that are searched at once.
+# Path lengths, m: what was seen over the last LATELY is the query, places LONG_AGO or more back are old, and old
+# keyframes within AT_ONCE of the nearest place are searched together.
 LATELY, LONG_AGO, AT_ONCE = 3.0, 15.0, 6.0
-# A search again after so much way, m. Points of the query and of old surfaces, at least.
+# Path length between searches, m. Least number of points of the query, and of the old surfaces.
 EVERY, LEAST_POINTS = 1.0, 30
-# Old places are asked for within this and the window, m. The window, m and rad: at least, at most, in deviations of the
-# pose, and by way, m, since the last loop.
+# Old places are considered within WITHIN, m, of the search window. The window, m and rad, is LEAST_WINDOW, plus
+# DEVIATIONS of the pose, plus DRIFT per metre of path since the last loop, up to MOST_WINDOW.
 WITHIN, DEVIATIONS = 3.0, 3.0
 LEAST_WINDOW, MOST_WINDOW, DRIFT = np.array([0.4, 0.08]), np.array([6.0, 0.5]), np.array([0.03, 0.003])
-# Least share of points on old ones in the coarse search, and on old surfaces after the fit.
+# Least score of the coarse search, and least share of points on old surfaces after the fit.
 LEAST_SCORE, LEAST_SHARE = 0.35, 0.5
-# Loops agree, m and rad, and a share of the way between; along so much way. Two others have to where one moves the
-# robot farther than this, m, or another place does nearly as well.
+# Two loops within ALONG, m of path, agree within AGREE, m and rad, plus AGREE_SHARE of the path between them. A loop
+# needs one other that agrees, or two if it moves the robot by more than FAR, m, or if the second peak exceeds RIVAL
+# times the first.
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
 FAR, RIVAL = 0.3, 0.9
-# How far a way is bent, m and rad for the square root of a metre of it, and loops are closed, m, m and rad.
+# Deviations when a path is bent: of the path, m and rad per square root of a metre, and of a loop, m, m and rad.
 BEND, TIE = np.array([0.03, 0.02]), np.array([0.05, 0.05, 0.01])
 
 
@@ -136,7 +138,7 @@ def with_loops_closed(
     asked, there, told = len(new), graph, estimate
     if any(_is_open(graph, loop) for loop in new):
         there = bent(replace(graph, p_ML=estimate.p_ML), search.closed, new)
-        for _ in range(2):  # The pieces of surface are grouped anew where the first has moved them.
+        for _ in range(2):  # The second solve regroups the pieces of surface that the first has moved.
             there, told = solve(there, estimate.stamp, observation)
     new = tuple(loop for loop in new if not _is_open(there, loop))
     if 2 * len(new) <= asked:

@@ -17,15 +17,15 @@ from tfg_drake.messages import FloatArray, TagDetections, message, replace
 # The places of the parameters in all vectors. Measured distance = (1 + DISTANCE_SCALE) * distance, measured turn =
 # (1 + GYRO_SCALE) * turn + GYRO_BIAS (rad/s) * time, measured range = (1 + RANGE_SCALE) * range. The camera looks
 # CAMERA_YAW (rad) to the left, sits LEVER_X ahead and LEVER_Y to the left (m) of where it is believed to sit, and its
-# clock is CLOCK (s) ahead of the base's: a frame stamped s shows what there was at s - CLOCK. Likewise of the scanner,
-# whose rays are the later taken the farther to the left, by SWEEP (s/rad).
+# clock is CLOCK (s) ahead of the base's: a frame stamped s was taken at s - CLOCK. The scanner's parameters mean the
+# same; SWEEP (s/rad) is the delay of its rays per radian to the left.
 DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE = range(3)
 CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE = range(3, 8)
 SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP = range(8, 13)
 SHARED = 13
-# A unit of length is the parameter that scales what was measured in it; where scans did, lengths are true.
+# The unit of a keyframe's lengths is the index of the parameter that scales them, or METRES if scans measured them.
 METRES = -1
-# A known constant is still an unknown: least standard deviation of each.
+# Least standard deviation of a parameter: a known one is still an unknown.
 LEAST_SIGMA = 1e-6
 
 

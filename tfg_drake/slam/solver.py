@@ -14,10 +14,10 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.surfaces import Pieces, Points, Ties, pieces_of, scatter
 
-# Where no step can be made, every unknown is held to its place by this information, and more if need be: it holds what
-# hangs on nothing by 100 m, or rad.
+# Least damping, an information on every unknown, of a system that is not positive definite: a deviation of 100 m or
+# rad.
 LEAST_DAMPING = 1e-4
-# Stands for the first unknown of what has none: so do all that follow it.
+# The index of what is no unknown; also negative with the offset of any of its components.
 NONE = -SHARED
 
 
