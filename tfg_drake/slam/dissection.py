@@ -27,9 +27,9 @@ from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import NONE, Unknowns, Values, assemble, factors_of
 from tfg_drake.slam.surfaces import add_pieces, add_ties
 
-# Keyframes of a front that has no halves, at most.
+# Greatest number of keyframes of a leaf.
 LEAF = 32
-# A part is cut across one of so many directions, so that its smaller half has at least this share of it.
+# A part is bisected across one of DIRECTIONS directions; its smaller half has at least the share LEAST_SHARE of it.
 DIRECTIONS = 8
 LEAST_SHARE = 0.4
 
@@ -90,14 +90,14 @@ class Elimination:
         return x
 
     def covariance(self, at: IntArray) -> FloatArray:
-        """(c, c) joint, of some unknowns (c,): the product with itself of what the Cholesky factor makes of their
-        columns of the identity. These are zero but in the fronts where the unknowns are eliminated, and above."""
+        """Return the joint covariance (c, c) of some unknowns (c,): R^T R with R = L^-1 times their columns of the
+        identity, which is zero but in the fronts where the unknowns are eliminated and in those above."""
         order = np.argsort(at, kind="stable")
         columns, joint = at[order], np.zeros((len(at), len(at)))
         left: dict[int, FloatArray] = {}
         done = 0
         for p, (front, lower, below) in enumerate(self.parts):
-            # The columns of what is eliminated below a front, half by half, and those of its own follow each other.
+            # The columns of the unknowns eliminated below, half by half, precede those of the front's own unknowns.
             halves = [(self.parts[half][0].above, left.pop(half)) for half in front.halves]
             first, last = np.searchsorted(columns, [done, done + front.own])
             begin = first - sum(part.shape[1] for _, part in halves)
@@ -149,10 +149,11 @@ def leaves(points: FloatArray, variable: IntArray, keyframe: IntArray, most: int
 def _halves(
     along: FloatArray, part: IntArray, variable: IntArray, keyframe: IntArray
 ) -> list[tuple[IntArray, IntArray, IntArray]]:
-    """A part of the keyframes (q,), cut so that the fewest variables are on both sides: each half, with its variables.
+    """Return both halves of a part of the keyframes (q,), cut so that the fewest variables are on both sides, each with
+    its variables.
 
-    along: (k, d) how far all keyframes are along each direction. variable, keyframe: (e,) as of `leaves`, by ascending
-    variable, those variables only that no keyframe outside the part has.
+    along: (k, d) coordinates of all keyframes in each direction. variable, keyframe: (e,) as in `leaves`, ascending by
+    variable, only of variables that no keyframe outside the part has.
     """
     q, directions = len(part), along.shape[1]
     order = np.argsort(along[part], axis=0, kind="stable")
@@ -164,7 +165,7 @@ def _halves(
     first = last = np.empty((0, directions), dtype=np.int64)
     if len(begins):
         first, last = (each.reduceat(place[keyframe], begins, axis=0) for each in (np.minimum, np.maximum))
-    # Both sides of a cut have the variables that begin before it, but for those that end before it.
+    # A cut is crossed by the variables that begin before it minus those that end before it.
     column, count = np.arange(directions), directions * (q + 1)
     begun, ended = (np.bincount((directions * (of + 1) + column).ravel(), minlength=count) for of in (first, last))
     shared = np.cumsum((begun - ended).reshape(q + 1, directions), axis=0)[cuts]
@@ -202,12 +203,12 @@ def dissected(
     np.maximum.at(upper, piece, lowest[1])
     np.minimum.at(first, tied, lower[piece])
     np.maximum.at(last, tied, upper[piece])
-    # What no keyframe has is put into the first leaf.
+    # Variables of no keyframe go to the first leaf.
     unseen = np.flatnonzero(last < 0)
     first[unseen] = last[unseen] = 0
-    # Up to the first front that has all of its keyframes.
+    # A variable is eliminated in the lowest front that has all of its keyframes, `up` levels above the leaves.
     up = np.frexp((first ^ last).astype(float))[1]
-    # A complete tree, each front after its halves: so many fronts are below one on a level.
+    # A complete binary tree of fronts, each after its halves.
     place = {(level, i): p for p, (level, i) in enumerate(_in_order(depth, 0))}
     table = np.full((depth + 1, 2**depth), -1)
     for (level, i), p in place.items():
@@ -259,7 +260,7 @@ def eliminated(dissection: Dissection, block: Callable[[Front], FloatArray], dam
     log_determinant = 0.0
     for p, front in enumerate(dissection.fronts):
         size, own = len(front.unknowns), front.own
-        # Of a parent only the upper triangle, row by row, is filled: LAPACK's lower one.
+        # Only the upper triangle in row-major order is filled, which is LAPACK's lower one.
         whole = block(front)
         for half in front.halves:
             extend_add(whole, left.pop(half).T, dissection.fronts[half].above)
@@ -303,7 +304,7 @@ class DissectionSolver:
         nodes = 2 * n + np.append(np.arange(k), np.arange(k - 1))
         variable = np.concatenate([rows, n + rows, nodes, np.full(k, 2 * n + k)])
         keyframe = np.concatenate([seen_by, seen_by, np.arange(k), np.arange(1, k), np.arange(k)])
-        # A landmark's error is in the keyframes that the landmark is in, and the parameters are in all.
+        # Cuts ignore the tags' errors, which share the keyframes of their tags, and the parameters, which are in all.
         cut = (variable < n) | ((variable >= 2 * n) & (variable < 2 * n + k))
         pieces = self.factors.pieces
         ties, count = self.factors.ties, len(pieces.frame)
@@ -330,7 +331,7 @@ class DissectionSolver:
         factors, u, size = self.factors, self.unknowns, self._dissection.size
         gradient, error = np.zeros(size), 0.0
         places = np.empty((len(factors.keyframes.rows), 2, 3))
-        # The last stand for NONE.
+        # The last entries are those of NONE.
         entry, has_prior = np.full(size - NONE, NONE), np.ones(len(u.error_at), dtype=bool)
 
         def block(front: Front) -> FloatArray:

@@ -90,38 +90,38 @@ from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_line
 
 # Without frames the filters follow odometry in steps of this length, s.
 LONGEST_STEP = 0.25
-# A frame contradicts the pose when more than this share of the known tags in it do. Where a keyframe has so many, it
-# may be the robot that is elsewhere.
+# A frame contradicts the pose if more than the share MOST_IGNORED of its known tags do. If a keyframe has LEAST_KNOWN
+# known tags and they contradict the map, the robot may be elsewhere.
 LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
-# Deviations, m, m, rad, up to which a pose after a way that is not known is corrected like any other; beyond that the
-# robot is lost.
+# After an unknown motion the robot is lost if its pose has greater deviations than these, m, m, rad; otherwise the pose
+# is corrected as usual.
 FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
-# Frames seen while the pose is in doubt wait to be mapped, for this long at most, s.
+# Frames seen while the pose is in doubt wait to be mapped, at most for this time, s.
 LONGEST_DOUBT = 60.0
-# A keyframe is reduced anew where a parameter has moved by more than this share of the deviation that it had then.
+# A keyframe is reduced anew if a parameter has moved by more than this share of the deviation that it had then.
 REDUCED_WITHIN = 0.5
-# And where the level of some noise has, by this.
+# So it is if a level of the noise has changed by more than this.
 LEVEL_WITHIN = 0.2
-# The last map is solved until the deviation of the tags' errors changes by no more than this share, so often at most.
+# The last map is solved until the deviation of the tags' errors changes by at most this share, or MOST_SOLVES times.
 SAME_TAG_ERROR = 0.05
 MOST_SOLVES = 6
-# A frame's ranges are compared with a scan's where the robot has moved by no more than this meanwhile, m and rad.
+# A frame's ranges are compared with a scan if the robot has moved by at most this in between, m and rad.
 SAME_PLACE = 0.004
-# A scan tells whether something hid the tags of a frame where it has moved by no more than this.
+# A scan tells whether something hid the tags of a frame if the robot has moved by at most this in between, m and rad.
 NEARLY_THERE = 0.05
-# Scans kept to be compared with the frames of their instant.
+# Number of scans kept for these comparisons.
 SCANS = 4
-# A turn or piece is solved with the lines of a scan so often, s: what they tell in between is below their floor. In a
-# recording, of which each scan's pose is wanted, with those of each.
+# Period at which a turn or piece takes the lines of a scan, s: more often they would not exceed their common error. A
+# recording, for which each scan's pose is wanted, takes those of each scan.
 LINES_EVERY = 0.2
-# And the points of a scan once the robot has moved so far, m or rad.
+# It takes the points of a scan whenever the robot has moved by this, m or rad.
 POINTS_WAY, POINTS_TURN = 0.3, 0.3
-# Messages of the first look, and scans that wait for odometry, that are kept, at most: two minutes of them.
+# Greatest number of messages of the first look, and of scans that wait for odometry: two minutes of them.
 MOST_KEPT = 5000
-# What one scan has seen counts less by this factor with each scan after it. Where of so much surface, m, less than this
-# share is straight, walls are not: in offices 0.8 to 0.9 are, in recorded logs of cluttered ones 0.45 to 0.6, of a nave
-# with an apse 0.55, of a round room none.
+# Straightness of the surfaces in view: the weight of a scan falls by FORGET with each later scan. With ENOUGH_SEEN, m,
+# of surface, walls are no landmarks to rely on if less than the share LEAST_STRAIGHT is straight: in offices 0.8 to 0.9
+# are, in recorded logs of cluttered ones 0.45 to 0.6, of a nave with an apse 0.55, of a round room none.
 FORGET, ENOUGH_SEEN, LEAST_STRAIGHT = 1.0 - 1.0 / 600.0, 500.0, 0.4
 
 # Lines and points of a scan.
@@ -129,7 +129,7 @@ Scanned = tuple[FloatArray, FloatArray]
 NO_SCAN: Scanned = no_lines(), np.empty((0, 4))
 
 _log = logging.getLogger("tfg_drake.slam")
-# What somebody can mend is told on the screen, too.
+# Faults that a person can fix are also shown on the terminal.
 _remarks = logging.getLogger("tfg_drake.slam.sensors")
 
 
@@ -333,7 +333,7 @@ def _first_looked(state: EstimatorState) -> EstimatorState:
     for line in remedies(tags, scan):
         _remarks.warning("%.2f s: %s", state.stamp, line)
     if scan.lines:
-        # Walls of such a scanner would bend the map.
+        # The walls of such a scanner would distort the map.
         frames = tuple(replace(frame, lines=NO_SCAN[0]) for frame in turn.frames)
         state = replace(state, landmarks="tags", log=(replace(turn, frames=frames),), unread=())
     if tags.lag:
@@ -437,7 +437,7 @@ def _step(
         distance, heading, _ = state.noise.now.walks
         variance = np.array([distance**2 * abs(twist[0]), heading**2]) / max(span, SAME_INSTANT)
         localizer, *of_walls = corrected_by_walls(localizer, on_uneven(lines, state.graph.unevenness), twist, variance)
-        # Tags tell for themselves which they are.
+        # Tags decide if there are any, as their ids identify them.
         known, ignored = (known, ignored) if known or not looks else of_walls
     if state.map is not None and not state.map.is_joint:
         elsewhere = mapped_elsewhere(state, localizer, frame)
