@@ -40,7 +40,7 @@ from tfg_drake.table import empty
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
 # An increment of odometry.
 NO_MOTION = np.zeros(3)
-# So many of the newest frames tell where the robot is.
+# Greatest number of the newest frames that are searched for the robot's place.
 MOST_FRAMES = 50
 # A camera that is mounted, and whose clock runs, as is believed.
 EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)

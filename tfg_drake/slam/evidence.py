@@ -41,36 +41,37 @@ from tfg_drake.slam.tag_error import LEAST_CHANCE, in_place
 from tfg_drake.slam.turn import Source
 from tfg_drake.table import concat, empty, take
 
-# A tag is believed to be where it was seen in so many frames.
+# Number of frames that support a place before a tag is mapped there.
 CONFIRMATIONS = 3
-# Frames of one keyframe that count at most, and all that count for one place: two such keyframes. So two must
-# contradict what is well known, and one is enough against what was hardly seen.
+# Support counts at most MOST_AT_ONCE frames per keyframe and MOST in all, two such keyframes: two are needed against a
+# well-known place, and one is enough against a place that was hardly seen.
 MOST_AT_ONCE = 10
 MOST = 20
-# Two sightings say the same when they are apart by no more than this, squared in deviations (99 %), which are at least
-# this large, m: the map may have moved between them.
+# Two sightings agree if the squared Mahalanobis distance between their places is at most SAME (99 %), with deviations
+# of at least LEAST_DEVIATION, m, as the map may have moved between them.
 SAME = 9.2
 LEAST_DEVIATION = 0.1
-# Sightings that are taken back at the end of a mission, at most: where there are more, it is not the tags.
+# Greatest number of sightings removed at the end of a mission; more contradictions have another cause than tags.
 MOST_TAKEN_BACK = 10
-# Stands for the view of a place that is the one in the map.
+# The view index of a place that is the mapped one.
 MAPPED = -1
-# From farther away, m, and nearer than this, m and rad, to where no tag has been seen yet, detectors miss tags, and so
-# they do on surfaces whose incidence has a larger tangent than this, or is so little, rad, below the data sheet's most:
-# four deviations of what a scan says of it.
+# A tag is expected in a frame within NEAR, m; by INSIDE, m and rad, within the largest range and bearing of any
+# sighting; and on surfaces with a tangent of the incidence up to STEEPEST, or of ASLANT, rad, less than the data
+# sheet's limit: four deviations of the incidence by a scan.
 NEAR = 4.0
 INSIDE = 0.1
 STEEPEST = 1.2
 ASLANT = 0.4
-# Cosine of the angle to the mean direction that a tag has been seen from, within which it is seen again, and of the
-# angle of that direction to the surface's normal: else the tag is on its other side.
+# A tag is expected only within the angle with the cosine NEAR_BY from the mean direction in which it was seen, if that
+# direction's cosine with the surface's normal exceeds SAME_SIDE: otherwise the tag is on the other side.
 NEAR_BY = math.cos(math.radians(60.0))
 SAME_SIDE = math.cos(math.radians(80.0))
-# The surface that the scan meets is the tag's where its distance differs by no more than this, m, at its middle and so
-# far to either side of it, m: what hides a part of a tag hides it from the detector.
+# The scanned surface is the tag's if their distances differ by at most SAME_SURFACE, m, at the tag's middle and
+# HALF_WIDTH, m, to either side of it, as a partly hidden tag is not detected.
 SAME_SURFACE = 0.1
 HALF_WIDTH = 0.1
-# A tag is missing where no fewer frames in a row fail to show it than this, and by chance no oftener than LEAST_CHANCE.
+# A tag is missing after LEAST_FRAMES consecutive frames without it, or more if chance alone would explain them with
+# more than the probability LEAST_CHANCE.
 LEAST_FRAMES = 5
 
 

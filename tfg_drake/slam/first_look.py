@@ -31,11 +31,11 @@ from tfg_drake.slam.scan_matching import (
     judged,
 )
 
-# A clock that is wrong by no more than this is no fault, s: the camera's is learnt with the map, and a scan may be
-# stamped with its first ray.
+# A clock error up to this, s, is no fault: the camera's is learnt with the map, and a scan may be stamped with its
+# first ray.
 LEAST_OFFSET = 0.1
-# Scans and odometry that tell a way of the same length, up to such a share of it, tell the same way; its direction is
-# told where it is known as well, rad.
+# Scans and odometry tell the scanner's yaw if their distances differ by at most this share, and if five deviations of
+# the yaw are at most this, rad.
 ALIKE = 0.3
 # Standard deviation of a turn seen by tags, rad.
 STEP = 0.008
@@ -64,11 +64,11 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
 
 
 def off_by_way(messages: Sequence[Message]) -> list[str] | None:
-    """Return what a drive says of the scanner's yaw, one line where that is wrong by more than is learnt with the map;
-    None where it does not tell. How the robot turned is not asked."""
+    """Return one line if a drive shows that the scanner's yaw is wrong by more than can be learnt with the map, no line
+    if it is right; None if the drive does not determine it. Turns are not compared."""
     odometry = [one for one in messages if isinstance(one, Odometry)]
     found = compare(odometry, [one for one in messages if isinstance(one, LaserScan) and len(one.angles)], True)
-    # Where somebody walks by in a corridor the scans tell another way, and another yaw.
+    # Somebody who walks by in a corridor biases the scans' distance and yaw.
     if abs(found.travel - 1.0) > ALIKE or SURELY * found.deviations[3] > ALIKE:
         return None
     wrong = abs(found.yaw) > max(LEAST_YAW, SURELY * found.deviations[3])

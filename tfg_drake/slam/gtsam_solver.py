@@ -20,9 +20,9 @@ from tfg_drake.slam.shared import SHARED
 from tfg_drake.slam.solver import LEAST_DAMPING, Values, factors_of
 from tfg_drake.slam.surfaces import Pieces, add_pieces
 
-# Directions of which a keyframe says less than this share of what its diagonal would allow are none.
+# Eigenvalues of a keyframe's information below this share of the largest are taken as zero.
 LEAST_SHARE = 1e-13
-# Steps are made until one lowers the error by less than this share.
+# The optimiser stops at a step that lowers the error by less than this share.
 LEAST_DECREASE = 1e-10
 
 

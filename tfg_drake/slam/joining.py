@@ -20,7 +20,8 @@ from tfg_drake.slam.map_solver import known_jointly, solve
 from tfg_drake.slam.walls import named, renamed
 from tfg_drake.table import concat, take
 
-# The last keyframe of the older map in the graph of both: all of it, and the way to the session's first.
+# Index of the last keyframe of the known map in the joined graph: the map itself, then the motion to the session's
+# start.
 OF_KNOWN = 1
 
 

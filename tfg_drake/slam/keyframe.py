@@ -21,10 +21,10 @@ from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.slam.shared import METRES, SHARED, scale_of
 from tfg_drake.table import take
 
-# A fusion is iterated until no unknown moves by more than this, m or rad, but no more often than this.
+# A fusion is iterated until no unknown moves by more than SMALL_STEP, m or rad, or MOST_STEPS times.
 SMALL_STEP = 1e-6
 MOST_STEPS = 5
-# A keyframe of the way whose heading deviates this much or more, rad, ties nothing.
+# A keyframe without landmarks whose heading has at least this deviation, rad, is an unknown motion.
 OPEN_HEADING = 1.0
 
 

@@ -23,15 +23,15 @@ from tfg_drake.slam.shared import Shared
 from tfg_drake.slam.surfaces import Ties, no_ties
 from tfg_drake.table import empty, take
 
-# Landmarks that two keyframes must share to be fused, or to tell without odometry how they lie to each other.
+# Number of common landmarks with which two keyframes can be fused, or determine their relative pose without odometry.
 WITNESSES = 2
-# Landmarks of a keyframe up to which others are fused with it.
+# A keyframe with this number of landmarks is full and is not fused any more.
 FULL = 25
-# Keyframes are fused only where they know the pose between them better than this, m: fusing linearises them about it.
-# Where both have scan points these lie to each other as it says from then on: by half of it all that one sees of a
-# surface is off, which is to be little beside `surfaces.FLOOR`.
+# Two keyframes are fused if they determine the pose between them within MOST_DEVIATION, m, about which they are
+# linearised; if both have scan points, within WITH_POINTS, m, as the points' relative position is fixed from then on,
+# and half of its error must be small against `surfaces.FLOOR`.
 MOST_DEVIATION, WITH_POINTS = 0.02, 0.005
-# The newest keyframes stay as they are: a slip may still be found between them.
+# Number of the newest keyframes that are not fused, as a slip may still be found between them.
 UNFUSED = 4
 
 

@@ -33,9 +33,9 @@ from tfg_drake.slam.tag_error import in_place
 from tfg_drake.slam.walls import FLOOR, Walls, WallSet, no_walls
 from tfg_drake.table import empty, take
 
-# Local tags kept at most; the longest unseen go first.
+# Greatest number of local tags; those unseen for the longest time are dropped.
 MOST_LOCAL = 30
-# Tags seen in fewer frames become no goal: one of them may be wrong, or its id misread.
+# Tags seen in fewer frames are no goals, as a single detection may be false.
 LEAST_FRAMES = 2
 
 

@@ -43,7 +43,7 @@ Frame = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 # The robot's speed and turn rate (2,) at a scan, m/s and rad/s, and their variances (2,).
 Twist = tuple[FloatArray, FloatArray]
 POSE = 3
-# Squared deviations beyond which a sighting is ignored (2 degrees of freedom): 1 in 270 000 good ones.
+# A sighting with a larger squared Mahalanobis distance is ignored (2 degrees of freedom: 1 in 270 000 good ones).
 GATE = 25.0
 
 
