@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.planning.exact_gain import Arrival, Known, New, arrival_covariance, log_det, terms, to_arrival
 
 # The authors' program (github.com/mubeipeng/ActiveSLAM, fdcb6bc, src/planner.cpp): weight of one landmark against the
-# others, 1/m^2, the least landmarks in view that count, and nats of an expected landmark at their constants.
+# others, 1/m^2, the least number of landmarks in view, and nats per expected landmark.
 AUTHORS_WEIGHT = 10.0
 AUTHORS_LEAST = 3
 AUTHORS_NATS = 5.0 * math.log(100.0)

@@ -10,11 +10,11 @@ import numpy as np
 from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 
-# Ways take this much more time and length than expected, at most; and seconds and metres kept for detours.
+# Factor by which ways may exceed their expected time and length; time, s, and length, m, reserved for detours.
 MARGIN = 1.15
 RESERVE_TIME = 20.0
 RESERVE_DISTANCE = 3.0
-# A robot this near to where it began is home, and this near to its goal is there, m.
+# The robot is home, or at its goal, within this distance, m.
 THERE = 0.3
 
 

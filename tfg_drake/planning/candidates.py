@@ -21,9 +21,9 @@ from tfg_drake.tfg.star_polygon import looked_round
 
 # Time lost at a goal besides the turn itself: settling, solving, planning, s.
 OVERHEAD = 1.0
-# The robot never turns again within this of where it has turned before, m: it would see the same once more.
+# No candidate lies within this distance of an earlier turn, m, as it would see the same.
 APART = 0.3
-# Nor where it has looked so often, whichever way: what is still open there does not show from there.
+# Nor of this number of earlier looks in any direction: what is open there is not visible from there.
 MOST_LOOKS = 6
 
 

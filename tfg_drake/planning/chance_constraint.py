@@ -29,16 +29,16 @@ from tfg_drake.planning.exact_gain import Known, known_terms
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
 
-# So many landmarks in view count for the prediction, the nearest: those farther away add little.
+# The prediction takes this number of landmarks in view, the nearest; others add little.
 LOCALISATION_TAGS = 10
-# The pose is what this much time of frames makes it, s.
+# The predicted pose is determined by the frames of this time, s.
 LOCALISATION_TIME = 1.0
-# The way between two views, at most, m.
+# Greatest length of way over which odometry drifts without a view, m, where walls are landmarks.
 BETWEEN_VIEWS = 1.5
 # Deviation of the robot from its path and of a surface from the landmarks it is anchored to, m.
 TRACKING_DEVIATION = 0.02
-# Surfaces that a robot at a point might touch are carried by landmarks this near, m, that face it with nothing between:
-# those in the room behind a wall may have drifted far from its front, and do not matter to who drives along that.
+# The surfaces that the robot may touch are anchored to landmarks within this distance, m, that face it unhidden: those
+# behind a wall may have drifted against its front.
 SURFACE_REACH = 1.5
 
 

@@ -17,11 +17,11 @@ from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Visibility, expected_frontiers, visible_targets
 from tfg_drake.tfg.polyline import nearest
 
-# From so near a place where the robot has looked again it sees nothing else, m; half as near it is there.
+# A passage counts as looked at again from within this distance, m, of its place.
 SAME_PLACE = 2.0
-# What was seen so near a tag that is no doubt there is that tag with a misread id, m.
+# A doubtful tag within this distance, m, of a certain one is that tag with a misread id.
 MISREAD = 0.3
-# A doubtful tag was looked at from so near to the best place, m.
+# A doubtful tag counts as looked at again from within this distance, m, of the best place.
 AT_TAG = 0.5
 
 

@@ -19,13 +19,14 @@ from tfg_drake.slam.walls import FLOOR, ends_of
 from tfg_drake.table import taken
 from tfg_drake.tfg.frontier import GRAZE
 
-# A landmark lies on a surface piece that passes within the map's own error of it, m.
+# A landmark lies on a piece of surface within this distance, m, the map's own error.
 SURFACE_TOLERANCE = 0.1
-# A wall's point is looked for so far from its end, m, at most a quarter of the wall: the next wall does not hide it.
+# A wall's target is this far from its end, m, or a quarter of the wall, so that the next wall does not hide it.
 FROM_CORNER = 0.2
-# A frontier point lies a little inside the unknown: count it only well within range.
+# The share of the sensor's range within which a frontier point is visible, as the point lies a little inside the
+# unknown.
 FRONTIER_RANGE_SHARE = 0.9
-# A frontier must be looked at this much less slantwise than the sensor could, rad.
+# Margin of a frontier's incidence below the sensor's limit, rad.
 FRONTIER_INCIDENCE_MARGIN = math.radians(5.0)
 
 

@@ -29,12 +29,11 @@ from tfg_drake.planning.revisit import worth_revisiting
 from tfg_drake.planning.which_place import LEAST_TOLD, place_information
 from tfg_drake.table import empty
 
-# After so many times the tag sensor's range of way without a landmark or a surface there is no building here. Views say
-# nothing of that: most are glances a metre apart.
+# A mission ends after this many sensor ranges of way without a landmark or a surface: there is no building.
 NOTHING_WITHIN = 5.0
-# Where frames tell less than they seem to, the first look has up to so many times its turns.
+# Greatest factor on the turns of the first look, if the noise of tags is correlated from frame to frame.
 MOST_FIRST_TURNS = 2.0
-# Ids of no node.
+# An empty set of node ids.
 NOWHERE = np.zeros(0, dtype=np.int64)
 
 

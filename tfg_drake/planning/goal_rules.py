@@ -14,9 +14,9 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap
 from tfg_drake.planning.routes import edge_lengths
 from tfg_drake.planning.shortest_ways import joined
 
-# Goals planned ahead in a tour, at most: the order of so many is found exactly within milliseconds.
+# Greatest number of stops of a tour, whose best order is found exactly within milliseconds.
 TOUR_GOALS = 11
-# A place that sees this share of what a goal of the tour is to look at sees as good as all of it.
+# A place stands for a stop of the tour if it sees this share of the stop's frontier.
 AS_GOOD_AS_ALL = 0.95
 
 

@@ -27,9 +27,9 @@ from tfg_drake.planning.odometry_drift import odometry_covariance
 # and tie all tags of a view together.
 RANGE_FLOOR = 0.01
 BEARING_FLOOR = 0.002
-# A frontier yields its full number of new landmarks to a view that reaches this share of the sensor's range beyond it.
+# A frontier yields its full number of new landmarks to a view that sees beyond it by this share of the sensor's range.
 FRONTIER_DEPTH = 0.5
-# What is said beforehand of the number of tags on a metre of surface is worth as much as so many metres inspected.
+# The prior of the tags' density counts like this length of inspected surface, m.
 PRIOR_LENGTH = 10.0
 
 

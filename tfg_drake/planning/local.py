@@ -19,7 +19,7 @@ from tfg_drake.slam.walls import wall_ends
 from tfg_drake.table import take
 from tfg_drake.tfg.near import radius_of, within
 
-# Rules that look for the next goal in the whole map at every stage.
+# Goal rules that consider the whole map at every stage.
 FAR_SIGHTED = ("argmax", "random")
 
 

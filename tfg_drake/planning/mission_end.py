@@ -15,19 +15,18 @@ from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.promises import LEAST_KEPT, MOST_BROKEN
 from tfg_drake.tfg.frontier import PUSH, ROOT
 
-# The robot could drive straight up to the edge of a frontier from a place this near, m.
+# The robot can drive straight to the edge of a frontier from a place within this distance, m.
 AT_HAND = 1.0
-# Less live frontier than this is not worth a visit, m: a TurtleBot would not fit through. A wider robot's is as much:
-# what it does not fit through is no frontier (`tfg.frontier.find_frontiers`).
+# Least live frontier that is worth a visit, m, the width of a TurtleBot. It holds for wider robots, too: an edge that a
+# robot does not fit through is no frontier (`tfg.frontier.find_frontiers`).
 ENOUGH_FRONTIER = 0.36
-# More frontier than this behind passages that have, or had, room for the robot keeps a mission from being complete, m.
+# A mission is not complete with more frontier than this, m, behind passages that have, or had, room for the robot.
 MOST_LEFT = 2.0
-# A place this near to where the robot can get, m, may be cut off by a wall that was mapped twice, no door.
+# A place within this distance of the reachable ones, m, may be cut off by a wall that was mapped twice, not by a door.
 DRIFTED = 1.5
-# What keeps the robot from a frontier. It is seen from a place that it can reach, which is not worth the way; only from
-# behind passages that have room for it but not for its uncertainty; only from where it could have driven when that was
-# seen to be free, but not by the newest map; from no other place that it fits into; likewise, where there are areas
-# that it must not enter.
+# Why a frontier is left, by the easiest place that sees it: reachable, but not worth the way; behind passages with room
+# for the robot but not for its uncertainty; free when it was seen, but not by the newest map; without room for the
+# robot; the same in a map with keep-out areas.
 REASONS = (
     "not worth the way",
     "behind passages too narrow for the uncertainty of the map",
@@ -36,7 +35,7 @@ REASONS = (
     "where the robot does not fit or must not enter",
 )
 NOT_WORTH, TOO_UNCERTAIN, SHUT, TOO_NARROW, KEPT_OUT = range(len(REASONS))
-# That it has tried too often, and that no time was left to look at one that it can reach.
+# It was tried too often; the mission ended before the robot looked at a frontier that it can reach.
 IN_VAIN, UNSEEN = "tried in vain", "the mission ended before"
 
 
@@ -71,7 +70,7 @@ def hindrances(tfg: TfgMap, roadmap: Roadmap, sensor: TagSensorConfig, radius: f
     elsewhere = KEPT_OUT if len(tfg.keep_out) else TOO_NARROW
     hindrance = np.full(len(roadmap.points), elsewhere)
     shut = np.flatnonzero(roadmap.once_open)
-    # Where the free space is narrower than the robot it was seen by rays that some wall swallowed.
+    # Free space narrower than the robot was seen by rays past a wall that the map has merged.
     outline = radius * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
     free = inside_any((roadmap.points[shut, None] + outline).reshape(-1, 2), tfg.star_offsets, tfg.star_vertices)
     shut = shut[free.reshape(-1, 4).all(axis=1)]

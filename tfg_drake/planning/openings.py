@@ -14,17 +14,17 @@ from tfg_drake.geometry.star import inside_any
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap, message
 from tfg_drake.planning.mission_end import SHUT, hindrances
 
-# Side of a cell of the grid that openings are looked for on, m, larger where the map has more cells than this.
+# Side of a grid cell, m, larger if the grid would have more than MOST_CELLS.
 CELL, MOST_CELLS = 0.025, 1_000_000
-# What is nearer to a surface than this belongs to it, m; a shorter edge lies between the rays of a scan, m.
+# Edges within BESIDE_SURFACE, m, of a surface belong to it; edges shorter than LEAST_EDGE, m, lie between two rays.
 BESIDE_SURFACE, LEAST_EDGE = 0.08, 0.05
-# The room of ways is told apart by this, m, up to so much more than the robot's radius, m.
+# Resolution of a way's room, m; it is computed up to MOST_MARGIN, m, above the robot's radius.
 ROOM_STEP, MOST_MARGIN = 0.01, 0.15
-# The unknown is looked at as far as this from an opening, m, on a grid of cells of this side, m.
+# The unknown behind an opening is measured up to REACH, m, away, on cells with side COARSE, m.
 REACH, COARSE = 4.0, 0.05
-# A frontier point this near to an opening's end is part of it, m.
+# A frontier point within this distance of an opening's end, m, is part of it.
 SAME_OPENING = 0.8
-# What keeps the robot from an opening, the rows of Openings.why.
+# Why an opening is left, the rows of Openings.why.
 WHY = (
     "not worth the way",
     "tried in vain",

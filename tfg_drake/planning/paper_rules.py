@@ -17,7 +17,7 @@ from tfg_drake.planning.candidates import Situation, places
 from tfg_drake.planning.expected_view import expected_tags
 from tfg_drake.planning.roadmap import COMFORT
 
-# Ends of surfaces this near to each other, m, are of one surface.
+# Surfaces whose ends are within this distance, m, are connected.
 TOUCH = 0.1
 
 

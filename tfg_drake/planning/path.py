@@ -18,29 +18,28 @@ from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, deviation_a
 from tfg_drake.planning.roadmap import COMFORT, RETURN_OFF, RoadmapParameters, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, nodes_to, routes
 
-# A shortcut is as good as what it replaces with this clearance, m.
+# A shortcut with this clearance, m, may replace a way with more.
 SHORTCUT_CLEARANCE = 0.35
-# Shortcuts begin and end at this interval, m, and are no longer than this many of them.
+# Shortcuts begin and end at multiples of SHORTCUT_STEP, m, and span at most SHORTCUT_REACH of them.
 SHORTCUT_STEP = 0.4
 SHORTCUT_REACH = 24
-# A corner is rounded from at most this far before to this far behind it, m.
+# A corner is rounded over at most this length before and behind it, m.
 ROUNDING = 0.6
-# Points of a rounded corner.
+# Number of points of a rounded corner.
 ARC_POINTS = 8
-# A new path is followed after this time, s.
+# Time until a new path is followed, s.
 REACTION = 1 / 16
-# Interval of a path's points, m.
+# Spacing of a path's points, m.
 PATH_STEP = 0.1
-# A collision as improbable as this is none.
+# A collision probability that is taken as zero.
 NO_RISK = 1e-4
-# How much of the path ahead has to be open, m.
+# Length of the path ahead that must be free, m.
 LOOK_AHEAD = 2.0
-# What is not mapped blocks it from as near as this, m: who walks across farther ahead will have passed.
+# Unmapped obstacles block a path within this distance of the robot, m; a person farther ahead will have passed.
 UNMAPPED_AHEAD = 1.25
-# The follower strays this far from a path, m, at full speed (99 % of its commands, benchmarks/tracking.py): what is
-# nearer to it than the outline and this, the robot may touch.
+# Greatest deviation of the follower from its path at full speed, m (99 % of its commands, benchmarks/tracking.py).
 STRAYS = 0.01
-# What is not mapped is taken to be this deep, m: its far side is not seen, nor any of it from beside.
+# Assumed depth of an unmapped obstacle, m, whose far side is not visible.
 BODY = 0.3
 
 

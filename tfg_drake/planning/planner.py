@@ -44,15 +44,14 @@ from tfg_drake.planning.routes import roadmap_message, routes
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.table import empty, take
 
-# After this many goals in a row that could not be reached, what was met on the way is forgotten, ways driven that a
-# surface crosses have shut, and only what the robot would touch blocks a path: where the map is a little off in a
-# narrow place, everything seems to be in the way.
+# After this many unreachable goals in a row unmapped obstacles are forgotten, driven ways that a surface crosses are
+# closed, and only what the robot would touch blocks a path, as small map errors seem to block narrow places.
 BOLD_AFTER = 2
-# Obstacles met on the way are kept for this many stages, or until they are seen past: they may be too small for the
-# map, or walk away.
+# Unmapped obstacles are kept for this many stages, or until a scan sees past them: they may be too small for the map,
+# or walk away.
 OBSTACLE_MEMORY = 10
-# Where obstacles bar every way, the robot waits for so long, s. After a way that was barred no other is looked for so
-# long, s: a person needs time to pass.
+# If obstacles bar every way the robot waits for PATIENCE, s. After a barred way the next one is searched ASK_AGAIN, s,
+# later, as a person needs time to pass.
 PATIENCE = 5.0
 ASK_AGAIN = 1.0
 

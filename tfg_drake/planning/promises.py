@@ -9,7 +9,8 @@ import numpy as np
 from tfg_drake.messages import GoalChoice, MapEstimate, message, replace
 from tfg_drake.planning.budget import THERE
 
-# A promise is broken where less than this share of the nats was gained; after so many in a row no other is believed.
+# A promise is broken if less than the share LEAST_KEPT of its nats was gained; after MOST_BROKEN in a row none is
+# believed.
 LEAST_KEPT, MOST_BROKEN = 0.1, 3
 
 

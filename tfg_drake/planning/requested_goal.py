@@ -11,7 +11,7 @@ import numpy as np
 from tfg_drake.messages import FloatArray, GoalChoice, MissionStatus, Roadmap, message, replace
 from tfg_drake.planning.budget import THERE
 
-# After so many attempts in a row that failed the robot is not sent there any more.
+# The request is dropped after this many failed attempts in a row.
 MOST_FAILURES = 3
 REASON = "Somebody has sent the robot there."
 

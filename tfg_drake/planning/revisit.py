@@ -15,11 +15,11 @@ from tfg_drake.planning.exact_gain import Known, known_terms, to_arrival
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, Targets, Visibility
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
-# Places that are asked, about as many at most: landmarks are seen from so far away that more tell little more.
+# Approximate greatest number of places evaluated; landmarks are visible from so far that more places add little.
 PLACES = 100
-# They are judged by so many of the landmarks in view at most.
+# Greatest number of landmarks in view that a place is evaluated by.
 SEEN = 40
-# The error is that of about so many landmarks.
+# Approximate greatest number of landmarks whose error is evaluated.
 SAMPLE = 400
 
 
@@ -35,7 +35,7 @@ def worth_revisiting(nodes: IntArray, now: Situation) -> FloatArray:
     value = np.zeros(len(nodes))
     if not len(estimate.local):
         return value
-    # Mostly the same places at every stage: node ids are given once and for all.
+    # The places are mostly the same at every stage, as node ids do not change.
     asked = np.flatnonzero(roadmap.node_ids(nodes) % (1 + len(nodes) // PLACES) == 0)
     nodes = nodes[asked]
     sensor, explorer = parameters.sensor, parameters.explorer

@@ -40,29 +40,29 @@ from tfg_drake.tfg.segmentation import find_corners
 SPACING = 0.75
 FRONTIER_SPACING = 0.5
 PASSAGE_SPACING = 0.3
-# Neighbours that a new node is joined to, and how far they may be, m.
+# Greatest number of neighbours that a new node is connected to, and their greatest distance, m.
 NEIGHBOURS = 10
 EDGE_LENGTH = 3.0
-# Darts thrown into the newest star, into older ones and at each frontier point.
+# Number of samples in the newest star, in older ones and at each frontier point.
 NEWEST_DARTS = 700
 OLDER_DARTS = 300
 FRONTIER_DARTS = 5
-# Nothing is nearer to the middle of a gap than this share of its width, rounding and all.
+# Surfaces are at least this share of a gap's width away from its middle, rounding included.
 HALF_GAP = 0.475
-# Interval at which the robot's way is noted, m.
+# Spacing at which the driven way is recorded, m.
 DRIVEN_STEP = 0.1
-# How far the chords of the way driven may stray from it, m, and how near, from least to most, an old node stands for a
-# new one on it, m.
+# Greatest deviation of the driven way's chords from it, m. A new node on it within a distance of an old one that grows
+# with the room, from CLOSEST to SAME_NODE, m, is replaced by the old one.
 CHORD = 0.01
 CLOSEST, SAME_NODE = 0.02, 0.15
-# Where nothing else leads to a place, the robot goes as near to surfaces as this probability of a collision allows, if
-# that is more than planner.collision_probability: the scan watches every path anyway. A detour, m, that spares it an
-# edge that lacks up to NODE_MARGIN of the room that it should have, another for each NODE_MARGIN more.
+# Probability of a collision, if it is more than planner.collision_probability, that is accepted where there is no other
+# way, as the scan watches every path; and the detour, m, that is preferred to an edge for each NODE_MARGIN, begun, of
+# the clearance that the edge lacks.
 ACCEPTED, TIGHT = 0.2, 10.0
-# Clearance beyond which a path costs its length only, m.
+# Clearance beyond which an edge costs only its length, m.
 COMFORT = 1.0
-# How far a return may lie from what it is of, m: one is of an obstacle that is not mapped when no mapped surface is
-# within this of it, an obstacle that a scan sees this far past has gone, and others are passed at this distance.
+# Greatest distance of a scan point from its surface, m: one that no mapped surface is nearer to is of an unmapped
+# obstacle; an obstacle that a scan sees past by more is gone; others are passed at this distance.
 RETURN_OFF = 0.08
 
 

@@ -31,9 +31,10 @@ from tfg_drake.planning.roadmap import (
 )
 from tfg_drake.planning.shortest_ways import Ways, joined, shortest_ways
 
-# The robot strays from its path anew after this length, m.
+# Length after which the robot's deviation from its path is independent, m.
 INDEPENDENT = 0.5
-# Detour, m, that spares the whole risk a path may take; and where the way to a place is too risky still, any detour.
+# Detour, m, that is preferred to the whole risk of a path; the second value if too few places are reachable with the
+# first.
 RISK_LENGTHS = (20.0, 2000.0)
 
 

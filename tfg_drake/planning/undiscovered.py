@@ -16,10 +16,10 @@ import numpy as np
 from tfg_drake.messages import BoolArray, FloatArray
 from tfg_drake.planning.openings import KEPT_OUT, TOO_NARROW, Openings
 
-# Of rooms of which areas it is asked, m^2.
+# Areas of the rooms in question, m^2.
 AREAS = (1.0, 4.0, 10.0)
-# Fitted to eight missions in drawn offices by benchmarks/undiscovered.py: b, u, w of openings that the robot can pass,
-# how much less b is where it cannot, and the probability where there is no opening.
+# The model's b, u and w, the change of b for openings that the robot cannot pass, and the probability without an
+# opening, fitted to eight missions in drawn offices by benchmarks/undiscovered.py.
 BIAS, BY_UNKNOWN, BY_WIDTH, IMPASSABLE, NO_OPENING = -4.58, 0.746, 2.1, -5.56, 0.00454
 
 

@@ -17,7 +17,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, Hypotheses
 from tfg_drake.slam.place_search import AGAINST, BEARINGS, DEPTH, ON, nearest
 
-# A look is worth going to for it if it tells more than this, nats.
+# Least expected information of a look that distinguishes places, nats.
 LEAST_TOLD = 0.05
 
 
