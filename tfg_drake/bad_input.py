@@ -1,6 +1,6 @@
 """Faults that a user can mend, in one line: the commands print it and end with exit code 2."""
 
-# Whoever writes a greater angle, rad, thinks of degrees.
+# A greater angle, rad, was probably meant in degrees.
 _TURN = 6.293
 
 

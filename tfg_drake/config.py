@@ -27,7 +27,7 @@ from tfg_drake.typed_tree import document_fields
 
 S = TypeVar("S")
 
-# A place for the robot to stand has this much more room to every side than its radius, m.
+# Clearance of a roadmap node beyond the robot's radius, m.
 NODE_MARGIN = 0.05
 # The formulas of the information gain, by name: the exact one, its limit for a wide prior of new landmarks, and those
 # of the paper and of its authors' program.
@@ -35,17 +35,17 @@ GAINS = ("exact", "limit", "paper", "authors")
 # The rules by which the next goal is picked, by name: most gain per expected time, most gain (the paper's), the first
 # of a short tour, the frontier reached soonest, any place within reach.
 GOAL_RULES = ("gain_per_time", "argmax", "tour", "nearest_frontier", "random")
-# What solves the estimator's keyframe graph: nested dissection, or GTSAM alone.
+# Solvers of the keyframe graph: nested dissection, or GTSAM.
 SOLVERS = ("dissection", "gtsam")
-# What the map may be made of.
+# Landmarks of the map.
 LANDMARKS = ("both", "tags", "walls")
-# The real robots, by what their base speaks.
+# Real robots by the protocol of their base.
 ROBOTS = ("kobuki", "ros2", "rosbridge")
-# What a simulated robot sees tags and walls with: ideal sensors, or a camera whose images are rendered.
+# Sensors of a simulated robot: ideal ones, or a camera whose images are rendered.
 EYES = ("ideal", "camera")
-# What a planned path's collision probability is bounded of.
+# The bound on the collision probability holds for each point of a path, or for the whole path.
 RISKS = ("point", "path")
-# What no robot of this kind does: m/s, a run, and rad/s; more is written in degrees.
+# Greatest plausible speed, m/s, and turn rate, rad/s; a greater one was probably meant in degrees.
 FASTEST, FASTEST_TURN = 5.0, 15.0
 
 

@@ -78,7 +78,7 @@ class Numbers(NamedTuple):
         return f"expected {length} numbers {self.form}, found {len(value)}"
 
 
-# What holds of a number whose annotation says nothing, by its type.
+# Default constraints of a number by its type.
 USUAL: dict[type, tuple[Any, ...]] = {float: (NotNegative(),), int: (Whole(),)}
 
 Signed = Annotated[float, Bounds()]

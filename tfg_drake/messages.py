@@ -149,9 +149,9 @@ class PoseEstimate:
     places: int = -1
 
 
-# A place is likely that is so probable.
+# A place with a probability above this is counted as possible.
 LIKELY = 0.05
-# A robot whose place in its map is no better known than this, m, is lost in it.
+# A robot whose position in its map has a greater deviation than this, m, is lost.
 ADRIFT = 2.0
 
 

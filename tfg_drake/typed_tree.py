@@ -13,7 +13,7 @@ from typing import Any
 
 from tfg_drake.constraints import USUAL
 
-# What is expected of a value, by the type that its annotation has.
+# The words for an expected value by the type of its annotation.
 _EXPECTED = {list: "a list", float: "a number", int: "a whole number", str: "text", bool: "true or false"}
 
 # A class and its body; comments and the fields right below them; the names of those that are no sections.

@@ -14,9 +14,9 @@ from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import SegmentGrid, cell_range, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray
 
-# Rounding of a distance, generously, as a share of it.
+# Upper bound of a distance's rounding error, as a share of it.
 ROUNDING = 1e-9
-# A line lies in the cells that it comes this near to, m; one that is narrower than this, m, in those it is as high as.
+# A line belongs to the cells within BORDER, m, of it; one less than STEEP, m, wide to all cells of its height.
 BORDER = 1e-6
 STEEP = 1e-3
 

@@ -10,9 +10,9 @@ import numpy as np
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.messages import FloatArray
 
-# Edges nearer to each other than this touch, m.
+# Edges within this distance, m, touch.
 _TOUCH = 1e-6
-# Farther from the origin a float64 does not tell that, m.
+# Greatest coordinate, m, at which a float64 resolves that.
 _FARTHEST = 1e8
 
 

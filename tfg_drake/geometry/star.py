@@ -12,15 +12,15 @@ from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import SegmentGrid, rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
-# The sine of the angle below which one looks along a surface and not at its front.
+# Sine of the angle between ray and surface below which its front is not seen.
 ALONG = 0.5
-# So many edges of a star are passed over together where no ray from the point can cross them.
+# Number of a star's edges that share a bounding box, and are skipped together.
 RUN = 8
-# How far beyond an edge's ends rounding may place a crossing, m.
+# Rounding error of a crossing beyond an edge's ends, m.
 ROUNDING = 1e-9
-# Lines are looked up in the stars at this interval, m.
+# Spacing at which a line is looked up in the stars, m.
 STEP = 0.25
-# Points whose cover is counted together.
+# Number of points whose cover is counted in one pass.
 _AT_ONCE = 1_000_000
 
 # See `star_index`.

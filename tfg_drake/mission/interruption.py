@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-# The signals, by what a user calls them.
+# The signals by the names that a user knows.
 NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
-# What comes so soon after another signal is the same one, s: `timeout` sends its signal to the program and once more to
-# all of its group, a terminal that is closed does so too.
+# Signals within this time, s, are one: `timeout` and a terminal that is closed send theirs to the program and once more
+# to its process group.
 TOGETHER = 0.25
 
 

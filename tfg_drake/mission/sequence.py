@@ -12,27 +12,25 @@ import numpy as np
 
 from tfg_drake.messages import FollowerStatus, GoalChoice, MissionStatus, Path, PathStatus, replace
 
-# A follower status older than this after a phase began may still speak of the phase before, s.
+# A follower status from within this time after the phase began, s, may be of the phase before.
 STATUS_LATENCY = 0.125
-# New paths asked for at one stage before the robot observes where it stands instead.
+# Number of new paths in one stage after which the robot observes where it stands.
 MAX_REPLANS = 5
-# Stages in a row without reaching the chosen goal before the mission is stuck.
+# Number of stages in a row without reaching the goal after which the mission is stuck.
 MAX_FAILURES = 6
-# A glance takes this long, s: a tag is seen in several frames, and the robot drives on.
+# Duration of a glance, s, in which a tag is seen in several frames.
 GLANCE_TIME = 0.75
-# The last glance of a way when so much of it is left, m: what is still to be looked for at its end, or whether anything
-# is, is known before the robot brakes.
+# Remaining way at the last glance, m, so that the next goal is known before the robot brakes.
 LAST_GLANCE = 1.0
-# A robot that has turned to another goal on its way so often, this far from the one before, m, goes to the end of its
-# way before it looks for another: two goals could send it to and fro for ever.
+# After MAX_CHANGES changes of the goal on one way by more than OTHER_GOAL, m, the robot drives to the way's end first,
+# as two goals could send it back and forth forever.
 MAX_CHANGES = 12
 OTHER_GOAL = 0.5
-# The base's own reflex needs this long before a bumper that still reports contact means anything new, s.
+# Duration of the base's own reflex, s, before a bumper that still reports contact is a new event.
 BUMPER_PATIENCE = 2.0
-# A path that is not finished after this many times its time at full speed, plus a minute, is planned again.
+# A path that takes this many times its time at full speed, plus a minute, is planned again.
 PATIENCE = 4.0
-# Why it is paused.
-# With a goal: go there, look round where the robot stands, or end the mission so.
+# Verdicts of a goal choice: go there, look around here, or end the mission with this outcome.
 VERDICTS = ("goal", "look", "complete", "stuck", "budget")
 PAUSED = "paused by the operator"
 NOT_ENABLED = "the base is not enabled: whoever operates it enables it"

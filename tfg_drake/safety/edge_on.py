@@ -14,11 +14,11 @@ from numba import njit
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
-# Places nearer to each other than that may be of one thing, m; how they lie to each other is known to so much, m.
+# Places within _ONE_THING, m, may be of one object; their relative position is known within _KNOWN, m.
 _ONE_THING, _KNOWN = 0.12, 0.02
-# A ray that comes as near to a place tells of it, and what it meets no farther behind is what was met there, m.
+# A ray within this distance of a place, m, observes it; a return at most as far behind it is of the same object.
 _NEAR = 0.06
-# Two places in line make a plane. One alone is gone after this long, s.
+# Two places in line are a plane. A single one that is not seen again is gone after this time, s.
 _ALONE = 1.5
 
 _UNKNOWN, _BEHIND, _PASSED = range(3)

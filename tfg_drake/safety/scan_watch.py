@@ -12,11 +12,12 @@ from tfg_drake.geometry.se2 import between, wrap_angle
 from tfg_drake.messages import FloatArray, LaserScan, message
 from tfg_drake.safety.seen_space import SeenSpace, nothing_seen, remembered
 
-# A scan that met fewer than this share of what it should have met shows nothing; fewer than so many tell nothing.
+# A scan is empty if it shows less than the share SHOWN_SHARE of the expected returns; this takes LEAST_SHOWN of them.
 SHOWN_SHARE, LEAST_SHOWN = 0.1, 10
-# Nothing is expected of what lies beyond this share of the scanner's reach, or nearer to its blind zone than this, m.
+# Returns are expected up to the share _REACH_SHARE of the range, and _BLIND_MARGIN, m, beyond the blind zone.
 _REACH_SHARE, _BLIND_MARGIN = 0.8, 0.1
-# Of a scan that stays the same while the robot moves, this share of ranges must be wrong by more than this, m.
+# An unchanged scan is frozen if, after the robot's motion, more than the share _WRONG_SHARE of its ranges is wrong by
+# more than _WRONG, m.
 _WRONG_SHARE, _WRONG = 0.2, 0.04
 
 FROZEN = "the scan does not change while the robot moves: start its driver again"

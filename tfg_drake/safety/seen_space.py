@@ -23,25 +23,24 @@ CELL = 0.04
 # Half of the window, cells: 0.96 m, beyond the way in which a base of 0.7 m/s stops and beyond most blind zones.
 HALF = 24
 CELLS = 2 * HALF
-# What was seen is believed for this long, s: a turn all round takes half of it.
+# What was seen is kept for this time, s, twice that of a full turn.
 MEMORY = 10.0
-# The same where the base drives backwards: a turn that the gyro tells by a hundredth wrong moves what lies behind.
+# The same behind a base that drives backwards, as an error of the gyro of a hundredth moves what lies behind.
 _MEMORY_BEHIND = 4.0
-# Where few of the rays that came there met something it counts as met so long before the scan, s: that memory tells.
+# A cell that more rays passed than met is stamped this much before the scan, s: it counts as remembered.
 _HARDLY_OLDER = 1e-6
-# What was met may reach so much farther than where it was, m.
+# Distance by which an object may extend beyond its return, m.
 _REACHES = 0.6 * CELL
-# A ray is followed in steps of this many cells; those beside it meet the corners that it cuts.
+# Step along a ray, in cells; neighbouring rays cover the corners that it cuts.
 _STEP = 0.75
-# Fewer lost rays side by side than this say nothing; more may be something that is too near to be seen.
+# Fewer neighbouring rays without a return than this are lost; more may be an object in the blind zone.
 _GAP = 3
-# Rays as near to each other as this many, whose ranges differ by no more than this, m, met the same surface: a straight
-# piece of it takes most of the noise out of where it stands. Memory would keep the nearest of what noise made of a wall
-# that the robot passes, and in a narrow place that seems to stand in its way.
+# Rays up to _BESIDE apart whose ranges differ by at most _SAME_SURFACE, m, are on one surface, and a line through them
+# removes most of the noise: memory would keep the nearest returns of a wall, which then seems to narrow a passage.
 _BESIDE, _SAME_SURFACE = 3, 0.1
-# A surface that is seen aslant may end so much nearer than the last ray that met it tells, m.
+# Greatest distance by which an oblique surface may end nearer than its last ray, m.
 _MOST_NEARER = 0.1
-# A ray says nothing of the last bit before what it met, m: its range is not exact.
+# The last piece of a ray, m, says nothing of free space, as its range is not exact.
 _BEFORE_RETURN = 0.5 * CELL
 
 

@@ -21,11 +21,11 @@ from tfg_drake.safety.seen_space import CELL, open_distance, open_distance_among
 SPEED, TURN_RATE, REFLEX_BITS, REFLEX_LEFT, BASE_SPEED, REFLEXES, BACKED = range(7)
 STATE_SIZE = 7
 
-# A bumper that stays pressed, or is pressed again before the base has driven ahead, makes so many reflexes at most, and
-# they back away no farther than this together, m.
+# A bumper that stays pressed, or is pressed again before the base has driven ahead, causes at most MOST_REFLEXES
+# reflexes, which back away by at most MOST_BACKED, m, together.
 MOST_REFLEXES, MOST_BACKED = 3, 0.2
 PRESSED = "the bumper stays pressed: see what it pushes against; it drives ahead again when the bumper is released"
-# A scan that is not believed may be a single one that was garbled: the base drives on for so long, s.
+# The base drives on for this time, s, with scans that are not trusted, as a single one may be garbled.
 _DOUBTED = 0.25
 
 

@@ -7,11 +7,11 @@ from scipy.spatial import cKDTree
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, is_tag
 
-# Landmarks this far from a place at most speak for the faces there, m.
+# Greatest distance, m, of a landmark whose drift stands for that of a surface.
 NEIGHBOURHOOD = 2.0
-# How much drift is believed, m: beyond it places would be taken for each other that have nothing in common.
+# Greatest drift, m, that is assumed: with more, unrelated places would be taken for each other.
 MOST_DRIFT = 0.5
-# What belongs together is no farther apart than this many standard deviations.
+# Two surfaces may be one within this many standard deviations of their drift.
 DRIFT_SIGMAS = 3.0
 
 

@@ -23,31 +23,32 @@ from tfg_drake.tfg.polyline import covered, joined, sample, segments_of, uncover
 from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import ON_SURFACE
 
-# How far beyond a shadow edge or maximum-range arc a frontier point lies, m, and their spacing, m. A point of two
-# views' frontiers counts once within the former.
+# Frontier points lie PUSH, m, beyond a shadow edge or maximum-range arc, SPACING, m, apart. Points of two views within
+# PUSH of each other are one.
 PUSH = 0.35
 SPACING = 0.4
-# How far on the free side of the edge the line to a frontier point begins that no surface may cut, m, and how far in
-# front of a face it must have been seen from.
+# A frontier point needs a line to it, uncut by surfaces, from ROOT, m, on the free side of its edge; a face must have
+# been seen from ROOT in front of it.
 ROOT = 0.2
-# Past one end of a surface it must be seen by more than this, m: what lies between the last two rays may hide it.
+# A frontier point must be visible past the end of a surface by more than this, m, as a gap between two rays may hide
+# it.
 GRAZE = 0.1
-# Spacing of the samples of faces, m, and how far in front of a face its frontier points lie, m.
+# Spacing of the samples of faces, m, and distance of a face's frontier points in front of it, m.
 FACE_SPACING = 0.1
 STANDOFF = 0.3
-# Where another surface lies opposite, nearer than this, m, the two are this share of that: a robot between the two
-# would stand nearer to a surface than its frontier points, and could never look at them from in front.
+# If another surface is opposite within NARROW, m, frontier points lie at the share NARROW_SHARE of their distance:
+# otherwise a robot between the two surfaces could never see them from in front.
 NARROW = 1.0
 NARROW_SHARE = 1.0 / 3.0
-# Shorter stretches of a face are let be, m.
+# Shorter pieces of a face are ignored, m.
 LEAST_FACE = 0.25
-# Free space this close behind a surface means a thin wall, m.
+# A surface with free space within this distance behind it, m, is a thin wall.
 THIN_WALL = 0.25
-# A surface that ends farther than this from every other one goes on round a corner, m; so much is unseen as a frontier
-# point stands for.
+# A surface that ends farther than this from all others, m, continues around a corner; its frontier point stands for
+# this length.
 END_GAP = 0.15
-# What a frontier point stands for: the unknown beyond free space; a face of a surface that no view has seen; a face
-# that none has seen well enough to have found a tag there.
+# Kinds of frontier points: the unknown beyond free space; a face that no view has seen; a face that no view has seen
+# well enough to detect a tag.
 FREE, UNSEEN, POORLY_SEEN = range(3)
 
 

@@ -65,17 +65,15 @@ from tfg_drake.tfg.surfaces import (
     without_doubles,
 )
 
-# Frontier points this near to each other hang together, and one that is found so near to another has been tried as
-# often, m.
+# Frontier points within this distance, m, are connected; a new one inherits the attempts at an old one within it.
 TOGETHER = 0.5
-# A view counts as an attempt at a small face only from within this share of the sensor's range: farther off the face
-# may be missed though it is in view.
+# A view is an attempt at a face only within this share of the sensor's range, as it may miss a small face from farther.
 NEAR_SHARE = 0.5
-# How far two places that were once next to each other may have been torn apart by a loop that closed, m.
+# Greatest distance, m, by which a loop closure may separate two adjacent places.
 TORN = 1.0
-# Where a building has shown no tag on so much surface that was inspected, m, none is looked for.
+# After this length of inspected surface without a tag, m, none is expected in the building.
 WITHOUT_TAGS = 30.0
-# Then a metre of face that was not seen is worth this much frontier: no room lies behind it.
+# Then a metre of unseen face counts as this much frontier, as no room lies behind it.
 FACE_WORTH = 1.0 / 3.0
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate
 
-# On a large map places up to this distance from the newest view are near, m: twice as far as most sensors see, and as
-# far as the order in which the frontiers are best visited depends on the map.
+# On a large map places within this distance of the newest view are near, m: twice the range of most sensors; the best
+# order of the frontiers does not depend on farther ones.
 RADIUS = 20.0
 
 

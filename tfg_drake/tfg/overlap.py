@@ -24,11 +24,11 @@ from tfg_drake.tfg.passing import DEPTH
 from tfg_drake.tfg.stars import Stars
 from tfg_drake.tfg.surfaces import Surfaces
 
-# A surface has drifted if it lies as deep as a passer-by in the free space of a view at most this far away, m, that did
-# not look at its front.
+# A surface has drifted if it lies as deep as a passer-by in the free space of a view within this distance, m, that did
+# not see its front.
 REACH = 5.0
-# Landmarks mapped on the robot's own way are known relative to it within MOST_DRIFT plus this much a metre of distance,
-# for the uncertain heading. It is small, so that the two ends of a room are treated alike.
+# Landmarks mapped on the robot's own way are known relative to it within MOST_DRIFT plus this per metre of distance,
+# for the error of the heading. It is small, so that both ends of a room are treated alike.
 SWING = 0.01
 
 

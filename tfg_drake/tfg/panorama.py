@@ -14,20 +14,21 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, messa
 
 # Bins of 0.5 degrees.
 BINS = 720
-# A scan this much outside the stamps of the turn's poses is not part of the turn, s.
+# A scan farther outside the stamps of the turn's poses, s, is not part of the turn.
 STAMP_TOLERANCE = 1e-3
-# Rays within this many standard deviations of their bin's median range fell on the same surface.
+# Rays within this many standard deviations of their bin's median range are on the same surface.
 SAME_SURFACE = 4.0
-# Where no more rays than this, side by side, meet nothing, between such that meet something, they may have been lost.
+# At most this number of neighbouring rays without a return, between rays with one, may have been lost.
 MOST_LOST = 4
-# Where this share of a bin's rays met something, and bins so near on either side as well, the others were lost.
+# Rays of a bin without a return were lost if at least the share LEAST_MET of its rays had one, as in bins on either
+# side up to BESIDE away.
 LEAST_MET, BESIDE = 0.4, 2
-# Both neighbours of a ray differ from it by more than this, m, where it fell half on a near surface, half on a far one,
-# and those, unlike what is seen aslant, from theirs by less than this share of that.
+# A ray fell half on a near and half on a far surface if it differs from both neighbours by more than FLOATS, m, and
+# they from theirs, unlike on an oblique surface, by less than the share ASLANT_SHARE of that.
 FLOATS, ASLANT_SHARE = 0.1, 0.4
-# Rays farther apart than so many bins leave some empty; so far apart, rad, they are no scan. Two that are so many times
-# as far apart as usual have nothing between, and fell on one surface where their ranges differ by less than so many
-# times the way across.
+# A scan whose rays are more than COARSE bins apart is interpolated; WIDEST, rad, apart they are no scan. Nothing is
+# known between two rays more than GAP times the usual step apart; they are on one surface if their ranges differ by
+# less than ASLANT times the distance across.
 COARSE, WIDEST, GAP, ASLANT = 1.2, 0.1, 1.5, 5.0
 
 

@@ -27,29 +27,29 @@ from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.polyline import pack
 from tfg_drake.tfg.stars import Stars
 
-# A dynamic body has points this deep in free space, m, over at least this width, m: a post may have been missed. Points
-# next to them belong to it while they are SHALLOW deep, m.
+# A dynamic body has points DEPTH, m, deep in free space, over LEAST_WIDTH, m, as an earlier view may have missed a
+# post, and over LEAST_VIEW, m, across the line of sight of that view. Points beside them belong to it if they are
+# SHALLOW, m, deep.
 DEPTH = 0.2
 LEAST_WIDTH = 0.15
-# ... and over this width across the line of sight of the earlier view, m.
 LEAST_VIEW = 0.1
 SHALLOW = 0.06
-# Earlier views farther away than this, m, are not compared with.
+# Earlier views within this distance, m, are compared.
 REACH = 8.0
-# A landmark is well known whose place seen from the robot has no larger standard deviation than this, m.
+# A landmark is well known if its position relative to the robot has at most this standard deviation, m.
 WELL_KNOWN = 0.05
-# Only every so many bins are tested first: a person two metres away covers 28 of them.
+# Every STRIDE-th bin is tested first: a person two metres away covers 28 of them.
 STRIDE = 4
-# Neighbouring points belong to one body within this distance, m, and with at most so many bins without a point between.
+# Neighbouring points within SAME_BODY, m, with at most GAP bins between them, belong to one body.
 SAME_BODY = 0.3
 GAP = 2
-# A body is static where at least this share of it is this near, m, to points that were left out so long before, s:
+# A body is static if the share SAME_SHARE of it is within SAME_PLACE, m, of points that were left out STAYS, s, before:
 # people who stand and talk are seen past sooner or later.
 STAYS = 20.0
 SAME_PLACE = 0.1
 SAME_SHARE = 0.5
-# A static body is taken to be as deep as it is wide, but no deeper than this, m. In front of it the
-# star reaches at least this far, m.
+# Assumed depth of a static body: its width, at most MOST_DEPTH, m. The star in front of it reaches at least
+# LEAST_REACH, m.
 MOST_DEPTH = 0.5
 LEAST_REACH = 0.1
 

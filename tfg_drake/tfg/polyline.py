@@ -16,7 +16,7 @@ from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.segment_grid import rows_in_box, segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
-# How far a segment covers what lies beyond its ends, m: enough for no gap at a polyline's corners.
+# Length by which a segment covers points beyond its ends, m, so that a polyline has no gap at its corners.
 END_REACH = 0.03
 # Cosine of the greatest angle between two pieces of one face.
 SAME_FACE = 0.9

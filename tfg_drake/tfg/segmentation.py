@@ -12,19 +12,18 @@ from tfg_drake.geometry.distance import point_segment_distance
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.panorama import Panorama
 
-# Smallest angle between a ray and a surface at which neighbouring points are still joined (Borges and Aldon's
-# lambda), rad.
+# Neighbouring points are joined down to this angle between ray and surface, rad (Borges and Aldon's lambda), over at
+# most JOIN_REACH, m, which the robot does not fit through.
 JOIN_INCIDENCE = np.deg2rad(10.0)
-# ... and at most this far, m: the robot does not fit through.
 JOIN_REACH = 0.3
-# The same where the two points lie on one straight line with their neighbours, rad and m. At grazing incidence these
-# are about as far apart as the two: at least this share of their gap.
+# The same for two points in line with their neighbours, rad and m, whose distances from these are at least the share
+# STRAIGHT_SHARE of the gap, as at grazing incidence.
 STRAIGHT_INCIDENCE = np.deg2rad(3.0)
 STRAIGHT_REACH = 0.8
 STRAIGHT_SHARE = 0.4
-# How far a point may lie off the straight line, m.
+# Greatest distance of a point from the straight line, m.
 CORNER_TOLERANCE = 0.03
-# Components of fewer points are noise or too small to say anything about their direction.
+# Components of fewer points are noise, or too small to have a direction.
 LEAST_POINTS = 3
 
 

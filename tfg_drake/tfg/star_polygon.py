@@ -9,7 +9,7 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.tfg.panorama import Panorama
 from tfg_drake.tfg.segmentation import CORNER_TOLERANCE
 
-# How far the polygon stays in front of surfaces, m.
+# Distance of the polygon from the surfaces behind it, m.
 SHRINK = 0.04
 # The greatest number of vertices.
 MOST_VERTICES = 150

@@ -38,28 +38,28 @@ from tfg_drake.tfg.segmentation import Components
 
 EDGE, END, LOOSE = 0, 1, 2
 
-# A tag seen in this turn belongs to a surface this close, m; one known from earlier turns, or any other point of the
-# map, must lie closer to be on it, m.
+# A tag belongs to a surface within SEEN_TAG_DISTANCE, m, if this turn has seen it; within ON_SURFACE, m, otherwise, as
+# any other point of the map.
 SEEN_TAG_DISTANCE = 0.2
 ON_SURFACE = 0.1
-# What is seen this close to a wall's line, m, is on the wall, if so much of it hangs together, m.
+# Surface within ON_WALL, m, of a wall's line is on the wall if it is LEAST_ON_WALL, m, long.
 ON_WALL = 0.06
 LEAST_ON_WALL = 0.15
-# How far beyond what has been seen of it a wall may go on, m.
+# Greatest extension of a wall beyond its seen part, m.
 GOES_ON = 20.0
-# Other surfaces are cut where a wall runs this close, m, new ones also where any older surface does: less than two
-# faces of a hollow wall are apart, which is open at its end.
+# Other surfaces are cut within this distance of a wall, m, and new ones within this distance of any older surface: less
+# than the thickness of a hollow wall, which is open at its end.
 SURFACE_COVERS = 0.1
-# Samples for that, m; shorter remains are dropped, m.
+# Spacing of the samples for that, m; shorter remains are dropped, m.
 SPACING = 0.05
 LEAST_LENGTH = 0.04
-# What is left overlaps what covers the rest by this, m, so that no line of sight slips between them.
+# A remaining piece overlaps the one that covers the rest by this, m, so that no line of sight passes between them.
 OVERLAP = 0.06
-# A surface this far inside what a turn saw to be free was an error or is gone, m.
+# A surface this deep inside the free space of a turn, m, was an error or is gone.
 REFUTED_DEPTH = 0.15
-# Of a loose surface that much of which was nothing is left: somebody stood there.
+# A loose surface is removed if this share of it is gone: somebody stood there.
 REFUTED_SHARE = 0.4
-# Neighbouring bins that must agree to that.
+# Number of bins on either side that must agree.
 REFUTED_BINS = 2
 # Greatest angle between the line of sight and its normal, rad.
 REFUTED_INCIDENCE = np.deg2rad(75.0)
