@@ -23,17 +23,16 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, Odometry, TagDet
 from tfg_drake.slam.odometry_model import arc, first_reckoning, interpolate, predict_increment, random_walks, reckon
 from tfg_drake.slam.shared import LEAST_SIGMA, calibration_sigma
 
-# A sighting this far off, in sigmas of its two whitened components together, is an outlier.
+# A sighting is an outlier if the norm of its two whitened residuals exceeds this.
 OUTLIER_SIGMAS = 4.0
 # Huber threshold, sigmas.
 HUBER_SIGMAS = 1.3
-# Rounds of solving, at most, and the step of the calibration, in sigmas of what is known of it beforehand, after which
-# outliers are looked for.
+# Greatest number of solves; outliers are searched once the calibration moves by less than SMALL_STEP prior deviations.
 MOST_ROUNDS = 12
 SMALL_STEP = 0.05
 # Relative decrease of the cost after which a solve ends.
 SMALL_DECREASE = 1e-6
-# Where frames leave room for it, a pose this often while the robot moves, s of the odometry's clock.
+# Greatest time between two poses of a moving robot, s of the odometry's clock.
 LONGEST_GAP = 0.5
 
 

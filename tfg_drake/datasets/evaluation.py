@@ -18,14 +18,13 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, messa
 from tfg_drake.slam.odometry_model import first_reckoning, reckon
 from tfg_drake.storage.trajectory import poses_at
 
-# True poses farther apart than this leave the time between them without truth, s.
+# Longest time between true poses over which they are interpolated, s.
 LONGEST_GAP = 1.0
-# A landmark farther than this from the given truth, m, after alignment to those that are not, is a misfit.
+# A landmark farther than this from the truth, m, after alignment to the others, is a misfit.
 MISFIT = 1.0
-# Pairs of scans that a relative error is the mean of, the longest way between two, m, and the seed that they are drawn
-# by.
+# A relative error is the mean over PAIRS pairs of scans, up to PAIR_WAY, m of way, apart, drawn with PAIR_SEED.
 PAIRS, PAIR_WAY, PAIR_SEED = 1000, 20.0, 0
-# The hits that a thickness is measured at, how far round each, m, and how many of them there must be to tell.
+# A thickness is measured at SAMPLES hits, from the hits within NEIGHBOURHOOD, m, if there are LEAST_HITS.
 SAMPLES, NEIGHBOURHOOD, LEAST_HITS = 3000, 0.3, 10
 
 

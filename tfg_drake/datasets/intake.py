@@ -24,22 +24,23 @@ from tfg_drake.notes import Note
 from tfg_drake.slam.odometry_rules import SILENCE, WatchedOdometry, velocity, watch
 from tfg_drake.slam.scan_matching import bridged, compare, corrected, judged
 
-# Odometry that comes seldom is silent after so many of its periods.
+# Odometry is silent after this many of its periods.
 PERIODS = 5.0
-# Odometry that jumps more often than so many times, and than with this share of its messages, is wrong all along.
+# Odometry is refused if it jumps more than FEW times and in more than the share OFTEN of its messages.
 FEW, OFTEN = 5, 0.02
-# Scans that stay equal for longer than this, s, while the odometry moves so far (m, rad) are frozen.
+# Scans are frozen if they do not change for FROZEN, s, while the odometry moves by MOVED, m or rad.
 FROZEN, MOVED = 1.0, 0.1
-# Scans farther apart than this, s, are not held against odometry, nor is it silent: they have too little in common.
+# Scans with a longer period, s, are not compared with odometry, as consecutive ones have too little in common; nor is
+# its silence reported.
 SPARSE = 1.0
-# Notes of one kind that are told one by one.
+# Number of notes of one kind that are reported one by one.
 MOST_NOTES = 20
-# Kinds of notes after which a way is not known.
+# Kinds of notes after which the motion is unknown.
 UNKNOWN = ("jump", "silence", "slip")
-# The way by the scans agrees with odometry to this, m and rad; else that slips if they tell it at so many times.
+# A motion by scans agrees with odometry within AGREES, m and rad; otherwise odometry slips if MATCHES scans tell it.
 AGREES, MATCHES = 0.1, 4
-# By scans a robot is faster than by its odometry at its usual fastest by no more than this factor and, m/s and rad/s,
-# this: else two places that look alike were taken for one.
+# Greatest speed of a motion by scans: FASTER times the odometry's greatest usual speed plus SLACK, m/s and rad/s.
+# Beyond it two similar places were confused.
 FASTER, SLACK = 1.5, np.array([0.3, 0.5])
 
 T = TypeVar("T", Odometry, LaserScan)

@@ -32,45 +32,46 @@ from tfg_drake.simulation import odometry
 from tfg_drake.storage.trajectory import poses_at
 from tfg_drake.table import empty
 
-# A range from here on is one of the scanner's codes for no return, m; whether there was nothing or glass, none tells.
+# Ranges from here on, m, are codes of the scanner for no return, whether of nothing or of glass.
 NO_RETURN = 49.9
-# A greatest range that more than this share of all rays have, and so many, is no return; ranges are told to this, m.
+# The greatest range means no return if more than the share SAME_GREATEST of all rays and LEAST_SAME rays have it;
+# QUANTUM, m, is the ranges' resolution.
 SAME_GREATEST, LEAST_SAME, QUANTUM = 0.005, 100, 0.005
-# Of the scanners' ranges, m: their resolution of 1 cm and what the corrected poses have wrong.
+# Deviation of the ranges, m: their resolution of 1 cm and the error of corrected poses.
 CARMEN_SIGMA = 0.02
-# Of any scanner but the rover's, m: rays that met something farther off are free so far and tell no more.
+# Greatest range used of any scanner but the rover's, m; rays with a longer one are free up to it.
 OTHER_RANGE_MAX = 20.0
-# The poses are the scanner's own.
+# In a log with corrected poses, which are the scanner's own.
 EXACT_SCANNER = ScanConfig(yaw_deviation=0.0, mount_deviation=0.0, clock_deviation=0.0, sweep_deviation=0.0)
 _SAY_SPAN = "say what it spans, rad, by --set hardware.scanner.field_of_view=RAD"
 # Half circles, by their numbers of rays.
 HALF_CIRCLES = (180, 181, 360, 361, 720, 721)
-# A raw log's scanner and its body stay together, and its scans' odometry is that of the odometry's own lines, to this,
-# m and rad.
+# In a raw log the scanner's pose on the body is constant, and odometry in scans equals that in odometry lines, within
+# this, m and rad.
 _TOGETHER = 0.01
-# What is believed of a raw log's scanner, m and rad, where its place is told, and where it is left at 0.
+# Deviations of a raw log's scanner, m and rad, if the log states its pose, and if that is 0.
 WHEELED_SCANNER = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02)
 UNPLACED_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
-# A robot that moves faster between two scans, m/s and rad/s, or whose scans are nearer or farther in time, s, has not
-# the stamps that it had. Where more than this share is so, none is believed.
+# Stamps are wrong if the robot is faster between two scans, m/s and rad/s, or these are nearer or farther apart in
+# time, s; if more than the share OFTEN is wrong, no stamp is used.
 FASTEST, FASTEST_TURN, LEAST_STEP, LONGEST_STEP, OFTEN = 5.0, 20.0, 1e-3, 3600.0, 0.02
-# Time by motion: the usual speed, m/s and rad/s, and what a scan takes, s.
+# Time computed from the motion: the usual speed, m/s and rad/s, and the duration of a scan, s.
 USUAL, USUAL_TURN, SCAN_TIME = 0.4, 0.6, 0.05
 
-# The rover: metres a count, half the distance between the wheels, m, and the scanner's place ahead of the axle, m.
+# The rover: metres per count, half the distance between the wheels, m, and the scanner's place ahead of the axle, m.
 METRES_PER_COUNT = 2.0 * math.pi * 0.077 / 2000.0
 HALF_AXLE = 0.165
 SCANNER_AHEAD = 0.145
-# The scanner: rays, the angle that they span, rad, its range, m, and its noise, m.
+# The rover's scanner: number of rays, field of view, rad, greatest and least range, m, noise, m.
 RAYS = 682
 FIELD_OF_VIEW = math.radians(240.0)
 RANGE_MAX = 5.6
 LEAST_RANGE = 0.02
 ROVER_SIGMA = 0.03
-# What its stamps are late, s, and the deviations of the scanner's place, m, and of this.
+# Delay of its stamps, s; the deviations of its place, m, and of the delay, s.
 SCANS_LATE = 0.17
 ROVER_SCANNER = ScanConfig(mount_deviation=0.02, clock_deviation=0.05)
-# Of another scanner in such a log nobody knows the clock.
+# The clock of another scanner in such a log is unknown.
 OTHER_SCANNER = ScanConfig(mount_deviation=0.2, yaw_deviation=0.05, clock_deviation=0.1)
 # Rays at either end that see the rover itself.
 _OWN = 70
