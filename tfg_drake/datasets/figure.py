@@ -18,11 +18,11 @@ from tfg_drake.pictures.panels import add_legend, plan
 _SMOOTHED, _ONLINE, _TRUTH = css(LIGHT.robot), css(LIGHT.bare_surface), css(LIGHT.scan)
 # Of the drawing, inches.
 _WIDTH = 9.0
-# Landmarks are named where there are no more than this.
+# Landmarks are named up to this number.
 _MOST_NAMES = 100
-# Hits that are drawn: more are one grey.
+# Greatest number of hits that are drawn, as more are a uniform grey.
 _MOST_HITS = 60_000
-# A wall is drawn where something was met no farther from it than this, in steps of so much, m.
+# A wall is drawn where a hit is within BESIDE, m, of it, in steps of STEP, m.
 BESIDE, STEP = 0.15, 0.05
 
 

@@ -26,16 +26,16 @@ LANDMARKS = range(6, 21)
 # Measured against the truth of Dataset6: 0.07-0.18 m and 0.006-0.018 rad.
 SIGMA_RANGE = 0.2
 SIGMA_BEARING = 0.014
-# The commands are this much above the true speed and turn rate: the smoothed runs of Dataset6 agree within a few %.
+# Ratio of the commands to the true speed and turn rate, on which the smoothed runs of Dataset6 agree within a few %.
 SPEED_SCALE = 1.05
 TURN_SCALE = 1.09
-# A command takes effect this much later than its stamp, s: all five smoothed runs fit best at 0.20 to 0.25 s.
+# Delay from a command's stamp to its effect, s: all five smoothed runs fit best at 0.20 to 0.25 s.
 COMMAND_LATENCY = 0.2
-# No odometry message later than this after the one before, s, where the file has rows enough.
+# Longest time between two odometry messages, s, if the file has enough rows.
 LONGEST_MESSAGE = 0.25
 
-# A command is repeated or followed by another within this time, s. Where none is, rows are missing; a robot turns for
-# moments only, so it is taken to have driven on straight ahead.
+# A command is followed by another within this time, s. Otherwise rows are missing, and the robot is assumed to have
+# driven straight ahead, as its turns are short.
 LONGEST_HELD = 2.0
 
 

@@ -18,14 +18,14 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.notes import Note
 
-# Steps that lower the cost, at most; and the relative decrease of the cost after which no other is needed.
+# Greatest number of steps; it has converged after a step with a smaller relative decrease of the cost.
 MOST_STEPS, SMALL_DECREASE = 100, 1e-10
-# Damping, as a share of the Hessian's diagonal: at first next to none, for it would keep a long chain of poses from
-# bending as a whole; what a solution may end with; and what shows that no step lowers the cost any more.
+# Damping as a share of the Hessian's diagonal: at the start, low as it hinders a long chain of poses from bending; the
+# greatest of a converged solution; and the one at which no step lowers the cost any more.
 FIRST_DAMPING, LITTLE_DAMPING, LARGEST_DAMPING = 1e-9, 1e-6, 1e9
 # SuperLU for symmetric positive matrices whose factor is sparse all over.
 SYMMETRIC = {"diag_pivot_thresh": 0.0, "panel_size": 1, "options": {"SymmetricMode": True}}
-# Poses and landmarks that a graph grows by before it is solved again.
+# Number of poses and landmarks added between two solves.
 AT_ONCE = 50
 
 

@@ -15,16 +15,17 @@ from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.messages import FloatArray
 from tfg_drake.notes import Note
 
-# A message is not recorded so much before it is stamped, s, by clocks that agree. No recording pauses longer, s.
+# A clock has jumped if a message was recorded JUMP, s, before its stamp, or if a recording pauses for longer than
+# PAUSE, s.
 JUMP, PAUSE = 0.5, 600.0
-# A message that is late fills a hole of so many periods.
+# A late message fills a gap of this many periods.
 HOLE = 1.5
-# Clocks are compared by the least delay of so many messages, which are all of those whose order is looked at, too.
+# Number of messages whose least delay compares two clocks, and whose order is checked.
 NEAR = 50
-# Stamps of which more than this share equal the one before are cut off. A clock that is set more often than by this
-# share of its messages is none.
+# Stamps have lost digits if more than the share CUT equals the previous one. A clock that jumps at more than the share
+# OFTEN of its messages is refused.
 CUT, OFTEN = 0.3, 0.02
-# Scans may be late by this, s, by the same clock as odometry.
+# Greatest delay of scans, s, by the same clock as odometry.
 LATE = 1.0
 
 

@@ -16,7 +16,7 @@ from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray, IntArray, LaserScan, Odometry, TagDetections, message
 from tfg_drake.notes import Note
 
-# What may be said of a recording's scanner, `--set hardware.scanner.KEY=VALUE`.
+# Keys that can be set of a recording's scanner, `--set hardware.scanner.KEY=VALUE`.
 SAID_OF_SCANNER = ("x", "y", "yaw", "flip", "clockwise", "field_of_view", "clock_offset")
 # Called with the share of the work done, 0 to 1.
 OnProgress = Callable[[float], None]

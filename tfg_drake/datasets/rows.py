@@ -22,17 +22,17 @@ from tfg_drake.io.files import read_bytes
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.notes import Note
 
-# The longest text that is read, bytes; a log of 300 000 scans of 180 rays has 300 MB.
+# Greatest length of a text, bytes; a log of 300 000 scans of 180 rays has 300 MB.
 _LONGEST = 512 * 2**20
-# gzip makes tables of numbers some ten times shorter; what it made a hundred times shorter is none. Below a MB it
-# does not matter.
+# Greatest compression: gzip shrinks tables of numbers by ten, so a text shrunk by more than _ZIPPED is none, unless it
+# has less than _ANY bytes.
 _ZIPPED = 100
 _ANY = 2**20
-# No number that was measured is greater, nor the ns since 1970; what is computed from it stays finite.
+# Greatest number: no measurement exceeds it, nor the ns since 1970, and results stay finite.
 GREATEST = 1e19
-# A heading without '#' has at most so many lines.
+# Greatest number of lines of a heading without '#'.
 HEADING = 4
-# The last rows that show how many decimals a file writes.
+# Number of last rows that show a file's decimals.
 DECIMALS_OF = 20
 # Other names of columns.
 _NAMES = {

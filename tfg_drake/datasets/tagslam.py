@@ -29,14 +29,15 @@ from tfg_drake.table import empty
 from tfg_drake.vision.calibration import calibration_of
 from tfg_drake.vision.tag_position import polar, tag_positions
 
-# Noise of a corner, px, and what no pixel explains: calibration, tags that are not flat, m and rad.
+# Noise of a corner, px, and least deviations of range and bearing, m and rad, from calibration and tags that are not
+# flat.
 CORNER_NOISE = 0.5
 RANGE_FLOOR = 0.05
 BEARING_FLOOR = 0.01
-# A step of the odometry this much faster than the steps around it is a jump, m/s and rad/s.
+# A step of the odometry that is faster than its neighbours by this, m/s and rad/s, is a jump.
 JUMP_SPEED = 1.0
 JUMP_TURN_RATE = 1.5
-# A tag must be this far from the rig in the plane for its bearing to mean anything, m.
+# Least distance of a tag from the rig in the plane, m, for its bearing to be used.
 LEAST_RANGE = 0.3
 
 _POSE_COLUMNS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")

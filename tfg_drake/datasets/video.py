@@ -25,18 +25,18 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagSizes, sighted
 from tfg_drake.vision.tag_detector import TagDetector
 
-# The online estimator then closes a piece of the way after this time, s.
+# The online estimator closes a piece of the way after this time, s.
 PIECE_TIME = 2.0
-# The map begins so long before the first frame, s: the estimator takes a frame when odometry lies to both sides of it.
+# Time from the start of the map to the first frame, s, as the estimator takes frames between two odometry messages.
 MOMENT = 1e-5
 
 # Bare H.264 and such say no times.
 _INTO_A_CONTAINER = "give it its rate, as in ffmpeg -r 30 -i in.h264 -c copy out.mp4, and name out.mp4"
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _PLANAR = ("time", "x", "y", "heading")
-# Nothing turns so fast all the time, rad/s: those are degrees. Each turn may count twice, where headings are wrapped.
+# A higher mean turn rate, rad/s, means that headings are in degrees; wrapped headings may count each turn twice.
 _SPINS = 3.0
-# A quaternion that is shorter says nothing; one that is farther from 1 was not only rounded.
+# Least length of a quaternion, and its greatest difference from 1 by rounding.
 _NO_LENGTH, _ROUNDED = 1e-6, 0.01
 
 

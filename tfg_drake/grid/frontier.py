@@ -15,9 +15,9 @@ from scipy import ndimage
 
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray
 
-# Nearer to the prior than this nothing is decided.
+# A cell's probability within DECIDED of PRIOR is undecided.
 PRIOR, DECIDED = 0.5, 0.05
-# What a cell can be.
+# States of a cell.
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 CellArray = NDArray[np.uint8]

@@ -18,12 +18,12 @@ from tfg_drake.grid.path import Ways, find_ways, in_cells, sees
 from tfg_drake.messages import BoolArray, FloatArray, GoalChoice, GridMap, IntArray, PoseEstimate, message, replace
 from tfg_drake.planning.goal_choice import empty_choice
 
-# A frontier is looked at from the nearest place where the robot can be, if that is within this, m.
+# A frontier is observed from the nearest place with room for the robot within this distance, m.
 AT_HAND = 1.0
-# The robot does not turn again within this of where it stands, m: it would see the same once more.
+# The robot does not turn again within this distance of where it stands, m, as it would see the same.
 APART = 0.3
-# Goals within this of each other, m, are tries at the same place of a frontier; what is left of the frontier within
-# this of the place for which the robot set out is what it set out for.
+# Goals within this distance of each other, m, are attempts at one place of a frontier; the frontier that remains within
+# it of the goal is the goal's.
 SAME_PLACE = 0.5
 
 

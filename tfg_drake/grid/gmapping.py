@@ -35,12 +35,12 @@ from tfg_drake.slam.odometry_model import (
 )
 from tfg_drake.slam.shared import calibration_sigma
 
-# Odometry is kept for scans that come late, messages; and carried on for those that come before it, s.
+# Number of odometry messages kept for late scans; time over which odometry is extrapolated for early scans, s.
 KEPT = 16
 LONGEST_EXTRAPOLATION = 0.2
 # Particles are resampled when the effective number is below this share of them (section III-C).
 LEAST_EFFECTIVE = 0.5
-# Whatever odometry says, a pose is no better known than this, m and rad: a robot at rest has a regular covariance.
+# Least deviations of a pose, m and rad, so that the covariance of a robot at rest is regular.
 POSE_FLOOR = np.array([1e-3, 1e-3, 5e-4])
 
 

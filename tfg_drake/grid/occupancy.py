@@ -29,17 +29,17 @@ Marks = NDArray[np.uint8]
 
 # Cells along a tile's side.
 TILE = 32
-# One step of a cell's log odds, nats; what a return adds, what a ray passing through adds, and the most of either sign:
-# beyond that more of the same says nothing new, and a door that has closed must be able to.
+# One step of a cell's log odds, nats; the steps of a return and of a ray that passes through, and the bound of either
+# sign, so that a door that has closed can change the cell.
 STEP = 0.1
 HIT, PASS, LIMIT = 9, -4, 60
-# Parts of a cell that means are kept in, and the ends that go into one at most: more would hardly move it.
+# Resolution of a mean within a cell, in parts of the cell, and the greatest number of returns in it.
 FINE = 250
 MOST_ENDS = 100
-# Neighbouring returns no farther apart than this, m, lie on one surface, which is put in between them, too. Without
-# that far surfaces are rows of dots, and scans would match at every multiple of the angle between rays.
+# Neighbouring returns within this distance, m, are on one surface, whose cells between them are set, too. Otherwise far
+# surfaces would be rows of dots, and scans would match at every multiple of the angle between rays.
 SURFACE_GAP = 0.35
-# The numbers of a cell.
+# Columns of a cell.
 ODDS, ENDS, MEAN_X, MEAN_Y = 0, 1, 2, 3
 
 

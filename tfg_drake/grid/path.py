@@ -17,12 +17,12 @@ from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, LaserSc
 from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, lines_between, path_is_free, resample, round_corners
 from tfg_drake.planning.roadmap import COMFORT, cost_of_edge
 
-# A robot that stands where there is no room for it may drive straight to a cell with room this near, m.
+# A robot without room may drive straight to a cell with room within this distance, m.
 WAY_OUT = 0.6
-# Shortcuts end at every so manieth cell of a way, and span this many cells at most.
+# Shortcuts end at every SHORTCUT_STRIDE-th cell of a way and span at most SHORTCUT_SPAN cells.
 SHORTCUT_STRIDE = 8
 SHORTCUT_SPAN = 240
-# Returns of a scan farther away than this do not concern the path just ahead, m.
+# Returns of a scan within this distance, m, are checked against the path ahead.
 RETURN_REACH = 3.0
 
 

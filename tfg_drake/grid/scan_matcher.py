@@ -25,20 +25,20 @@ SIGMA = 0.045
 # Likelihoods, relative to an end point in the middle of an occupied cell: of one in free space (moved, or no surface
 # of this map at all), and of one where nothing was ever measured.
 MISS, UNKNOWN = 0.05, 0.25
-# Neighbouring rays err together, by what the map has wrong: a scan's log likelihood counts this much.
+# Weight of a scan's log likelihood, as neighbouring rays share the errors of the map.
 INDEPENDENCE = 0.3
-# A match must bring this share of the end points to an occupied cell, and there must be as many end points.
+# Least share of the end points in occupied cells for a match, and least number of end points.
 LEAST_SHARE, LEAST_POINTS = 0.25, 12
-# End points may move this far from where odometry puts them and still find the map, m.
+# Greatest displacement of end points from odometry within which the map is searched, m.
 MARGIN = 0.5
-# The first steps of the hill climbing, m and rad, and how often they are halved.
+# First steps of the hill climbing, m and rad, and number of times they are halved.
 STEP_POSITION, STEP_HEADING, HALVINGS = 0.05, 0.02, 5
-# Steps of the differences that tell the mode's curvature, m and rad.
+# Steps of the differences for the mode's curvature, m and rad.
 DIFFERENCE = np.array([0.025, 0.025, 0.008])
 
-# Cells to either side of an occupied one within which it is felt.
+# Reach of an occupied cell's likelihood to either side, cells.
 _SPLAT = 3
-# Parts of a cell's side that the field tells apart.
+# Resolution of the field, parts of a cell's side.
 _PARTS = 10
 
 LogLikelihoods = NDArray[np.float32]

@@ -29,13 +29,13 @@ from tfg_drake.messages import FloatArray, GoalChoice, GridMap, IntArray, PoseEs
 from tfg_drake.planning.candidates import OVERHEAD
 from tfg_drake.planning.odometry_drift import odometry_covariance
 
-# Known places are candidates at this distance from each other, m.
+# Spacing of the candidates at known places, m.
 KNOWN_SPREAD = 2.0
-# Rays cast round a candidate.
+# Number of rays cast around a candidate.
 RAYS = 180
 # Surfaces' directions are those of the grid's slope, smoothed by this many cells.
 SMOOTHING = 2.0
-# A ray that grazes a surface says nothing when the cosine of its incidence is below this.
+# Least cosine of the incidence of a ray that counts.
 LEAST_COSINE = 0.2
 
 
