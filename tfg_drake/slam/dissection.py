@@ -29,7 +29,7 @@ from tfg_drake.slam.surfaces import add_pieces, add_ties
 
 # Greatest number of keyframes of a leaf.
 LEAF = 32
-# A part is bisected across one of DIRECTIONS directions; its smaller half has at least the share LEAST_SHARE of it.
+# A part is bisected along the best of DIRECTIONS directions; the smaller half holds at least LEAST_SHARE of it.
 DIRECTIONS = 8
 LEAST_SHARE = 0.4
 
@@ -38,7 +38,7 @@ LEAST_SHARE = 0.4
 class Front:
     """A part of the graph. unknowns: (f,) ascending, the first `own` of them, which are consecutive, are eliminated
     here. halves: indices of its two halves among the fronts, empty in a leaf. keyframes: (q,) of a leaf. above: (f -
-    own,) indices of the others among the unknowns of the front above."""
+    own,) indices of the others among the unknowns of the front above. pieces: those of surface, assembled here."""
 
     unknowns: IntArray
     own: int
@@ -243,7 +243,7 @@ def dissected(
 
 
 def _in_order(level: int, i: int) -> list[tuple[int, int]]:
-    """Level and number of a front and of all below it, each after its halves."""
+    """Return level and number of a front and of all below it, each after its halves."""
     if level == 0:
         return [(0, i)]
     return [*_in_order(level - 1, 2 * i), *_in_order(level - 1, 2 * i + 1), (level, i)]
@@ -291,7 +291,7 @@ def extend_add(whole: FloatArray, part: FloatArray, at: IntArray) -> None:
 
 
 class DissectionSolver:
-    """Eliminates one graph. It eliminates again once values have moved by keeps_for, m or rad."""
+    """Linearises and eliminates one graph. An elimination serves until the values have moved by keeps_for, m or rad."""
 
     keeps_for = 0.05
 
@@ -335,7 +335,7 @@ class DissectionSolver:
         entry, has_prior = np.full(size - NONE, NONE), np.ones(len(u.error_at), dtype=bool)
 
         def block(front: Front) -> FloatArray:
-            """The information (f, f) that the keyframes of a leaf have on its unknowns, and priors in the first."""
+            """Return the information (f, f) of keyframes, pieces and priors in a front; add to gradient and error."""
             nonlocal error
             f = len(front.unknowns)
             whole, own = np.zeros((f, f)), np.zeros(f)
@@ -364,7 +364,7 @@ class DissectionSolver:
         return System(elimination.parts, elimination.log_determinant, gradient, error, places)
 
     def gradient(self, values: Values) -> tuple[FloatArray, float]:
-        """Gradient (u,) of the cost and twice the cost at some values."""
+        """Return the gradient (u,) of the cost and twice the cost at some values."""
         factors, u, gradient, none = self.factors, self.unknowns, np.zeros(self._dissection.size), np.zeros((0, 0))
         every, pieces, ties = (np.arange(len(of)) for of in (values.X_MN[1:], factors.pieces.frame, factors.ties.first))
         error = assemble(every, factors.keyframes, values, u, none, gradient, np.zeros((0, 2, 3)))

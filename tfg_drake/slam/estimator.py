@@ -88,20 +88,20 @@ from tfg_drake.slam.shared import CAMERA_YAW, CLOCK, SHARED, Shared
 from tfg_drake.slam.turn import SAME_INSTANT, Reduced, Source, TurnFrame, no_detections, reduced
 from tfg_drake.slam.walls import Walls, beside_walls, identified, named, no_lines, same_walls
 
-# Without frames the filters follow odometry in steps of this length, s.
+# Without frames the localiser is moved on once it lags behind odometry by more than this, s.
 LONGEST_STEP = 0.25
-# A frame contradicts the pose if more than the share MOST_IGNORED of its known tags do. If a keyframe has LEAST_KNOWN
-# known tags and they contradict the map, the robot may be elsewhere.
+# A frame contradicts the pose if more than the share MOST_IGNORED of its known landmarks do. If more than this share of
+# a keyframe's known tags, LEAST_KNOWN or more, contradict the map, only those that agree count as evidence.
 LEAST_KNOWN = 3
 MOST_IGNORED = 0.5
-# After an unknown motion the robot is lost if its pose has greater deviations than these, m, m, rad; otherwise the pose
-# is corrected as usual.
+# After an unknown motion the robot is lost if a deviation of its pose exceeds these, m, m, rad; otherwise the pose is
+# corrected as usual.
 FOUND_WITHIN = np.array([0.2, 0.2, 0.15])
 # Frames seen while the pose is in doubt wait to be mapped, at most for this time, s.
 LONGEST_DOUBT = 60.0
-# A keyframe is reduced anew if a parameter has moved by more than this share of the deviation that it had then.
+# A keyframe is reduced anew if a shared parameter has moved by more than this share of its deviation then.
 REDUCED_WITHIN = 0.5
-# So it is if a level of the noise has changed by more than this.
+# It is also reduced anew if a level of the noise, see `LearntNoise`, has changed by more than this.
 LEVEL_WITHIN = 0.2
 # The last map is solved until the deviation of the tags' errors changes by at most this share, or MOST_SOLVES times.
 SAME_TAG_ERROR = 0.05
@@ -110,18 +110,18 @@ MOST_SOLVES = 6
 SAME_PLACE = 0.004
 # A scan tells whether something hid the tags of a frame if the robot has moved by at most this in between, m and rad.
 NEARLY_THERE = 0.05
-# Number of scans kept for these comparisons.
+# Number of the newest scans that are kept for both comparisons.
 SCANS = 4
-# Period at which a turn or piece takes the lines of a scan, s: more often they would not exceed their common error. A
-# recording, for which each scan's pose is wanted, takes those of each scan.
+# Period at which a turn or piece takes a scan's lines, s: more of them would not reduce the error that all looks at a
+# wall share. A recording, for which each scan's pose is wanted, takes the lines of each scan.
 LINES_EVERY = 0.2
-# It takes the points of a scan whenever the robot has moved by this, m or rad.
+# Of these scans it takes the points, too, when the robot has moved on by more than this, m or rad.
 POINTS_WAY, POINTS_TURN = 0.3, 0.3
-# Greatest number of messages of the first look, and of scans that wait for odometry: two minutes of them.
+# Greatest number of messages kept of the first look, and of scans that wait for odometry: two minutes of them.
 MOST_KEPT = 5000
-# Straightness of the surfaces in view: the weight of a scan falls by FORGET with each later scan. With ENOUGH_SEEN, m,
-# of surface, walls are no landmarks to rely on if less than the share LEAST_STRAIGHT is straight: in offices 0.8 to 0.9
-# are, in recorded logs of cluttered ones 0.45 to 0.6, of a nave with an apse 0.55, of a round room none.
+# The operator is told not to rely on walls if, of more than ENOUGH_SEEN, m, of surface, less than LEAST_STRAIGHT is
+# straight; each later scan multiplies a scan's weight by FORGET. The share is 0.8 to 0.9 in offices, 0.45 to 0.6 in
+# recorded logs of cluttered ones, 0.55 in a nave with an apse, none in a round room.
 FORGET, ENOUGH_SEEN, LEAST_STRAIGHT = 1.0 - 1.0 / 600.0, 500.0, 0.4
 
 # Lines and points of a scan.
@@ -319,7 +319,7 @@ def finished_map(state: EstimatorState) -> EstimatorState:
 
 
 def _kept(state: EstimatorState, message: Message) -> EstimatorState:
-    """The state with a message more in its first look, unless that is over."""
+    """Return the state with one message more in its first look, unless that is over."""
     return state if state.look is None else replace(state, look=(*state.look, message)[-MOST_KEPT:])
 
 
@@ -409,8 +409,8 @@ def _step_to(state: EstimatorState, stamp: float) -> EstimatorState:
 def _step(
     state: EstimatorState, frame: TagDetections, scanned: Scanned = NO_SCAN, *, only_scan: bool = False
 ) -> EstimatorState:
-    """The localiser and the open turn or piece, brought to a frame's stamp and given the frame and a scan's lines and
-    points.
+    """Return the state with the localiser and the open turn or piece brought to a frame's stamp, and given the frame
+    and a scan's lines and points.
 
     The stamp lies within the odometry at hand.
     """
@@ -467,7 +467,7 @@ def _step(
 
 
 def _instant(now: DeadReckoning) -> TurnFrame:
-    """An instant at which nothing is seen."""
+    """Return an instant at which nothing is seen."""
     return TurnFrame(now.stamp, now.clock, now.X_OB, no_detections(now.stamp))
 
 
@@ -500,7 +500,7 @@ def _watched(state: EstimatorState, frame: TagDetections, twist: FloatArray) -> 
 
 
 def _suspect(state: EstimatorState, taken: TurnFrame) -> Stretch | None:
-    """The place in the log where the pose came into doubt, which the newest frame may end or begin."""
+    """Return the stretch since the pose came into doubt, which a new frame may end or begin; None without doubt."""
     suspect = state.suspect if state.contradictions else None
     if (
         suspect is not None
@@ -514,14 +514,14 @@ def _suspect(state: EstimatorState, taken: TurnFrame) -> Stretch | None:
 
 
 def _cut(state: EstimatorState, *, is_turn: bool = False) -> EstimatorState:
-    """The state with the open piece of the way over and solved, and the next one or a turn open. The way to the first
+    """Return the state with the open piece of the way solved, and the next one or a turn open. The way to the first
     view is not mapped."""
     piece, before = state.log[-1], state.log[:-1]
     if state.stamp <= piece.begin.stamp:
         return replace(state, log=(*before, replace(piece, is_turn=is_turn)))
     if state.map is not None:
         learnt, _, seen = _reduced(state, piece)
-        # What moves a robot that is carried is not its wheels.
+        # The motion of a robot that was carried says nothing about the noise of its wheels.
         state = state if state.is_kidnapped else learnt
         if not state.path_keyframe_period:
             seen = seen.only(np.zeros(len(seen.frames), dtype=bool))
@@ -530,7 +530,7 @@ def _cut(state: EstimatorState, *, is_turn: bool = False) -> EstimatorState:
 
 
 def _reduced(state: EstimatorState, seen: Stretch) -> tuple[EstimatorState, Reduced, Sighted]:
-    """The state that will learn its noise from a stretch of the log, which ends now; that solved, and as a keyframe."""
+    """Solve a stretch of the log that ends now: return the state with its noise sample, the solution, the keyframe."""
     piece = (seen.begin, seen.frames, state.instant)
     solution = reduced_now(state, piece)
     source = Source(piece, state.graph.shared, state.noise.level, state.walls.floor)
@@ -586,8 +586,8 @@ def _with_scale_reported(state: EstimatorState) -> EstimatorState:
 
 
 def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
-    """The state with the open turn or piece added to the map as a view, and the localiser at its end. spread: see
-    `solve`."""
+    """Return the state with the open turn or piece added to the map as a view, and the localiser at its end. spread:
+    see `solve`."""
     first, seen = state.mapped[0], state.log[-1]
     way = tuple(one.solved for one in state.mapped if one.solved is not None)
     state, solution, view = _reduced(state, seen)
@@ -618,7 +618,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
         or anew_graph is not graph
         or state.is_kidnapped
         or before is not state.graph
-        or adrift(graph) >= 0  # All that a heading which is not known tells is far from linear.
+        or adrift(graph) >= 0  # The effect of an unknown heading is far from linear.
         or needs_solve(graph, solved, estimate)
         or is_looser(graph, estimate, state.deviation)
         or len(estimate.local) < min(len(graph.ids), JOINT + spread)
@@ -631,7 +631,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
     else:
         graph, estimate = finished(graph, estimate, state.stamp, observation)
     loops = state.loops
-    if adrift(graph) < 0:  # Else that is for the relocaliser.
+    if adrift(graph) < 0:  # A part that is adrift is left to the relocaliser.
         loops, closed, estimate = with_loops_closed(loops, graph, estimate, observation)
         if closed is not graph:
             graph = solved = closed
@@ -664,8 +664,8 @@ def _found_meanwhile(state: EstimatorState, begun: Stretch) -> Stretch:
 
 
 def _with_names(seen: Sighted, walls: Walls, graph: KeyframeGraph, estimate: MapEstimate) -> tuple[Sighted, Walls]:
-    """A keyframe that begins at the map's newest pose with its walls by the names that the map has for them; the walls
-    then."""
+    """Return a keyframe that begins at the map's newest pose, with the map's names for its walls, and the updated
+    walls."""
     one, source, tags = seen.keyframe, seen.source, is_tag(seen.keyframe.ids)
     if source is None or tags.all():
         return seen, walls
@@ -679,7 +679,7 @@ def _with_keyframe(
     graph: KeyframeGraph, estimate: MapEstimate, evidence: Evidence, seen: Sighted, *, is_view: bool
 ) -> tuple[KeyframeGraph, MapEstimate, Evidence, IntArray, IntArray]:
     """Return graph, map and evidence with one keyframe more, which begins at the map's newest pose; the ids of its
-    rejected known tags, and of those that were removed and mapped again.
+    rejected known tags, and of the tags that were removed and mapped again.
 
     is_view: whether it is a turn or glance, not a piece of the way.
     """
@@ -695,7 +695,7 @@ def _with_keyframe(
     agrees, counted = np.isin(ids, np.setdiff1d(believed.keyframe.ids, rejected))[tags], seen.only(tags)
     known, rejected = known[tags], rejected[is_tag(rejected)]
     if np.count_nonzero(known) >= LEAST_KNOWN and len(rejected) > MOST_IGNORED * np.count_nonzero(known):
-        # It may be the robot that is elsewhere.
+        # The robot may be elsewhere, so this is no evidence against the places of the tags.
         counted, agrees = counted.only(agrees), agrees[agrees]
     weighed_up = weighed(evidence, counted, agrees, longer) if len(counted.frames) else evidence
     anew = np.intersect1d(overturned(weighed_up), rejected) if len(rejected) else rejected

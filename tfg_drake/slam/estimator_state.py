@@ -36,13 +36,13 @@ from tfg_drake.slam.turn import Piece, Reduced, Source, TurnFrame, no_detections
 from tfg_drake.slam.walls import Walls, no_lines, no_walls
 from tfg_drake.table import empty
 
-# Standard deviations, m, m, rad, of the motion between two views when the robot was kidnapped on the way: unknown.
+# Standard deviations, m, m, rad, of the unknown motion between two views when the robot was kidnapped on the way.
 KIDNAPPED = np.array([100.0, 100.0, 10.0])
 # An increment of odometry.
 NO_MOTION = np.zeros(3)
-# Greatest number of the newest frames that are searched for the robot's place.
+# The search for the robot's place uses at most this number of the newest frames.
 MOST_FRAMES = 50
-# A camera that is mounted, and whose clock runs, as is believed.
+# A camera whose mount, clock and range scale are exactly as stated.
 EXACT_CAMERA = TagSensorConfig(yaw_deviation=0.0, clock_deviation=0.0, mount_deviation=0.0, range_scale_deviation=0.0)
 
 
@@ -51,8 +51,8 @@ class Stretch:
     """A stretch of the log: a turn, or a piece of the way that is mapped like one.
 
     begin: its first instant, X_MB: (3,) the localiser's pose then, sigma: (3,) its deviations, m, m, rad. frames: the
-    frames seen since. is_apart: the way to it from the last view is known only by these, as the robot was moved by
-    something other than its wheels. solved: as a keyframe, None while it is open.
+    frames seen since. is_apart: the motion to it from the last view is known only by X_MB and sigma, as the robot was
+    moved by something other than its wheels. solved: as a keyframe, None while it is open.
     """
 
     begin: TurnFrame
@@ -115,15 +115,15 @@ class EstimatorState:
     pose, less those that agree since; inf if the pose is a guess until the robot has relocalised. suspect: the stretch
     that begins at the first contradicting frame, without frames; None without contradiction. log: the stretches since
     the last view, pieces of the way and then the turn; the newest is open. placed: time, s, since when the robot knows
-    its place in a map that it began with or in which it may have been carried; in the latter nan until it does.
-    map: the updated estimate since the last solve, None before the first view. look: the
-    newest messages in the order of arrival, None once the first turn is over. sources: of the newest keyframes, None
-    for one that has none. walls: statistics of the map's walls. landmarks: their kind, one of `config.LANDMARKS`.
-    unread: scans that wait for odometry. looked: time, s, when lines were last taken for a stretch. may_be_moved: by
-    something other than its wheels. straight: (2,) m of straight walls and of all surfaces in the scans of the last
-    minutes, nan once it was reported that too little is straight. loops: the loop search. deviation: (2,) of the newest
-    pose at the last solve, m and rad. known: the map that the session began with, until the join is final; at: the
-    session's place in it, once known; hypotheses: the possible places in it, empty if these are everywhere or nowhere.
+    its place in a map that it began with or in which it may have been carried; in the latter nan until it does. map:
+    the updated estimate since the last solve, None before the first view. look: the newest messages in the order of
+    arrival, None once the first turn is over. sources: of the newest keyframes, None for one without. walls: statistics
+    of the map's walls. landmarks: their kind, one of `config.LANDMARKS`. unread: scans that wait for odometry. looked:
+    time, s, when lines were last taken for a stretch. may_be_moved: whether something other than its wheels may move
+    the robot. straight: (2,) m of straight walls and of all surfaces in the scans of the last minutes, nan once it was
+    reported that too little is straight. loops: the loop search. deviation: (2,) of the newest pose at the last solve,
+    m and rad. known: the map that the session began with, until the join is final; at: the session's place in it, once
+    known; hypotheses: the possible places in it, empty if these are everywhere or nowhere.
     """
 
     noise: LearntNoise
@@ -206,15 +206,14 @@ def initial_state(
     *,
     may_be_moved: bool = True,
 ) -> EstimatorState:
-    """The estimator at the map's origin, before any message.
+    """Return the state at the map's origin, before any message.
 
-    prior: what is known of the shared parameters beforehand; none: what the odometry's data sheet says, and of the
-    camera that all is as it is believed to be. path_keyframe_period: s; the way between views is mapped in pieces of
-    this length, inf: in those that `close_piece` ends. 0: of the way only its motion is mapped, and path sightings
-    localise (the paper's Sec. III-C). solver: what solves the keyframe graph, one of `config.SOLVERS`. landmarks: what
-    the map is made of, one of `config.LANDMARKS`. walls: none yet, and what is believed of them. tags: the camera's
-    data sheet. may_be_moved: whether the robot may be elsewhere where what is seen contradicts its pose; else that is a
-    fault of what is seen, unless odometry says that the way is unknown.
+    prior: of the shared parameters; by default from the odometry's data sheet and EXACT_CAMERA. path_keyframe_period:
+    s; the way between views is mapped in pieces of this length, inf: in those that `close_piece` ends. 0: of the way
+    only its motion is mapped, and path sightings localise (the paper's Sec. III-C). solver: of the keyframe graph, one
+    of `config.SOLVERS`. landmarks: the kind that is mapped, one of `config.LANDMARKS`. walls: their initial statistics.
+    tags: the camera's data sheet. may_be_moved: whether the robot may be elsewhere if sightings contradict its pose;
+    otherwise the sightings are wrong, unless odometry reports an unknown motion.
     """
     prior = prior or by_data_sheet(config, EXACT_CAMERA)
     graph = empty_graph(prior, solver)
@@ -229,7 +228,7 @@ def initial_state(
         walls=walls or no_walls(),
         watch=watch_of(tags.max_incidence),
         may_be_moved=may_be_moved,
-        # Pieces of a recorded drive are no turns, of which the first is looked at once more.
+        # A recorded drive has pieces, no turns, and so no first look.
         look=None if np.isinf(path_keyframe_period) else (),
     )
 
@@ -237,12 +236,12 @@ def initial_state(
 def pose_now(
     state: EstimatorState, increment: FloatArray = NO_MOTION, dt: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MB (3,) and its covariance (3, 3) at the filters' instant, or an odometry increment (3,) later, over dt s."""
+    """Return X_MB (3,) and its covariance (3, 3) an odometry increment (3,), over dt s, after the filters' instant."""
     return localized_pose(state.localizer, state.noise.now.walks, increment, dt)
 
 
 def opened(state: EstimatorState) -> Stretch:
-    """A piece of the way that begins now."""
+    """Return a piece of the way that begins now."""
     X_MB, covariance = pose_now(state)
     return Stretch(state.instant, X_MB, np.sqrt(np.maximum(np.diag(covariance), LEAST_SIGMA**2)))
 
@@ -267,18 +266,18 @@ def with_map(
 
 
 def unknown_way(X_DA: FloatArray, sigma: FloatArray = KIDNAPPED) -> Keyframe:
-    """The motion of a kidnapped robot: it seems to have led to X_DA (3,), with deviations sigma (3,), m, m, rad."""
+    """Return the keyframe of an unknown motion: to X_DA (3,), with deviations sigma (3,), m, m, rad."""
     return way(X_DA, np.diag(sigma**2))
 
 
 def reduced_now(state: EstimatorState, piece: Piece) -> Reduced:
-    """A turn or piece of the way, solved by itself."""
+    """Return a turn or piece of the way, solved by itself."""
     return reduced(state.noise.now, piece, state.graph.shared, state.walls.floor, state.graph.unevenness)
 
 
 def newest_of(seen: Stretch) -> Stretch:
-    """The newest frames of a stretch as one of their own, but for what was seen as it began: the robot may have
-    been moved then."""
+    """Return the newest frames of a stretch as one of their own, without the sightings at its beginning, as the robot
+    may have been moved then."""
     frames = seen.frames[-MOST_FRAMES:]
     begin = replace(frames[0], detections=no_detections(frames[0].stamp), lines=no_lines())
     return Stretch(begin, se2.compose(seen.X_MB, se2.between(seen.begin.X_OB, begin.X_OB)), seen.sigma, frames)
