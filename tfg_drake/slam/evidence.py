@@ -41,7 +41,7 @@ from tfg_drake.slam.tag_error import LEAST_CHANCE, in_place
 from tfg_drake.slam.turn import Source
 from tfg_drake.table import concat, empty, take
 
-# Number of frames that support a place before a tag is mapped there.
+# A tag is mapped at a place that this number of frames support; a smaller lead over other places makes it doubtful.
 CONFIRMATIONS = 3
 # Support counts at most MOST_AT_ONCE frames per keyframe and MOST in all, two such keyframes: two are needed against a
 # well-known place, and one is enough against a place that was hardly seen.
@@ -55,9 +55,9 @@ LEAST_DEVIATION = 0.1
 MOST_TAKEN_BACK = 10
 # The view index of a place that is the mapped one.
 MAPPED = -1
-# A tag is expected in a frame within NEAR, m; by INSIDE, m and rad, within the largest range and bearing of any
-# sighting; and on surfaces with a tangent of the incidence up to STEEPEST, or of ASLANT, rad, less than the data
-# sheet's limit: four deviations of the incidence by a scan.
+# As detectors miss tags elsewhere, one is expected only within NEAR, m, and INSIDE, m and rad, below the greatest range
+# and bearing of any sighting, if the tangent of its incidence is at most STEEPEST, and the incidence ASLANT, rad, below
+# the data sheet's limit: four deviations of the incidence by a scan.
 NEAR = 4.0
 INSIDE = 0.1
 STEEPEST = 1.2
@@ -107,7 +107,7 @@ class Evidence:
     """Places of tags, and the number of frames that support each.
 
     ids: (h,) of the tags. view: (h,) MAPPED for the mapped place, otherwise the view in whose arrival frame p_AL (h, 2)
-    is, m, with variance (h,), m^2. frames: (h,) that support the place, less those for other places since.
+    is, m, with variance (h,), m^2. frames: (h,) that support the place, less the number for other places since.
     """
 
     ids: Annotated[IntArray, "h"]
@@ -140,7 +140,7 @@ def weighed(evidence: Evidence, seen: Sighted, agrees: BoolArray, graph: Keyfram
     tag, same = _compared(evidence, seen, X_MA, graph)
     spoken_of = tag >= 0
     same[evidence.is_mapped & spoken_of] = agrees[tag[evidence.is_mapped & spoken_of]]
-    # What spoke for the place that the map has, before it had it, goes to that.
+    # Support for a place from before it was mapped joins that of the mapped place.
     joins = same & ~evidence.is_mapped & np.append(agrees, False)[tag]
     once = np.minimum(seen.frames, MOST_AT_ONCE)
     gain = once + _of_tags(len(once), tag[joins], evidence.frames[joins])
@@ -175,7 +175,7 @@ def contradicted(graph: KeyframeGraph) -> tuple[int, int] | None:
     """Return the sighting that contradicts a solved graph most, as the landmark's id and the keyframe's index: without
     it the squared error would fall by more than REJECTED. None if there is none.
 
-    This removes sightings that an update accepted while the pose was uncertain or the map bent.
+    This finds sightings that an update accepted while the pose was uncertain or the map bent.
     """
     most, found = REJECTED, None
     for j, one in enumerate(graph.keyframes):
@@ -231,8 +231,8 @@ def _against(evidence: Evidence) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: KeyframeGraph) -> tuple[IntArray, BoolArray]:
-    """Of each place (h,) which of the tags of a keyframe at X_MA (3,) it is one of, -1 for none, and whether that was
-    seen there; of places that the map has that is not told."""
+    """Return the row of each place's tag (h,) in a keyframe at X_MA (3,), -1 if that did not see it, and a mask (h,) of
+    the places where it saw the tag, without the mapped ones."""
     row, is_seen = rows_of(evidence.ids, seen.keyframe.ids)
     tag = np.where(is_seen, row, -1)
     same = np.zeros(len(tag), dtype=bool)
@@ -247,18 +247,18 @@ def _compared(evidence: Evidence, seen: Sighted, X_MA: FloatArray, graph: Keyfra
 
 
 def _places(evidence: Evidence, graph: KeyframeGraph) -> FloatArray:
-    """(h, 2) m in M, of places that the map does not have."""
+    """Return the places (h, 2) in M, m; none is MAPPED."""
     return se2.transform(graph.X_MA[evidence.view], evidence.p_AL)
 
 
 def _places_and_variance(seen: Sighted, graph: KeyframeGraph) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) the tags' places in A, m, and (n,) their variances, m^2, as if these were the same in all directions."""
+    """Return the tags' places (n, 2) in A, m, and their variances (n,), m^2, each the mean over both directions."""
     p_AL, _, covariance = seen.keyframe.given(graph.shared.mean)
     return p_AL, np.asarray(0.5 * np.diag(covariance)[:-3].reshape(-1, 2).sum(axis=1))
 
 
 def _of_tags(n: int, tag: IntArray, frames: IntArray) -> IntArray:
-    """(n,) sums of frames (h,) by the tags (h,) that they are of."""
+    """Return the sums (n,) of the frames (h,) of each tag's places; tag: (h,) the row of each place's tag."""
     return np.bincount(tag, weights=frames, minlength=n).astype(np.int64)
 
 
@@ -317,8 +317,8 @@ def renewed(watch: TagWatch, ids: IntArray) -> TagWatch:
     return replace(watch, ids=ids, seen_from=seen_from, failed=failed)
 
 
-# What a watch has first, and its widest, farthest and steepest; ids, bearings and ranges of a frame; bearings and
-# ranges of a scan.
+# Limits: widest, farthest and steepest of a watch. Watch: its ids, seen_from and failed, and its limits. Frame: ids,
+# bearings and ranges. Rays: bearings and ranges of a scan.
 Limits = tuple[float, float, float]
 Watch = tuple[IntArray, FloatArray, IntArray, Limits]
 Frame = tuple[IntArray, FloatArray, FloatArray]
@@ -329,8 +329,8 @@ Rays = tuple[FloatArray, FloatArray]
 def _watched(
     watch: Watch, p_ML: FloatArray, X_MC: FloatArray, yaw: float, frame: Frame, scan: Rays
 ) -> tuple[FloatArray, IntArray, float, float, int, int]:
-    """A watch's seen_from, failed, widest and farthest after a frame, by a scan, and how many tags of the map the frame
-    should have shown and has shown of these."""
+    """Return seen_from, failed, widest and farthest of a watch after a frame, by a scan, and the number of mapped tags
+    that the frame should have shown, and that of those it has shown."""
     (frame_ids, bearing, ranges), ids, (widest, farthest, steepest) = frame, watch[0], watch[3]
     shown, seen_from, failed = np.zeros(len(ids), dtype=np.bool_), watch[1].copy(), watch[2].copy()
     for row, one, r in zip(np.searchsorted(ids, frame_ids), frame_ids, ranges):  # noqa: B905 numba knows no strict
@@ -340,7 +340,7 @@ def _watched(
             seen_from[row, 0] += x / distance
             seen_from[row, 1] += y / distance
             shown[row] = True
-            farthest = max(farthest, min(distance, r))  # Neither a gross range nor a misread id, which is far away.
+            farthest = max(farthest, min(distance, r))  # Neither a gross range nor a misread, distant id counts.
     if not shown.any():
         return seen_from, failed, widest, farthest, 0, 0
     widest = max(widest, np.abs(bearing).max())

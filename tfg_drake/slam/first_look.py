@@ -34,10 +34,10 @@ from tfg_drake.slam.scan_matching import (
 # A clock error up to this, s, is no fault: the camera's is learnt with the map, and a scan may be stamped with its
 # first ray.
 LEAST_OFFSET = 0.1
-# Scans and odometry tell the scanner's yaw if their distances differ by at most this share, and if five deviations of
-# the yaw are at most this, rad.
+# Scans and odometry determine the scanner's yaw if their distances differ by at most this share, and if five deviations
+# of the yaw are at most this, rad.
 ALIKE = 0.3
-# Standard deviation of a turn seen by tags, rad.
+# Standard deviation of a turn between two frames by their tags, rad.
 STEP = 0.008
 TAGS_AGAINST = (
     "the tags turn against the robot: is the camera mounted upside down, or its image mirrored? "
@@ -58,7 +58,7 @@ def held_against_odometry(messages: Sequence[Message], known: float = 0.0) -> tu
     found = compare(odometry, scans, mount_known=True)
     turning, explained = found.turning
     if explained >= max(TELL, EXPLAINED * turning):
-        # The robot turns on the spot: what travels is somebody who walks by.
+        # The robot turns on the spot: a motion that the scans show is a passer-by's.
         found = replace(found, travelling=np.zeros(2))
     return agreement(odometry, by_tags), judged(found, LEAST_OFFSET)
 

@@ -46,7 +46,7 @@ def map_graph(graph: KeyframeGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.V
 
 
 def named_graph(graph: KeyframeGraph, names: list[int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """As `map_graph`, with given keys (n,) for the landmarks."""
+    """Return the same as `map_graph`, with given keys (n,) for the landmarks."""
     factors = gtsam.NonlinearFactorGraph()
     prior = gtsam.noiseModel.Gaussian.Covariance(graph.prior.covariance)
     factors.add(gtsam.PriorFactorVector(S(0), graph.prior.mean, prior))
@@ -137,7 +137,7 @@ def solution(graph: KeyframeGraph, local: IntArray, node: int) -> tuple[Values, 
     linear = factors.linearize(found)
     try:
         marginals = gtsam.Marginals(linear, found)
-    except RuntimeError:  # Some part of the map hangs on nothing: all is held by as little as it takes.
+    except RuntimeError:  # A part of the map is unconstrained: LEAST_DAMPING holds all unknowns.
         for key in found.keys():  # noqa: SIM118 it is no dictionary
             width = len(found.atVector(key))
             linear.push_back(gtsam.HessianFactor(key, LEAST_DAMPING * np.eye(width), np.zeros(width), 0.0))

@@ -55,10 +55,10 @@ class Keyframe:
     e / 2 + v^T s, e = (y - y_0, s). ids: (n,) ascending, so that walls come first; none: odometry's way. y_AL: (n, 2),
     y_AD: (3,), y_0. anchor, reach: (n, 2) of walls, as of `messages.MapEstimate`, in A. unit: the parameter that is the
     scale of its lengths, or METRES, which it is where there are walls. information: W, (2n + 16, 2n + 16). vector: v,
-    (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. Where
-    more of the cost depends on these than follows from on_error, they are parameters behind s: W is (4n + 16, 4n + 16),
-    and pull (n, 2) their part of v. points: (p, 4) of its scans that are in no wall, with their normals, in A, see
-    `scan_points`. scatter: (3, 3) covariance, as moves of A, by which the points of each scan are off those of all.
+    (13,). on_error: (n, 2, 2) derivative of each tag's y_AL on its constant errors of range, m, and bearing, rad. If
+    on_error does not describe all of their effect, they are parameters behind s: W is (4n + 16, 4n + 16), and pull (n,
+    2) their part of v. points: (p, 4) of its scans that are in no wall, with their normals, in A, see `scan_points`.
+    scatter: (3, 3) covariance of the deviation of each scan's points from those of all, as moves of A.
     """
 
     ids: Annotated[IntArray, "n"]
@@ -91,7 +91,7 @@ class Keyframe:
         return np.ascontiguousarray(self.information[:size, :size])
 
     def with_errors(self) -> FloatArray:
-        """W with the rows of the tags' errors, (4n + 16, 4n + 16)."""
+        """Return W with the rows of the tags' errors, (4n + 16, 4n + 16)."""
         n, i = len(self.ids), np.arange(len(self.ids))
         if len(self.information) > 2 * n + 3 + SHARED:
             return self.information
@@ -111,14 +111,14 @@ class Keyframe:
     def conditional(self) -> tuple[FloatArray, FloatArray]:
         """Covariance (2n + 3, 2n + 3) of y given the parameters, and derivative (2n + 3, 13) of its mean on them."""
         m, W = 2 * len(self.ids) + 3, self.without_errors
-        # In units of its own: an angle and a distance, or what is known well and hardly, differ by many powers of ten.
+        # Scaled, as entries of angles and distances, or of well and hardly known ones, differ by many powers of ten.
         unit = 1.0 / np.sqrt(np.diag(W)[:m])
         covariance = unit[:, None] * np.linalg.inv(unit[:, None] * W[:m, :m] * unit) * unit
         covariance = 0.5 * (covariance + covariance.T)
         return covariance, -covariance @ W[:m, m:]
 
     def alone(self) -> tuple[FloatArray, FloatArray]:
-        """Information (13, 13) on the parameters by this keyframe alone, and its gradient (13,) where they are zero."""
+        """Information (13, 13) of this keyframe alone on the parameters, and its gradient (13,) where they are zero."""
         m, W = 2 * len(self.ids) + 3, self.without_errors
         own = W[m:, m:] + W[m:, :m] @ self.conditional()[1]
         return 0.5 * (own + own.T), self.vector
@@ -234,7 +234,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     m, e, i = 2 * n + 3, 2 * n + 3 + SHARED, np.arange(n)
 
     def joined(errors: int) -> tuple[FloatArray, FloatArray]:
-        """Hessian and gradient of both costs by tags, D, the parameters, so many of the tags' errors, B; A is fixed."""
+        """Hessian and gradient of both costs by landmarks, D, the parameters, `errors` tag errors, B; A is fixed."""
         size = e + errors + 3
         H, g = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
         at = _places(rows[0], n, size - 3, size), _places(rows[1], n, 2 * n, size - 3)
@@ -270,7 +270,7 @@ def fusion(first: Keyframe, second: Keyframe, shared: FloatArray) -> tuple[Keyfr
     points = np.vstack([first.points, moved_points(X_AB, second.points)])
     R, on_A = np.eye(3), moves_of_origin(X_AB[None])[0]
     R[:2, :2], of_B = se2.rotation(float(X_AB[2])), on_A @ covariance[-3:, -3:] @ on_A.T
-    # Each half is off their mean by half of what it is off the other.
+    # Each half deviates from their mean by half of its deviation from the other.
     scatter = 0.5 * (first.scatter + on_A @ R @ second.scatter @ R.T @ on_A.T) + 0.25 * of_B
     return replace(one, y_AD=y_AD, points=points, scatter=scatter), X_AB, deviation
 

@@ -80,7 +80,7 @@ class KeyframeGraph:
 
 
 def empty_graph(prior: Shared, solver: str = "dissection") -> KeyframeGraph:
-    """The graph before the first view."""
+    """Return the graph before the first view."""
     return empty(KeyframeGraph, prior=prior, shared=prior, solver=solver)
 
 
