@@ -120,7 +120,7 @@ def step_localizer(
         last_seen=np.append(last_seen, np.full(np.count_nonzero(fresh), detections.stamp)),
         local_frames=np.append(frames, np.ones(np.count_nonzero(fresh), dtype=np.int64)),
     )
-    # What was seen elsewhere as often as there is forgotten: its next sighting says where it is.
+    # A tag that was seen elsewhere as often as at its place is forgotten; its next sighting gives the new place.
     keep = now.local_frames > 0
     if len(keep) > MOST_LOCAL:
         keep[np.argsort(-now.last_seen, kind="stable")[MOST_LOCAL:]] = False
@@ -141,10 +141,10 @@ def corrected_by_walls(
     localizer: Localizer, lines: FloatArray, twist: FloatArray, variance: FloatArray
 ) -> tuple[Localizer, int, int]:
     """Return the localiser corrected by the lines (k, 11) of a scan at its instant, see `scan_lines`, that are known
-    walls; the number of lines that test the pose, and the number that contradict it: those behind known walls or off
-    them by more than is possible.
+    walls; the number of lines that test the pose, and the number that contradict it: those behind known walls or
+    outside the gate.
 
-    twist: (2,) forward speed (m/s) and turn rate (rad/s) then, variance: (2,) of these.
+    twist: (2,) forward speed (m/s) and turn rate (rad/s) then, with variance (2,).
     """
     now, shared = localizer, localizer.map.shared
     wall, through = walls_seen(now.mean[:POSE], shared, twist, lines, now.walls)
@@ -152,7 +152,7 @@ def corrected_by_walls(
     if not found.any():
         return now, through, through
     lines, wall = lines[found], wall[found]
-    # By hand: np.setdiff1d takes as long as the correction.
+    # Without np.setdiff1d, which takes as long as the correction.
     new = wall[~(now.seen == wall[:, None]).any(axis=1)]
     if len(new):
         now = _with_seen(now, np.append(now.seen, np.unique(new)))
@@ -189,11 +189,11 @@ def new_tags(localizer: Localizer, ids: IntArray) -> tuple[IntArray, FloatArray]
 
 
 def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """considered (13 + 2s, 13 + 2s), with_D (13 + 2s, 3) and p_DL (s, 2), of landmarks in rows (s,) of the map's local.
+    """Return considered, with_D and p_DL, see Localizer, for the landmarks in rows (s,) of the map's local.
 
     p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D; it turns a wall, and
-    moves it along its normal. The constant errors of tags add what they make of where tags seem to be from there, and
-    walls the floor of what a keyframe tells of them.
+    moves it along its normal. The constant errors of tags, as seen from D, and those that a keyframe's looks at
+    a wall share, see `walls.FLOOR`, are added.
     """
     X_MD, s, size = estimate.X_MD, len(seen), len(estimate.covariance)
     R_DM, walls = se2.rotation(float(X_MD[2])).T, np.flatnonzero(~is_tag(estimate.ids[estimate.local[seen]]))
@@ -207,7 +207,7 @@ def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[Fl
     P[-SHARED:, :-SHARED], P[-SHARED:, -SHARED:] = estimate.with_shared[at].T, estimate.with_shared[size:]
 
     def seen_from_D(rows: FloatArray) -> FloatArray:
-        """Parameters, landmarks in D, X_MD, from landmarks in M, X_MD, parameters."""
+        """Return errors of parameters, landmarks in D, X_MD, from those of landmarks in M, X_MD, parameters."""
         in_M, of_D, turned = rows[: 2 * s].reshape(s, 2, rows.shape[1]), rows[2 * s : 2 * s + 2], rows[2 * s + 2]
         in_D = np.einsum("ij,sjk->sik", R_DM, in_M - of_D)
         in_D[:, 0] += p_DL[:, 1, None] * turned
@@ -227,19 +227,19 @@ def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[Fl
 
 
 def _in_departure(estimate: MapEstimate, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Landmarks of the map, in rows (s,), and the anchors of walls, (s, 2), in D."""
+    """Return landmarks of the map in rows (s,), and the anchors of walls, (s, 2) each, in D."""
     return placed(se2.inverse(estimate.X_MD), estimate.ids[rows], estimate.p_ML[rows], estimate.anchor[rows])
 
 
 def _with_seen(localizer: Localizer, seen: IntArray) -> Localizer:
-    """The localiser that has seen some landmarks more, in rows (s,) of the map's local."""
+    """Return the localiser that considers the landmarks in rows (s,) of the map's local, the earlier ones first."""
     considered, with_D, p_DL = _considered(localizer.map, seen, localizer.floor)
     sensitivity = np.pad(localizer.sensitivity, ((0, 0), (0, len(considered) - len(localizer.considered))))
     return replace(localizer, seen=seen, considered=considered, with_D=with_D, p_DL=p_DL, sensitivity=sensitivity)
 
 
 def _keep_local(localizer: Localizer, keep: BoolArray) -> Localizer:
-    """The localiser with only some (k,) of its local tags: the others are marginalised out."""
+    """Return the localiser with only some (k,) of its local tags; the others are marginalised out."""
     if keep.all():
         return localizer
     rows = np.append(np.ones(POSE, dtype=bool), np.repeat(keep, 2))

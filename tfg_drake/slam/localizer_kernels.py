@@ -31,12 +31,12 @@ from tfg_drake.slam.walls import OVERLAP, SAME_DIRECTION, UNCLEAR, WallSet
 State = tuple[FloatArray, FloatArray, FloatArray]
 # The shared parameters (13,), and C (13 + 2s, 13 + 2s), the covariance of these and of the landmarks seen.
 Considered = tuple[FloatArray, FloatArray]
-# An increment (3,) of `odometry_model.arc`, over so many seconds, and the noise (3,) of `random_walks`.
+# An increment (3,) of `odometry_model.arc`, its duration, s, and the noise (3,) of `random_walks`.
 Motion = tuple[FloatArray, float, FloatArray]
-# twist (2,) of the robot at a frame, m/s and rad/s, and how much the camera's clock was taken to be ahead, s.
+# The robot's twist (2,) at a frame, m/s and rad/s, and the assumed offset of the camera's clock, ahead, s.
 Instant = tuple[FloatArray, float]
-# Of each tag (m,) of a frame where it begins in W's columns if it is a landmark seen, and where in the state if it is a
-# local tag, -1 where it is not there; and p_DL (s, 2), where the landmarks seen are.
+# For each tag (m,) of a frame its first column of W if it is a seen landmark, and its first index in the state if it is
+# a local tag, -1 otherwise; and the places p_DL (s, 2) of the seen landmarks.
 Places = tuple[IntArray, IntArray, FloatArray]
 # Bearings and ranges (m,) of a frame, rad and m, and their standard deviations.
 Frame = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -51,8 +51,8 @@ GATE = 25.0
 def pose_in_map(
     state: State, considered: Considered, motion: Motion, X_MD: FloatArray, with_D: FloatArray, of_map: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """X_MB (3,) and its covariance (3, 3), an odometry increment on. with_D: (13 + 2s, 3) covariance with X_MD (3,),
-    whose own is the end of of_map."""
+    """Return X_MB (3,) and its covariance (3, 3) after an odometry increment. with_D: (13 + 2s, 3) covariance of the
+    considered with X_MD (3,), whose own is the last block of of_map."""
     mean, P, W = state[0][:POSE].copy(), state[1][:POSE, :POSE].copy(), state[2][:POSE].copy()
     _predict((mean, P, W), considered, motion)
     by_B = _turn(X_MD[2])
@@ -68,8 +68,8 @@ def pose_in_map(
 def filtered(
     state: State, considered: Considered, motion: Motion, instant: Instant, places: Places, frame: Frame
 ) -> tuple[State, BoolArray]:
-    """The state an odometry increment on, corrected by a frame and with its new tags, in its order; and which of its
-    sightings (m,) are of known tags and inside their gate."""
+    """Return the state after an odometry increment, corrected by a frame and with its new tags, in its order; and a
+    mask (m,) of its sightings of known tags that are inside their gate."""
     state, z = (state[0].copy(), state[1].copy(), state[2].copy()), np.column_stack(frame)
     _predict(state, considered, motion)
     accepted, new = _correct(state, considered, instant, places, z), (places[0] < 0) & (places[1] < 0)
@@ -85,12 +85,12 @@ def _turn(theta: float) -> FloatArray:
 
 @njit(cache=True)
 def _predict(state: State, considered: Considered, motion: Motion) -> None:
-    """Bring the state an odometry increment on, in place."""
+    """Move the state on by an odometry increment, in place."""
     (mean, P, W), (shared, C) = state, considered
     X, on_calibration, Q = predict_increment(motion[0], motion[1], shared[:3], motion[2])
     R = _turn(mean[2])
     x, y, B = R[0, 0] * X[0] + R[0, 1] * X[1], R[1, 0] * X[0] + R[1, 1] * X[1], R @ on_calibration
-    # Half of what the covariance of the pose with the whole state gains: its transpose is the other half.
+    # Half of the gain in covariance of the pose with the whole state; its transpose is the other half.
     gain = W @ C[:3].T @ B.T
     for of_pose in (P, W, gain):
         _move(of_pose, x, y)
@@ -104,15 +104,15 @@ def _predict(state: State, considered: Considered, motion: Motion) -> None:
 
 @njit(cache=True)
 def _move(rows: FloatArray, x: float, y: float) -> None:
-    """Errors of a pose (3, n), and of what is below it, when it moves by (x, y): that of its heading has this lever."""
+    """Transform the errors of a pose, the first rows (3, n), to the pose moved by (x, y), the lever of its heading."""
     rows[0] -= y * rows[2]
     rows[1] += x * rows[2]
 
 
 @njit(cache=True)
 def _correct(state: State, considered: Considered, instant: Instant, places: Places, z: FloatArray) -> BoolArray:
-    """Correct the state by the known tags of a frame, all at once, in place; which of its sightings (m,) were of these
-    and inside their gate. Landmarks and parameters are left as they are."""
+    """Correct the state by the known tags of a frame, all at once, in place; returns a mask (m,) of its sightings of
+    these that were inside their gate. Landmarks and parameters are left as they are."""
     mean, (shared, C), (column, entry, p_DL) = state[0], considered, places
     known = np.flatnonzero((column >= 0) | (entry >= 0))
     m, rows, accepted = 2 * len(known), np.empty((2, COLUMNS)), np.zeros(len(z), dtype=np.bool_)
@@ -134,9 +134,9 @@ def _correct(state: State, considered: Considered, instant: Instant, places: Pla
 def update(
     state: State, C: FloatArray, H: FloatArray, H_c: FloatArray, residual: FloatArray, noise: FloatArray
 ) -> BoolArray:
-    """Correct the state, in place, by pairs of measurements that are off by residual (2m,) with variances noise (2m,)
-    and derivatives H (2m, 3 + 2k) on the state and H_c (2m, 13 + 2s) on what is considered; which pairs (m,) are inside
-    their gate, and are used."""
+    """Correct the state, in place, by pairs of measurements with residual (2m,), variances noise (2m,), and Jacobians H
+    (2m, 3 + 2k) on the state and H_c (2m, 13 + 2s) on the considered; returns a mask (m,) of the pairs that are inside
+    their gate, which are used."""
     mean, P, W = state
     HW, CH = H @ W + H_c, C @ H_c.T
     HP = H @ P + (W @ CH).T
@@ -145,7 +145,7 @@ def update(
     accepted = yy * x * x - 2.0 * xy * x * y + xx * y * y <= GATE * (xx * yy - xy * xy)
     if accepted.any():
         kept = np.flatnonzero(np.repeat(accepted, 2))
-        # S = G G^T, and G^-1 (H P, H W, residual): so P - (H P)^T S^-1 H P remains symmetric.
+        # With S = G G^T and G^-1 (H P, H W, residual), P - (H P)^T S^-1 H P remains symmetric.
         G = np.linalg.cholesky(S[kept][:, kept])
         HP, HW, nu = np.linalg.solve(G, HP[kept]), np.linalg.solve(G, HW[kept]), np.linalg.solve(G, residual[kept])
         mean += HP.T @ nu
@@ -157,7 +157,7 @@ def update(
 
 @njit(cache=True)
 def _with_local(state: State, considered: Considered, instant: Instant, z: FloatArray) -> State:
-    """The state with a local tag more for each sighting z (m, 4)."""
+    """Return the state with one local tag more for each sighting z (m, 4)."""
     (mean, P, W), (shared, C), m, size = state, considered, 2 * len(z), len(state[0])
     G, G_c, noise, p_DU = np.zeros((m, POSE)), np.zeros((m, len(C))), np.zeros((m, m)), np.empty(m)
     rows, camera = np.empty((2, COLUMNS)), shared[CAMERA:]
@@ -166,7 +166,7 @@ def _with_local(state: State, considered: Considered, instant: Instant, z: Float
         a, b, r, angle = 2 * k, 2 * k + 2, z[k, 1] / (1.0 + shared[RANGE_SCALE]), theta + z[k, 0]
         p_DU[a:b] = x + r * math.cos(angle), y + r * math.sin(angle)
         linearise_tag(rows, mean, camera, instant[1], instant[0], z[k, 0], z[k, 1], p_DU[a:b])
-        # It moves as it must so that it would be seen where it was.
+        # Implicit derivative: the tag moves so that its measured bearing and range stay the same.
         b_x, b_y, r_x, r_y = rows[0, OF_LANDMARK], rows[0, ERROR - 1], rows[1, OF_LANDMARK], rows[1, ERROR - 1]
         back = np.array([[r_y, -b_y], [-r_x, b_x]]) / (b_x * r_y - b_y * r_x)
         by_rows = -back @ rows
@@ -185,15 +185,15 @@ def _with_local(state: State, considered: Considered, instant: Instant, z: Float
 def walls_seen(
     X_DB: FloatArray, shared: FloatArray, twist: FloatArray, lines: FloatArray, in_D: WallSet
 ) -> tuple[IntArray, int]:
-    """The wall (k,) of each line (k, 11) of a scan, -1 where there is none or more than one that may be it; and the
-    number of those without one that lie behind a wall where that has been seen.
+    """Return the wall (k,) of each line (k, 11) of a scan, -1 if none or more than one matches; and the number of lines
+    without one that lie behind a wall, within its reach.
 
     X_DB: (3,) and twist (2,): the robot's. in_D: walls in D.
     """
     found, through, (walls, p_DC, reach), mount = np.full(len(lines), -1), 0, in_D, shared[SCANNER:]
     for j in range(len(lines)):
         line, earlier = lines[j], mount[3] + mount[4] * bearing_of(lines[j])
-        # Of the instant when the middle of the line was measured: the scanner, the normal, the middle from the scanner.
+        # When the line's middle was measured: the scanner's pose, the line's normal, the middle from the scanner.
         s_x, s_y, theta = sensor_pose(X_DB, mount, twist, earlier)
         c, s = math.cos(theta + line[0]), math.sin(theta + line[0])
         m_x, m_y = c * line[1] - s * line[4], s * line[1] + c * line[4]
@@ -201,7 +201,7 @@ def walls_seen(
         for w in range(len(walls)):
             n_x, n_y = math.cos(walls[w, 0]), math.sin(walls[w, 0])
             d_x, d_y = s_x - p_DC[w, 0], s_y - p_DC[w, 1]
-            # How far the scanner is before the wall, and the line's middle behind it.
+            # Distance of the scanner before the wall, and of the line's middle behind it.
             before = walls[w, 1] - n_x * d_x - n_y * d_y
             behind = n_x * m_x + n_y * m_y - before
             if before > 0.0 and behind >= UNCLEAR:
@@ -221,9 +221,9 @@ def walls_seen(
 def correct_by_walls(
     state: State, considered: Considered, twist: Twist, lines: FloatArray, column: IntArray, in_D: WallSet
 ) -> BoolArray:
-    """Correct the state, in place, by lines (k, 11) of a scan; which of them are inside their gate, (k,), and are used.
+    """Correct the state, in place, by lines (k, 11) of a scan; returns a mask (k,) of those inside their gate.
 
-    column: (k,) where what is considered has each one's wall, in_D: that wall in D.
+    column: (k,) first index of each line's wall among the considered, in_D: these k walls in D.
     """
     (mean, _, _), (shared, C), m, (walls, p_DC, _) = state, considered, 2 * len(lines), in_D
     H, H_c, off, noise = np.zeros((m, len(mean))), np.zeros((m, len(C))), np.empty(m), np.empty(m)

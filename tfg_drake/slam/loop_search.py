@@ -26,14 +26,14 @@ LATELY, LONG_AGO, AT_ONCE = 3.0, 15.0, 6.0
 # Path length between searches, m. Least number of points of the query, and of the old surfaces.
 EVERY, LEAST_POINTS = 1.0, 30
 # Old places are considered within WITHIN, m, of the search window. The window, m and rad, is LEAST_WINDOW, plus
-# DEVIATIONS of the pose, plus DRIFT per metre of path since the last loop, up to MOST_WINDOW.
+# DEVIATIONS deviations of the pose, plus DRIFT per metre of path since the last loop, up to MOST_WINDOW.
 WITHIN, DEVIATIONS = 3.0, 3.0
 LEAST_WINDOW, MOST_WINDOW, DRIFT = np.array([0.4, 0.08]), np.array([6.0, 0.5]), np.array([0.03, 0.003])
 # Least score of the coarse search, and least share of points on old surfaces after the fit.
 LEAST_SCORE, LEAST_SHARE = 0.35, 0.5
-# Two loops within ALONG, m of path, agree within AGREE, m and rad, plus AGREE_SHARE of the path between them. A loop
-# needs one other that agrees, or two if it moves the robot by more than FAR, m, or if the second peak exceeds RIVAL
-# times the first.
+# Two loops within ALONG, m of path, agree within AGREE, m and rad, plus AGREE_SHARE per metre of it. A loop needs one
+# other that agrees, or two if it moves the robot by more than FAR, m, or if the second peak exceeds RIVAL times the
+# first. The new loops are closed if the solved graph agrees with most of them, within AGREE.
 AGREE, AGREE_SHARE, ALONG = np.array([0.2, 0.03]), np.array([0.02, 0.003]), 12.0
 FAR, RIVAL = 0.3, 0.9
 # Deviations when a path is bent: of the path, m and rad per square root of a metre, and of a loop, m, m and rad.

@@ -20,16 +20,16 @@ from tfg_drake.slam.shared import SHARED, Shared, scale_of
 from tfg_drake.slam.solver import LEAST_DAMPING, Keyframes, Unknowns, Values
 from tfg_drake.slam.tag_error import learnt, suspected
 
-# Number of jointly known landmarks: the nearest to the robot; and of others, spread over the map, after exploration.
+# Jointly known are the JOINT landmarks nearest to the robot and, after exploration, SPREAD others all over the map.
 JOINT = 500
 SPREAD = 600
 # At the end of a mission all landmarks are jointly known, up to this number, whose covariance takes 200 MB.
 MOST_JOINT = 2500
-# Greatest number of steps of a solve; it has converged after a step whose largest component (m, rad) is below
+# Greatest number of steps of a solve. It has converged after a step whose largest component, m or rad, is below
 # SMALL_STEP.
 MOST_STEPS = 20
 SMALL_STEP = 2e-5
-# A step that raises the error is halved, at most this number of times.
+# A step that raises the error is halved until it does not, at most this number of times.
 MOST_HALVINGS = 10
 # If the information is not positive definite, the damping is multiplied by DAMPING_GROWTH, up to MOST_DAMPING.
 DAMPING_GROWTH = 100.0
@@ -215,7 +215,7 @@ def _tag_pulls(keyframes: Keyframes, values: Values, places: FloatArray) -> tupl
 
 
 def moved(values: Values, unknowns: Unknowns, step: FloatArray) -> Values:
-    """Values moved by a step (u,) of the unknowns."""
+    """Return the values moved by a step (u,) of the unknowns."""
     X_MN, errors = values.X_MN.copy(), values.errors
     X_MN[1:] += step[unknowns.node_at[1:, None] + [0, 1, 2]]
     if np.any(unknowns.error_at >= 0):
