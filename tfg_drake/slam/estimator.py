@@ -654,7 +654,7 @@ def _add_view(state: EstimatorState, spread: int) -> EstimatorState:
 
 def _found_meanwhile(state: EstimatorState, begun: Stretch) -> Stretch:
     """Return a piece that began after an unknown way, with its first pose inferred from the current pose if that is
-    better known, as the robot has relocalised meanwhile. Its observations carry this information again."""
+    better known, as the robot has relocalised meanwhile. Its observations, which gave that pose, count once more."""
     X_MB, covariance = pose_now(state)
     sigma = np.maximum(np.sqrt(np.diag(covariance)), PLACED)
     if np.all(sigma >= begun.sigma) or math.isinf(state.contradictions):

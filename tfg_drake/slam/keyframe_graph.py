@@ -44,9 +44,9 @@ class KeyframeGraph:
     `messages.MapEstimate`. landmark_covariance: (n, 2, 2) of p_ML; that of landmarks not near at the last solve is
     older. entropy: of all landmarks, nats, entropy_beyond: the part to add to that of the jointly known landmarks; zero
     if all are. prior: of the shared parameters, without the keyframes. shared: their estimate. tag_error: (2,) standard
-    deviations of the tags' constant errors, see `tag_error`. solver: one of `config.SOLVERS`; not part of a saved map.
-    unevenness: m, see `scan_lines.unevenness_after`. sessions: (s,) the recordings or missions in the graph, each by a
-    digest of its first view.
+    deviations of the tags' constant errors, see `tag_error`. solver: one of `config.SOLVERS`, ties: of loops while a
+    path is bent; not part of a saved map. unevenness: m, see `scan_lines.unevenness_after`. sessions: (s,) the
+    recordings or missions in the graph, each by a digest of its first view.
     """
 
     keyframes: Annotated[tuple[Keyframe, ...], "k"]

@@ -192,8 +192,8 @@ def _considered(estimate: MapEstimate, seen: IntArray, floor: float) -> tuple[Fl
     """Return considered, with_D and p_DL, see Localizer, for the landmarks in rows (s,) of the map's local.
 
     p_DL = R_MD^T (p_ML - t_MD), so an error of X_MD moves it by -R_MD^T and turns it about D; it turns a wall, and
-    moves it along its normal. The constant errors of tags, as seen from D, and those that a keyframe's looks at
-    a wall share, see `walls.FLOOR`, are added.
+    moves it along its normal. The constant errors of tags, as seen from D, and those that a keyframe's looks at a wall
+    share, see `walls.FLOOR`, are added.
     """
     X_MD, s, size = estimate.X_MD, len(seen), len(estimate.covariance)
     R_DM, walls = se2.rotation(float(X_MD[2])).T, np.flatnonzero(~is_tag(estimate.ids[estimate.local[seen]]))
