@@ -25,26 +25,26 @@ from tfg_drake.slam.odometry_model import wrap
 from tfg_drake.table import take
 from tfg_drake.world.world import World
 
-# On ways that keep NODE_MARGIN more than its radius from walls a robot may cut corners by as much, m. Bends that are
-# sharper than this are taken in place, rad.
+# Bends sharper than this, rad, are turned in place; at others the robot may cut corners by NODE_MARGIN, which ways keep
+# from walls beyond its radius.
 SHARPEST = 0.5 * math.pi
-# A driven tour has a pose every so many seconds, and one every so many rad of a turn in place.
+# Spacing of a driven tour's poses, s, and rad of a turn in place.
 PERIOD, TURN_STEP = 0.1, 0.1
-# Headings that a look may have.
+# Number of headings of a look.
 HEADINGS = 16
-# Cells that the search counts, at most: of more every n-th in x and y.
+# Greatest number of cells in the search; of more every n-th in x and y is used.
 CELLS = 5000
-# Stops lie on a lattice of this step, m; then on a finer one within so many m of those found.
+# Stops lie on a lattice with step COARSE, m, then on one with step FINE, m, within AROUND, m, of those found.
 COARSE, FINE, AROUND = 1.0, 0.35, 0.8
-# Stops and looks that are tried exactly at each step of the repair, and by how much, as a share, others are taken for
-# better or worse than they are, so that no two repairs are alike.
+# Number of stops and looks evaluated exactly at each step of the repair, and the relative noise on the others' values,
+# which makes repairs differ.
 TRIED, NOISE = 6, 0.3
-# Share of the stops that a round of the search keeps.
+# Share of the stops that an iteration of the search keeps.
 KEPT = 0.6
-# A tag that is missed weighs as much as so many cells.
+# Weight of a missed tag, in cells.
 TAG_WEIGHT = 20
 
-# How often the search goes on where a tour, driven, has not seen enough.
+# Number of attempts until a driven tour has seen enough.
 ATTEMPTS = 20
 
 Stop = tuple[int, int]

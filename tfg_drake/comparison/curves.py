@@ -16,7 +16,7 @@ from tfg_drake.geometry.visibility import in_sight
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.storage.trajectory import poses_at
 
-# The scanner's view counts from poses this far apart, m or rad, whichever comes first.
+# Spacing of the poses whose views count, m or rad, whichever comes first.
 STEP, TURN = 0.25, 0.25
 
 

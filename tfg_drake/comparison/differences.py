@@ -7,7 +7,7 @@ from typing import Any
 
 from tfg_drake.percent import percent
 
-# What is compared: name, how to read it of a summary, its format.
+# Compared quantities: name, its reader from a summary, its format.
 _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], Any], str], ...] = (
     ("time", lambda s: s["sim_time_s"], "{:.1f} s"),
     ("driven", lambda s: s["distance_m"], "{:.1f} m"),

@@ -28,7 +28,7 @@ _NAMED |= {"weighted": "#009E73", "random": "#E69F00", "scripted": "#CC79A7"}
 _OTHERS = ("#8c6d31", "#7f3c8d", "#66a61e", "#a6761d", "#666666")
 _WIDTH = 7.2  # of the text of a two-column paper, inches
 _SMALL, _TEXT = 7, 8  # points
-# A quantity whose methods differ by more than this factor is shown on a logarithmic scale.
+# A quantity that differs between methods by more than this factor has a logarithmic scale.
 _WIDE = 10.0
 
 

@@ -15,9 +15,9 @@ from scipy.sparse.csgraph import dijkstra
 from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.messages import FloatArray, IntArray
 
-# Nodes of a ring. The ways round a corner are longer than along its circle by less than a hundredth.
+# Number of nodes of a ring; a way around a corner is less than a hundredth longer than along its circle.
 RING = 12
-# Rounding of a clearance, m, and lines that are checked at a time.
+# Rounding of a clearance, m, and number of lines that are checked at a time.
 _ROUNDING, _AT_ONCE = 1e-6, 500_000
 
 

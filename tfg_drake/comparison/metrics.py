@@ -16,8 +16,8 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.tfg.polyline import covered
 from tfg_drake.world.reachability import cut_walls
 
-# A true surface counts as mapped, and a mapped surface as true, within this distance, m; a true face as mapped where
-# it is known to this, m.
+# A true surface is mapped, and a mapped one true, within SURFACE_TOLERANCE, m; a true face is mapped within
+# FACE_TOLERANCE, m.
 SURFACE_TOLERANCE = 0.25
 FACE_TOLERANCE = 0.05
 

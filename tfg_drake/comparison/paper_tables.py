@@ -11,7 +11,7 @@ from tfg_drake.comparison.runs import Run, sample
 from tfg_drake.comparison.statistics import spread
 from tfg_drake.config import GridConfig, ScanConfig, TagSensorConfig
 
-# The methods of the paper's Table II, and what it says of them.
+# The methods of the paper's Table II, and its values.
 METHODS = ("tfg", "grid-nearest")
 _PAPER = (
     (Measure("variables", "", 0, VARIABLES.read), "274", "800000"),

@@ -13,7 +13,7 @@ from tfg_drake.comparison.measures import MEASURES, Measure
 from tfg_drake.comparison.runs import Run, of_shared_seeds, paired, sample, values
 from tfg_drake.comparison.statistics import RESAMPLES, Interval, Spread, difference, ratio, spread
 
-# Pairs from which on a bootstrap interval is wide enough to be believed.
+# Least number of pairs for a bootstrap interval, which is too narrow with fewer.
 _ENOUGH = 8
 _OUTCOMES = ("complete", "budget", "battery", "time_limit", "stuck", "apart", "fault", "failed", "interrupted")
 

@@ -21,21 +21,21 @@ from tfg_drake.messages import FloatArray
 # edges of contact that others made, and whether the base touches somebody (0, or one of the two below).
 TIME, X, Y, THETA, SPEED, TURN_RATE, CONTACTS, IN_CONTACT, CLEARANCE, BUMPER, RECEIVED, TOUCHES = range(12)
 STATE_SIZE = 12
-# The base is touched, or has itself moved towards whom it touches.
+# Values of TOUCHES: the base is touched, or has itself moved towards the person.
 TOUCHED, PRESSED = 1.0, 2.0
 
-# A contact ends when the outline is this far from the wall again, m.
+# A contact ends at this distance of the outline from the wall, m.
 _RELEASE = 0.01
 # The bumper covers the front half; its middle third reports "centre".
 _BUMPER_HALF_WIDTH = 0.5 * math.pi
 _CENTRE_HALF_WIDTH = math.pi / 6.0
-# Penetration that is rounding, m.
+# Greatest penetration that is rounding, m.
 _ROUNDING = 1e-9
 
-# A base that gets nearer to somebody by no more than this in a step, m, stands.
+# A base that approaches a person by at most this in a step, m, stands.
 _STANDS = 1e-4
 
-# Nothing but its wheels moves the base.
+# No push: only its wheels move the base.
 UNMOVED = np.zeros(4)
 
 

@@ -11,11 +11,11 @@ from tfg_drake.geometry.se2 import compose
 from tfg_drake.geometry.visibility import cast_rays, disc_distances
 from tfg_drake.messages import FloatArray, LaserScan, replace
 
-# Two neighbouring rays that differ by more than this, m, and so many times as much as either does from the next one,
-# met surfaces one behind the other: not one that is seen aslant.
+# Two neighbouring rays are on different surfaces, not on an oblique one, if they differ by more than EDGE, m, and by
+# ABRUPT times as much as either does from its other neighbour.
 EDGE, ABRUPT = 0.1, 2.0
 
-# Rays of a sweep that are cast from one place: meanwhile the robot moves on by millimetres.
+# Number of rays of a sweep that are cast from one place, while the robot moves by millimetres.
 BLOCK = 16
 
 

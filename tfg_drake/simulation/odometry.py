@@ -18,7 +18,7 @@ from tfg_drake.simulation.differential_drive import UNMOVED
 # tick of their encoders (m).
 TIME, TRUTH, INTEGRATED, SPEED, TURN_RATE, AT_REST, UNCOUNTED = 0, 1, 4, 7, 8, 9, 10
 STATE_SIZE = 11
-# Motion below this turns no encoder by a tick, m and rad.
+# Motion below this is less than an encoder tick, m and rad.
 TICK = 1e-5
 
 

@@ -20,33 +20,32 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, message, replace
 from tfg_drake.world.reachability import CELL, Grid, free_cells, make_grid, reachable_cells
 from tfg_drake.world.world import World, WorldError
 
-# Of every person, m.
+# Radius of a person, m.
 RADIUS = 0.25
-# Numbers between 0 and 1 that a person needs at each step: place, speed, whether it stands and how long, what it makes
-# of the robot.
+# Random numbers in [0, 1) per person and step: place, speed, whether it stands and how long, its reaction to the robot.
 NUMBERS = 5
 # Slowest and fastest walk, m/s.
 SPEED = (0.6, 1.2)
-# Share of the places at which a person stands for a while, and the longest while, there or before the robot, s.
+# Share of the places at which a person stands, and the longest time, there or in front of the robot, s.
 STANDING_SHARE = 0.5
 LONGEST_STAND = 10.0
-# A person keeps this far from walls, m, on the cells of its way; straight lines between them may come a little nearer.
+# Distance of a person's way from walls, m, on cells; SLACK, m, nearer on the straight lines between them.
 MARGIN = 0.06
 SLACK = 0.02
-# Nobody comes nearer to the outline of a robot that moves than this, m, nor to that of one that stands than that, m.
-# Whoever would waits so long, s, and walks elsewhere.
+# Least distance of a person from the outline of a moving robot, and of a standing one, m. A person who would come
+# nearer waits for PATIENCE, s, and walks elsewhere.
 COMFORT = 0.4
 PASSING = 0.15
 PATIENCE = 1.0
-# From as near as this, m, the robot is noticed, and nobody is first met so near. This share stops and looks at it, as
-# many overlook it if it stands.
+# Distance, m, at which the robot is noticed, and beyond which people appear. The share ODD_SHARE stops and looks at it,
+# and as many overlook it if it stands.
 NOTICED = 1.2
 ODD_SHARE = 0.12
-# People mind where the robot is and where it will be in this time, s: it takes as long to stop.
+# People avoid where the robot is and where it will be in this time, s, which it takes to stop.
 FORESIGHT = 0.6
-# A robot slower than this stands, m/s.
+# Speed below which the robot stands, m/s.
 ROBOT_STANDS = 0.01
-# Who bumps into the robot touches it this deep, m.
+# Depth at which a person bumps into the robot, m.
 BUMP = 0.002
 
 

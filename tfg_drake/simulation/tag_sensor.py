@@ -16,7 +16,7 @@ from tfg_drake.table import empty
 from tfg_drake.world.tag_placement import TAG_OFFSET
 from tfg_drake.world.world import World
 
-# Standard normal numbers a tag needs in each frame: range, bearing, detection.
+# Standard normal numbers per tag and frame: range, bearing, detection.
 NOISE_PER_TAG = 3
 # Standard deviation of a gross error's bearing, rad; its range may be anything.
 OUTLIER_BEARING = 0.3

@@ -12,7 +12,7 @@ from tfg_drake.vision.image import Image
 from tfg_drake.vision.sighting import Sighting
 from tfg_drake.vision.tag_detector import TagsInImage
 
-# RGB: used, left out, text and what is behind it.
+# RGB of used tags, ignored tags, text and its background.
 _GOOD, _BAD, _TEXT, _BEHIND = (0, 200, 0), (230, 60, 30), (255, 255, 255), (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 

@@ -12,19 +12,19 @@ from tfg_drake.io.files import read_bytes, write_atomic
 from tfg_drake.io.yaml_text import parse_yaml
 from tfg_drake.messages import FloatArray, message
 
-# By their names in files. Coefficients: k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 .. s4[, tx, ty]]]] of Brown's model, k1
-# to k4 of Kannala and Brandt's.
+# Distortion models by their names in files. Coefficients: k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 .. s4[, tx, ty]]]] of
+# Brown's model, k1 to k4 of Kannala and Brandt's.
 BROWN = ("plumb_bob", "rational_polynomial", "radtan", "radial-tangential")
 FISHEYE = ("equidistant", "fisheye")
 _COUNTS = {"plumb_bob": (0, 4, 5, 8, 12, 14), "equidistant": (4,)}
-# By the key's name here: those in files.
+# Names of each key in files.
 _KEYS = {
     "image_width": ("image_width", "width"),
     "image_height": ("image_height", "height"),
     "camera_matrix": ("camera_matrix", "Camera_Matrix", "K", "k"),
     "distortion_coefficients": ("distortion_coefficients", "Distortion_Coefficients", "D", "d", "distortion_coeffs"),
 }
-# A calibration has less than that many bytes; no image is wider nor a coefficient larger, pixels and 1.
+# Greatest size of a calibration file, bytes, width of an image, pixels, and magnitude of a coefficient.
 _LONGEST_FILE, WIDEST_IMAGE, _GREATEST = 100_000, 100_000, 1e6
 _ANEW = "calibrate anew with tfg-drake camera calibrate"
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 from tfg_drake.config import CameraConfig, ScanConfig, TagSensorConfig
 
-# Of a webcam and of a depth camera, rad.
+# Field of view of a webcam or depth camera, rad.
 FIELD_OF_VIEW = math.radians(65.0)
-# A tag is to be found where its black square is that wide in the image, pixels, a cell three of them, and no farther
-# aslant than that, rad.
+# A tag is detected if its black square is at least this wide in the image, pixels, that is three per cell, at an
+# incidence of at most this, rad.
 LEAST_WIDTH, MOST_INCIDENCE = 24.0, math.radians(60.0)
-# Frames a second, Hz.
+# Frame rate, Hz.
 RATE = 10.0
-# Of structured light and stereo: nearer than the first, m, they see nothing, farther than the second little.
+# Range of structured light and stereo cameras, m.
 LEAST_DEPTH, MOST_DEPTH = 0.2, 5.0
 # Standard deviation of a range in a depth image, m.
 DEPTH_NOISE = 0.01

@@ -13,12 +13,12 @@ from tfg_drake.percent import percent
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image, grey
 
-# Fewer views leave the distortion to chance; more than the most take minutes and tell nothing new.
+# Least and greatest number of views: fewer leave the distortion undetermined, more take minutes and add nothing.
 LEAST_VIEWS, MOST_VIEWS = 8, 60
-# A view whose corners moved by less than this share of the image's width is the view before, once more.
+# A view is new if its corners moved by more than this share of the image's width.
 _NEW_VIEW = 0.03
-# Of a calibration that can be used: error of reprojection, pixels; deviation of the focal length, share of it; share of
-# the image's width and height that the corners span; ratio of opposite sides of the board in the view most aslant.
+# Limits for a usable calibration: reprojection error, pixels; relative deviation of the focal length; share of the
+# image's width and height that the corners span; ratio of opposite sides of the board in the most oblique view.
 GOOD_ERROR, GOOD_FOCAL, GOOD_SPAN, GOOD_SLANT = 1.0, 0.01, 0.6, 1.1
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
 

@@ -15,9 +15,9 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, messa
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.mount import CameraMount
 
-# Pixels of one thing differ by no more than so many standard deviations: of many the nearest is half as many too near.
+# Pixels of one object differ by at most this many standard deviations; the nearest of many is too near by half of that.
 SAME_THING = 5.0
-# Stereo compares windows: pixels of a square this wide have one error.
+# Pixels of a square this wide have a common error, as stereo compares windows.
 _WINDOW = 5
 
 

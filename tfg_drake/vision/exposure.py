@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tfg_drake.config import CameraRealityConfig
 from tfg_drake.vision.image import Image, grey
 
-# Slower than this, pixels during the exposure, nothing is blurred.
+# Motion, pixels during the exposure, below which nothing is blurred.
 _SHARP = 0.05
 
 

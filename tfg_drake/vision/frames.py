@@ -20,17 +20,17 @@ from tfg_drake.io.files import read_bytes
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.image import NO_IMAGE, Image, eight_bits
 
-# After what silence a stream is given up, s.
+# Silence after which a stream has ended, s.
 SILENT = 3
 # Formats in which Pillow finds several images in one file.
 _SEVERAL = ("GIF", "PNG", "TIFF", "WEBP")
-# Where in a file one JPEG ends and the next begins; no JPEG has more bytes. A photograph that has others for its own
-# use says so in the beginning.
+# Splitting a stream of JPEGs: greatest size of one, bytes, size of a block, and the mark near the beginning of a
+# photograph that contains others for its own use.
 _JPEG, _NEXT_JPEG = b"\xff\xd8\xff", re.compile(rb"(?<=\xff\xd9)(?=\xff\xd8\xff)")
 _LONGEST_JPEG, _BLOCK, _OWN_USE = 2**27, 2**20, b"MPF\0"
-# The time between two images where nothing tells it, s: of a folder or a file of several, of motion JPEG.
+# Default time between two images, s: of a folder or a file of several, and of motion JPEG.
 APART, MOTION_APART = 1.0, 0.04
-# A clock's stamp within a name, since 1970: s, ms, us or ns.
+# A stamp in a file name, since 1970: s, ms, us or ns.
 _CLOCK = re.compile(r"(?<!\d)[123]\d{9}(\d{3}){0,3}(\.\d+)?(?!\d)")
 
 Tell = Callable[[str], object]

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from tfg_drake.messages import FloatArray
 from tfg_drake.vision.image import Image
 
-# Red and green in the luminance of ITU-R BT.601: so much of green is as bright as red.
+# Ratio of red to green in the luminance of ITU-R BT.601.
 _GREEN = 0.299 / 0.587
 _GREY_OF_GREEN = np.clip(np.rint(np.arange(256) / _GREEN), 0.0, 255.0).astype(np.uint8)
-# The renderer draws what lies in the middle of a pixel. A pixel takes in what lies in all of its square, and the lens
-# blurs that a little: deviations of 0.29 and 0.3 pixels.
+# Blur that the renderer, which samples the middle of a pixel, lacks: deviations of 0.29 pixels of a pixel's square and
+# 0.3 of the lens, combined.
 _PIXEL_AND_LENS = 0.42
 
 

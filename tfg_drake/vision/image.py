@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
-# What Pillow says of bytes that are no image, or no whole one.
+# Errors that Pillow raises for bytes that are no image, or not a whole one.
 NO_IMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, struct.error)
-# ITU-R BT.601, as OpenCV has it.
+# Luminance weights of ITU-R BT.601, as in OpenCV.
 _WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from tfg_drake.messages import FloatArray, IntArray, TagDetections, message, replace
 from tfg_drake.vision.tag_detector import TagsInImage
 
-# A corner that has moved so far lies elsewhere in its pixel.
+# Displacement of a corner, pixels, after which its error is a new one.
 _NEW = 0.5
-# A view that is not new has so many times the deviations: four hundred of them count as one.
+# Factor on the deviations of a view that is not new: four hundred of them count as one.
 _WORTH_LESS = 20.0
-# A greater deviation of a bearing says nothing, rad.
+# Greatest deviation of a bearing that is used, rad.
 _NOTHING = 1.0
 
 

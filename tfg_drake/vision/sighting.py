@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     # Only who detects tags needs the detector's package.
     from tfg_drake.vision.tag_detector import TagsInImage
 
-# A corner so near to the image's edge may lie beyond it, pixels.
+# A corner within this distance of the image's edge, pixels, may lie beyond it.
 EDGE = 1.0
-# What an image has less in common with a tag's cells is no tag that can be seen as a whole. Real ones have 0.91 to 1.
+# Least correlation of an image with a tag's cells; real tags that are fully visible have 0.91 to 1.
 LEAST_LIKENESS = 0.9
 
 

@@ -19,15 +19,15 @@ from tfg_drake.vision.image import Image
 
 Image32 = NDArray[np.float32]
 
-# The families of tags, all that robotpy_apriltag is compiled with, as OpenCV's dictionaries of them.
+# OpenCV's dictionaries of the tag families that robotpy_apriltag is compiled with.
 FAMILIES = {"tag36h11": cv2.aruco.DICT_APRILTAG_36h11, "tag16h5": cv2.aruco.DICT_APRILTAG_16h5}
-# Points of the pattern along a cell, as many as it has pixels but within these bounds.
+# Number of points of the pattern along a cell, that of its pixels within these bounds.
 _FINEST, _COARSEST = 8, 5
-# Blur of an image, pixels: what is tried, along either side of the tag, and where that begins.
+# Candidates of an image's blur along either side of the tag, pixels, and the first one.
 _BLURS, _BLUR = (0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.4, 2.0), 0.6
-# Cells with more pixels are left as the detector has them, whose lines are long enough.
+# Tags with more pixels per cell are not refined, as the detector's lines are long enough.
 _LARGE = 20.0
-# Corners that move farther, pixels and share of the side, have been laid over something else.
+# Greatest displacement of a refined corner, pixels and share of the side; beyond it the fit is wrong.
 _FARTHEST, _FARTHEST_SHARE = 1.0, 0.05
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 6, 1e-5)
 

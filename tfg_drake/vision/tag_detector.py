@@ -12,11 +12,11 @@ from tfg_drake.messages import FloatArray, IntArray, message
 from tfg_drake.vision.image import Image, grey
 from tfg_drake.vision.tag_corners import FAMILIES, refined
 
-# The detector's own default (10 degrees); robotpy's 45 misses tags seen aslant.
+# The detector's own default (10 degrees), as robotpy's 45 misses oblique tags.
 _CRITICAL_ANGLE = math.radians(10.0)
-# The detector counts from the corner of the first pixel, OpenCV from its centre.
+# Offset of the detector's coordinates, from the corner of the first pixel, to OpenCV's, from its centre.
 _PIXEL_CENTRE = 0.5
-# The detector reads tiles of 4 pixels, after decimation.
+# Least side of an image, pixels: the detector reads tiles of 4 pixels after decimation.
 _LEAST_SIDE = 16
 
 

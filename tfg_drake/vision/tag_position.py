@@ -9,13 +9,13 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.vision import lens
 from tfg_drake.vision.calibration import CameraCalibration
 
-# The corners for a side of 1: clockwise in the image from the upper left.
+# Corners of a tag with side 1, clockwise in the image from the upper left.
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
-# The sides of a tag, at a corner, span more than that, square pixels: its cells are pixels at the least.
+# Least area that two sides of a tag span at a corner, square pixels, as its cells have a pixel at least.
 LEAST_TURN = 9.0
-# Nearer than that a bearing means nothing, m.
+# Least range of a bearing, m.
 LEAST_RANGE = 0.01
-# No lens sees a corner farther out on the plane z = 1 (89.4 degrees).
+# Greatest distance of a corner from the axis on the plane z = 1 (89.4 degrees).
 WIDEST = 100.0
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
 

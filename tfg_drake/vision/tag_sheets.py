@@ -15,11 +15,11 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-# Of OpenCV's markers: the family, its ids, and the cells along a tag's black square.
+# The tag family, its number of ids, and the cells along a tag's black square.
 FAMILY, COUNT, CELLS = "tag36h11", 587, 8
-# A4, upright, and the margin that printers leave white, m: tags of 16 cm with their border just go between.
+# Upright A4 and the margin that printers leave white, m; tags of 16 cm with their border just fit.
 PAGE, MARGIN = (0.210, 0.297), 0.005
-# Below a tag, for its text, and the length of a cut mark, m.
+# Height of the text below a tag, and length of a cut mark, m.
 _CAPTION, _MARK = 0.012, 0.004
 _INCH = 0.0254
 

@@ -11,9 +11,9 @@ from tfg_drake.config import ChangeConfig
 from tfg_drake.messages import FloatArray, message, replace
 from tfg_drake.world.world import World, WorldError, check_world, wall_distance
 
-# Nobody puts anything nearer to the robot's outline than this, m: at full speed it takes half as far to stop.
+# Least distance of a change from the robot's outline, m, twice its way to stop at full speed.
 CLEAR = 0.5
-# What is this near to a wall's line lies on it, m, and shorter remains are dropped.
+# A point within this distance of a wall's line, m, is on it; shorter remains are dropped.
 ON_WALL = 1e-3
 
 

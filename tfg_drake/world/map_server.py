@@ -19,19 +19,19 @@ from tfg_drake.messages import BoolArray, FloatArray, IntArray
 from tfg_drake.vision.image import NO_IMAGE
 from tfg_drake.world.world import FARTHEST, WorldError
 
-# Walls may leave the cells' borders by this many cells: the staircases of slanted walls stay within one.
+# Greatest deviation of a wall from the cells' borders, cells; the staircase of a slanted wall stays within one.
 _TOLERANCE = 1.0
-# Cells of an image at most: 250 m a side at 5 cm a cell. Each takes some ten bytes while the image is read.
+# Greatest number of cells, 250 m a side at 5 cm per cell; each takes some ten bytes while the image is read.
 _MOST_CELLS = 25_000_000
-# Sides between free cells and others at most: 10 km of wall at 5 cm a cell. A photograph has more.
+# Greatest number of sides between free and other cells, 10 km of wall at 5 cm per cell; a photograph has more.
 _MOST_SIDES = 200_000
-# An image tells its size within its first bytes, and no format takes more a cell: three numbers in digits.
+# Bytes of an image that contain its size, and greatest number of bytes per cell: three numbers in digits.
 _HEADER_BYTES = 2**20
 _CELL_BYTES = 18
 _FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 # What map savers write for occupied, unknown and free; white is free, too.
 _SAVED, _UNKNOWN = (0, 205, 254, 255), 205
-# Unknown cells that free ones enclose are a fault of the scan, not a pillar, where they cover no more, m^2.
+# Greatest area of enclosed unknown cells, m^2, that are an error of the scan and not a pillar.
 _SPECK = 0.011
 
 

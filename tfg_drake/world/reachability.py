@@ -20,11 +20,11 @@ from tfg_drake.world.world import World
 
 # Side of a cell, m.
 CELL = 0.05
-# Two faces of a wall nearer than this are one, m.
+# Two faces of a wall within this distance, m, are one.
 FACE_GAP = 0.25
-# Visibility is tried from every n-th cell in x and y first, and coverage is counted on these.
+# Visibility is tried from every COARSE-th cell in x and y first, on which coverage is counted.
 COARSE = 4
-# A face is looked at from this far off its wall, m: from the wall itself nothing is visible.
+# Distance of a face's points in front of its wall, m, as nothing is visible from the wall itself.
 _OFF_WALL = 2e-3
 
 

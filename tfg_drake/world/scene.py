@@ -13,13 +13,13 @@ from tfg_drake.vision.hue import hue_of
 from tfg_drake.vision.tag_sheets import CELLS, COUNT, FAMILY, tag_cells
 from tfg_drake.world.world import World, WorldError
 
-# Cells of a tag with its white border, one cell wide.
+# Cells along a tag with its white border of one cell.
 _WHOLE = CELLS + 2
-# Pixels of the texture along a cell's side: with more of them what is far is blurred, by the renderer's smaller copies.
+# Pixels of the texture along a cell's side; with more, distant tags are blurred by the renderer's mipmaps.
 _CELL_PIXELS = 3
-# A tag hangs so far in front of where the world has it, m, that no wall of its own hides it.
+# Offset of a tag in front of its place, m, so that its wall does not hide it.
 _IN_FRONT = 0.0002
-# The floor reaches so far beyond the walls, m.
+# Extension of the floor beyond the walls, m.
 _BESIDE = 1.0
 # Grey levels of floor and walls, of 255; white paper stands out from them.
 _FLOOR, _WALL = 90, 170

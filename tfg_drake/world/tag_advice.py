@@ -31,13 +31,13 @@ from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.world import World, WorldError
 
-# At most so many places to be at, and so many to hang a tag: with them 40 tags take some seconds.
+# Greatest number of robot places and of tag candidates, with which 40 tags take some seconds.
 PLACES = 160
 CANDIDATES = 500
-# Places are at least this far apart, and tags, m; candidates are farther in a large building.
+# Least distance between places, and between tags, m; candidates are farther apart in a large building.
 PLACE_SPACING = 0.5
 TAG_SPACING = 0.3
-# A position known as well as this is well enough known, m, each axis.
+# Deviation of a position, m per axis, that need not be improved.
 WELL_KNOWN = 0.005
 
 

@@ -12,11 +12,11 @@ from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 from tfg_drake.world.world import WorldError, bare_world
 
-# A tag's centre is this far off its wall, m, so that the wall itself does not hide it.
+# Distance of a tag's centre from its wall, m, so that the wall does not hide it.
 TAG_OFFSET = 0.01
-# The space a tag needs in front of it, m: none in the crotch of two walls.
+# Free space that a tag needs in front of it, m, which excludes sharp corners.
 _TAG_SPACE = 0.05
-# Where a tag is tried in its stretch of wall, in stretches from its middle.
+# Places where a tag is tried in its piece of wall, in lengths of the piece from its middle.
 _SHIFTS = (0.0, 0.15, -0.15, 0.3, -0.3)
 
 

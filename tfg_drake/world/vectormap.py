@@ -9,7 +9,7 @@ import numpy as np
 from tfg_drake.messages import FloatArray
 from tfg_drake.world.world import WorldError, check_extent
 
-# The fence round an open map stands this far outside its bounding box, m.
+# Distance of the fence around an open map from its bounding box, m.
 FENCE_DISTANCE = 1.0
 
 

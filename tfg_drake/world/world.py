@@ -33,18 +33,18 @@ def bare_world(walls: FloatArray, start: FloatArray) -> World:
     return World(walls, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), start)
 
 
-# No building is longer than this, m, or covers more, m^2: ten times the largest map that we know of. Its cells take a
-# gigabyte while tags are placed.
+# Greatest length, m, and area, m^2, of a building, ten times the largest known map; its cells take a gigabyte while
+# tags are placed.
 LONGEST = 1000.0
 LARGEST = 5e4
-# Farther from the origin a float64 does not tell the sides of a thin wall apart, m; the metres of UTM are within.
+# Greatest coordinate, m, at which a float64 separates the sides of a thin wall; UTM's are within.
 FARTHEST = 1e8
-# A robot that starts farther outside the walls, m, sees none of them.
+# Greatest distance of a start outside the walls, m.
 OUTSIDE = 10.0
-# A tag farther from every wall hangs on none, m; nearer than that it is on either side of its wall, m.
+# Greatest distance of a tag from its wall, m; within the second one it may be on either side of the wall, m.
 _HANGS, _ON_IT = 0.1, 1e-6
-# A free place is looked for on a lattice of this step, m, within so many steps in x and y. One is shut in, as in a
-# sofa, that sees less than this, m^2, within _SIGHT, m.
+# A free place is searched on a lattice with step _STEP, m, up to _STEPS in x and y. One is enclosed, as in a sofa, if
+# it sees less than _SHUT_IN, m^2, within _SIGHT, m.
 _STEP, _STEPS, _SHUT_IN, _SIGHT = 0.1, 20, 2.5, 3.0
 _ALL_ROUND = np.linspace(-np.pi, np.pi, 60, endpoint=False)
 
