@@ -18,10 +18,10 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import write_atomic
 
-# Software rendering, no network, no questions.
+# Options of the browser: software rendering, no network, no dialogs.
 OPTIONS = """--headless=new --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader
 --no-first-run --disable-background-networking --disable-component-update --disable-sync --hide-scrollbars"""
-# What a hand on the slider does; how long it took, s.
+# Move the slider as a user does; returns the time taken, s.
 SEEK = """const start = performance.now(), slider = document.getElementById("slider");
 slider.value = arguments[0];
 slider.dispatchEvent(new Event("input"));
@@ -29,17 +29,17 @@ slider.dispatchEvent(new Event("change"));
 const context = viewer.renderer.getContext();  // Until its pixels are there: nothing else waits for them.
 context.readPixels(0, 0, 1, 1, context.RGBA, context.UNSIGNED_BYTE, new Uint8Array(4));
 return (performance.now() - start) / 1000;"""
-# Of a film only the picture is shown, and the time.
+# A film shows only the picture and the time.
 BARE = """for (const id of ["side", "view", "controls", "wheels"]) document.getElementById(id).style.display = "none";
 document.querySelector("footer").style.display = "none";
 window.dispatchEvent(new Event("resize"));
 document.getElementById("fit").click();"""
-# A film's size, pixels. Of a GIF its pictures, how long each is shown, and the last of them, ms, and its colours.
+# Size of a film, pixels. GIF: number of pictures, duration of each and of the last one, ms, number of colours.
 SIZE = (800, 510)
 GIF_FRAMES, SHOWN, LAST, COLOURS = 72, 130, 2500, 64
-# Of an MP4 its pictures, how many a second, and its codecs, the first that OpenCV has: browsers show VP9.
+# MP4: number of pictures, their rate, 1/s, and codecs, of which the first that OpenCV has is used; browsers show VP9.
 MP4_FRAMES, RATE, CODES = 240, 20.0, ("vp09", "mp4v")
-# A page is read within so long, s.
+# Greatest time to load a page, s.
 PATIENCE = 60.0
 
 

@@ -17,12 +17,12 @@ from tfg_drake.pictures.layers import LOOKS
 from tfg_drake.pictures.palette import DARK, GAINS, LIGHT, css
 
 FILE_NAME = "mission.html"
-# A mission to look at while one waits for another: a timeline, made by benchmarks/recorded_mission.py.
+# The mission that is shown until the first one begins: a timeline, made by benchmarks/recorded_mission.py.
 RECORDED = Path(__file__).with_name("recorded.tfg")
-# The page's script, file by file in the order in which they are read.
+# The files of the page's script in the order in which they are read.
 SCRIPT = """stop timeline scene shapes robot still layers free_space trails series cameras picture
 panels plots controls operator driving keep_out fork"""
-# What a browser lets the page do: its own scripts run, and no other, whatever a run's files hold; nobody else is asked.
+# Content security policy: only the page's own scripts run, whatever a run's files hold, and nothing else is loaded.
 _POLICY = """default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'; base-uri 'none';
 form-action 'none'; script-src"""
 

@@ -32,26 +32,26 @@ from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
 from tfg_drake.mission.operation import Command, Request
 
-# Where the server looks for a free port first.
+# First port that the server tries.
 PORT = 7000
 LOCAL = "localhost"
-# How often a stream looks for what is new, s.
+# Period at which a stream looks for new data, s.
 INTERVAL = 0.04
-# A request is no longer than this, bytes.
+# Greatest length of a request, bytes.
 LONGEST = 4096
-# A page that goes on reading after the mission's end is waited for so long, s.
+# Time that the server waits at the mission's end for pages that still read, s.
 FAREWELL = 2.0
 
-# After each call to the system the server's thread waits for the interpreter, so long where the mission computes, s. By
-# default it is ten times as long, and of a flood 40 connections a second are heard.
+# The interpreter's switch interval, s, for which the server's thread waits after each system call while the mission
+# computes. With the default, ten times as long, a flood leaves 40 connections a second.
 SWITCH = 5e-4
-# A stick that is pushed is asked about again within so long, s; a page that does not has gone.
+# Greatest time between two messages of a page whose stick is pushed, s; without one the page has gone.
 STICK_HELD = 0.6
 # x and y, m.
 Place = tuple[float, float]
 NOWHERE: Place = math.nan, math.nan
 
-# What a page may ask of an operator. Of a simulation it holds the clock instead of pausing the mission.
+# Operator commands of a page. In simulation the clock is held instead of pausing the mission.
 _OPERATOR: tuple[Command, ...] = ("enable", "stop", "hold", "resume", "recall", "end")
 _log = logging.getLogger("tfg_drake.cockpit")
 

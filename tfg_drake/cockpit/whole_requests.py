@@ -19,11 +19,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from multiprocessing.connection import wait
 from typing import Any
 
-# Connections that have not said all yet, a quarter of all descriptors that the process may have, and those that a
-# thread answers: where there are more one goes. 1000 come a second each has a quarter of a second to say all.
+# Greatest number of connections with an incomplete request, a quarter of the process's descriptors, and of those that a
+# thread answers; beyond it one is closed. At 1000 connections a second each has a quarter of a second.
 _DESCRIPTORS = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 WAITING, ANSWERED = min(512, _DESCRIPTORS // 4) if _DESCRIPTORS > 0 else 512, 32
-# A request with its head is no longer than this, bytes.
+# Greatest length of a request with its header, bytes.
 _WHOLE = 2**14
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from tfg_drake.messages import FloatArray
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Since 1970 a clock shows as many seconds from 2001 to 2096; two stamps of a recording are no farther apart, s.
+# Seconds since 1970 in 2001 and in 2096; greatest time between two stamps of a recording, s.
 _FIRST, _LAST, _APART = 1e9, 4e9, 1000.0
-# Stamps since a beginning count in a unit if they are so many of it apart, or more, so many times: 100 images a second
-# or 500 rows. A few stamps may as well be some 10 s apart.
+# Stamps since a start are in a unit if they are this many of it apart, or more, this many times: 100 images or 500 rows
+# a second. A few stamps may as well be 10 s apart.
 _STEPS = {"ns": (2e6, 1), "us": (2e3, 1), "ms": (10.0, 10)}
 
 

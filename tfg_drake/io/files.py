@@ -16,14 +16,14 @@ from typing import Any
 
 from tfg_drake.bad_input import BadInput
 
-# Bytes that text of a run may have at most: a trajectory of two days.
+# Greatest size of a run's text file, bytes: a trajectory of two days.
 LARGEST_TEXT = 256 * 2**20
-# Bytes of a file's arrays at most; a map of 274 landmarks and 138 views has 0.8 MB.
+# Greatest size of a file's arrays, bytes; a map of 274 landmarks and 138 views has 0.8 MB.
 _LARGEST_ARRAYS = 64 * 2**20
-# What is packed stands for so many bytes at most, or for so many times its own: what a run packs shrinks to a tenth at
-# best, zeros to a thousandth.
+# Greatest unpacked size, bytes, or as a multiple of the packed size: a run's arrays shrink to a tenth at best, zeros to
+# a thousandth.
 _LEAST_UNPACKED, _MOST_SHRUNK = 64 * 2**20, 32
-# By a file's suffix, what unpacks it.
+# The function that unpacks a file, by its suffix.
 _UNPACKED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open}
 
 

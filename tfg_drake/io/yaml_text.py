@@ -7,12 +7,12 @@ from typing import Any
 
 import yaml
 
-# Lists and sections within one another; the parser's own stack ends at some 10 000, and the process with it.
+# Greatest depth of nested lists and sections; the parser's stack overflows at some 10 000.
 _DEEPEST = 100
-# Characters of one value; a whole number of more than 4300 digits cannot even be shown.
+# Greatest number of characters of a value; an integer of more than 4300 digits cannot be printed.
 _LONGEST = 1000
 
-# Numbers with an exponent as YAML 1.2 has them; YAML 1.1, PyYAML's, asks for a point and the exponent's sign.
+# Numbers with an exponent as in YAML 1.2; YAML 1.1, that of PyYAML, requires a point and the exponent's sign.
 _EXPONENT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$")
 
 

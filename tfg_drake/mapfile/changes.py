@@ -15,12 +15,12 @@ from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray, IntArray
 from tfg_drake.slam.keyframe import rows_of
 
-# A tag was moved where it is at least so far from its old place, m, and so many standard deviations of the two.
+# A tag was moved if it is at least MOVED, m, and DEVIATIONS standard deviations of both from its old place.
 MOVED, DEVIATIONS = 0.15, 4.0
-# A piece of surface, this long at most, m, is new, or gone, where all of it is farther than this from what is there in
-# the other map and one view of that saw free space from half as far before it to half as far behind.
+# A piece of surface of at most this length, m, is new, or gone, if all of it is farther than this from the other map's
+# surfaces, and one view of that map saw free space from half of this in front of it to half of this behind.
 APART = 0.2
-# Pieces whose middles are nearer to each other than this, m, are told as one.
+# Pieces whose middles are within this distance, m, are reported as one.
 TOGETHER = 0.5
 
 

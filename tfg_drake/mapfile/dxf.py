@@ -13,7 +13,7 @@ from tfg_drake.mapfile.wall_lines import wall_lines
 
 # The layers with their colours by AutoCAD's numbers: black or white, grey, green, violet, blue.
 LAYERS = {"WALL": 7, "SURFACE": 8, "TAG": 94, "DOUBTFUL_TAG": 200, "FRONTIER": 5}
-# Length of the line that says which side a tag faces, and height of its number, m.
+# Length of the line in the direction that a tag faces, and height of its number, m.
 FACING, NUMBER = 0.2, 0.12
 
 

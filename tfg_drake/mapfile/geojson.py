@@ -13,7 +13,7 @@ from tfg_drake.mapfile.in_world import landmarks_in_world, stars_of, tfg_in_worl
 from tfg_drake.mapfile.saved_map import KINDS, SavedMap
 from tfg_drake.slam.walls import known_walls
 
-# W as a coordinate system of its own, in metres, in OGC's WKT: without one a reader takes them for degrees.
+# W as a local coordinate system in metres, in OGC's WKT; without it a reader assumes degrees.
 CRS = 'LOCAL_CS["W",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
 
 

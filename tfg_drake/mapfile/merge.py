@@ -30,7 +30,7 @@ from tfg_drake.table import concat, take
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import joined, resolve
 
-# Landmarks of B at most: files with the joint Gaussian of more are not read.
+# Greatest number of landmarks of B, as files with the joint Gaussian of more are not read.
 MOST_LANDMARKS = 1900
 
 

@@ -34,7 +34,7 @@ from tfg_drake.table import dtype_of, misfit, shapes_of
 Array = NDArray[Any]
 T = TypeVar("T")
 
-# Numbers in a row of an array without rows, at most.
+# Greatest number of columns of an array without rows.
 _WIDEST = 16
 
 SCALARS: dict[Any, Any] = {float: np.float64, int: np.int64, bool: np.bool_}

@@ -17,7 +17,7 @@ from tfg_drake.messages import FloatArray, TfgMap
 
 # Side of a cell, m.
 CELL = 0.05
-# What map savers write, and their threshold, above which grey 205 is unknown.
+# Grey levels that map savers write, and their threshold, with which grey 205 is unknown.
 OCCUPIED, UNKNOWN, FREE, FREE_THRESH = 0, 205, 254, 0.196
 
 

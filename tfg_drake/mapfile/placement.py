@@ -25,7 +25,7 @@ from tfg_drake.slam.relocalizer import BY_WALLS
 from tfg_drake.slam.surface_fit import Surfaces, points_along
 from tfg_drake.slam.walls import directions
 
-# A robot sees walls up to this distance, m, from so many views or up to twice as many.
+# Range within which walls are seen, m, and number of views, up to twice as many.
 SIGHT, VIEWS = 10.0, 12
 
 

@@ -37,10 +37,10 @@ from tfg_drake.world.world import LONGEST
 SCHEMA = 16
 BY_FLOOR = "walls.by_floor"
 SCATTER = "graph.keyframes.scatter"
-# These are read, too; the arrays that they had more, of tags seen on the way and of places tried in vain.
+# Older schemas that are read, too; their additional arrays, of tags seen on the way and of places tried in vain.
 OLDER = (13, 14, 15)
 GONE = re.compile(r"tfg_graph\.(sighted|viewpoints|tried|tried_count)(\.|$)|tfg_graph\.\w+\.id$|tfg\.viewpoints$")
-# Tables of frontier points before 16.
+# Tables of frontier points before schema 16.
 KINDS_BEFORE = ("free_space_frontiers", "uninspected", "unseen_backs", "open_ends")
 # Kinds of a TfgMap's segments (segment_kind) by number.
 KINDS = ("edge", "wall_end", "bare_surface")

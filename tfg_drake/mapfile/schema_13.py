@@ -19,7 +19,7 @@ from tfg_drake.table import take
 if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
 
-# Columns that a graph and its keyframes had not, and those that are like them.
+# Columns that a graph and its keyframes lacked, and columns of the same shape.
 _NEW = {f"graph.keyframes.{name}": "graph.keyframes.y_AL" for name in ("anchor", "reach", "pull")}
 _NEW |= {"graph.anchor": "graph.p_ML", "graph.reach": "graph.p_ML"}
 

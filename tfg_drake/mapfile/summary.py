@@ -10,7 +10,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.slam.shared import RANGE_SCALE
 from tfg_drake.slam.walls import known_walls
 
-# Of surfaces, by number.
+# Kinds of surfaces by number.
 KINDS = ("on walls or between tags", "that end at a tag", "without a landmark")
 
 

@@ -20,7 +20,7 @@ from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.slam.tag_search import by_tags
 from tfg_drake.world.map_server import OccupancyMap
 
-# Deviation of a surveyed tag, m. The least share of a map's walls, by how well they agree, that gives it axes.
+# Deviation of a surveyed tag, m. Least agreement of a map's walls, as a share, for axes along them.
 SURVEY, ALIKE = 0.01, 0.5
 
 

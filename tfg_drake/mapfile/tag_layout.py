@@ -19,9 +19,9 @@ from tfg_drake.mapfile.in_world import landmarks_in_world, tfg_in_world
 from tfg_drake.mapfile.saved_map import SavedMap
 from tfg_drake.messages import FloatArray
 
-# Deviations that the map does not know: of the height, m, and the directions, rad, of a tag that somebody hung.
+# Deviation of what the map does not know of a tag: its height, m, and its directions, rad.
 HUNG = 0.05
-# Of the map in W, m and rad: none, but TagSLAM needs some.
+# Deviation of the map in W, m and rad, which is zero, but TagSLAM needs a positive one.
 FIXED = 1e-4
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray
 
-# Pieces of surface are one wall where none is farther off its line than this, m, and no gap between them is wider, m.
+# Pieces of surface are one wall if all are within OFF, m, of its line, and no gap between them is wider than GAP, m.
 OFF, GAP = 0.03, 0.1
 
 

@@ -24,13 +24,13 @@ from tfg_drake.slam.keyframe_graph import KeyframeGraph
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.world.world import World
 
-# Views nearer to each other than this, points of the drawing, are not both numbered.
+# Least distance of two numbered views, points of the drawing.
 NUMBER_SPACING = 36.0
-# Light, dashed on dark: one lies over the other where both agree.
+# The truth is light and dashed on the dark estimate, as they overlap where they agree.
 _ESTIMATE, _TRUTH = css(LIGHT.robot), css(LIGHT.camera)
-# Three deviations whose median is below this, m, are drawn MAGNIFIED times as large.
+# If their median is below this, m, three deviations are drawn MAGNIFIED times as large.
 SEEN = 0.1
-# Of the drawing, inches.
+# Width of the drawing, inches.
 _WIDTH = 11.0
 NO_POSES = np.zeros((0, 3))
 

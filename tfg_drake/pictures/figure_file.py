@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from tfg_drake.io.files import write_atomic
 
-# Those that a paper's figure is written in.
+# Formats of a paper's figure.
 FORMATS = (".png", ".pdf")
-# What matplotlib would tell of itself and the day.
+# Metadata of matplotlib with its version and the date, which are left out.
 _TOLD = {"png": ("Software",), "pdf": ("Creator", "Producer", "CreationDate")}
 
 

@@ -20,9 +20,9 @@ from tfg_drake.pictures.palette import FREE, GAINS, LIGHT, Colour
 if TYPE_CHECKING:
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
-# In pictures of true size: a symbol's size, the width of an outline, and the height of letters, m.
+# Size of a symbol, width of an outline and height of letters in pictures to scale, m.
 SYMBOL, OUTLINE, LETTER = 0.05, 0.01, 0.2
-# Tops of what stands, m above the floor: of surfaces, of the lines of walls on these, and of tags.
+# Heights above the floor, m: of surfaces, of the lines of walls on them, and of tags.
 SURFACE, ON_SURFACE, TAG = 0.4, 0.41, 0.45
 
 
@@ -58,7 +58,7 @@ class Look(NamedTuple):
         return SYMBOL * self.size or OUTLINE
 
 
-# What lies on the floor is far enough apart for a browser to tell which is above.
+# Layers on the floor are far enough apart in height for a browser's depth buffer.
 LOOKS: dict[str, Look] = {
     "floor": Look("", (0.80, 0.82, 0.85), high=0.01),
     "free_space": Look("free space", FREE, high=0.02),
@@ -90,9 +90,9 @@ LOOKS: dict[str, Look] = {
     "truth": Look("robot (true)", LIGHT.truth, high=0.15, stands=True, opacity=0.5),
     "person": Look("person", LIGHT.person, high=1.6, stands=True, opacity=0.8),
 }
-# What the name of a layer of standard deviations ends with.
+# Suffix of the name of a layer of standard deviations.
 SPREAD = "_3sigma"
-# Layers of surfaces by their kind (`tables.surfaces`), and those of the records that are segments of one look.
+# Layers of surfaces by their kind (`tables.surfaces`); records that are segments of one appearance, and their layers.
 SURFACES = (*KINDS, "keep_out")
 SEGMENTS = {"frontiers": "frontier", "path": "path"}
 

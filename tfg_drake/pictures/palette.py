@@ -34,7 +34,7 @@ class Palette(NamedTuple):
 
 
 LIGHT = Palette()
-# Those of the page that need others on a dark ground.
+# Colours of the page that differ on a dark background.
 DARK = LIGHT._replace(
     wall=(0.33, 0.36, 0.41),
     edge=(0.86, 0.88, 0.91),
@@ -52,9 +52,9 @@ DARK = LIGHT._replace(
     trail=(0.80, 0.45, 0.32),
     fork=(0.72, 0.80, 0.30),
 )
-# Of free space in pictures on white.
+# Free space in pictures on white.
 FREE: Colour = (0.955, 0.965, 0.945)
-# From no gain to the most, even to the eye (matplotlib's magma_r from 0.08 to 0.85).
+# Perceptually uniform colours from no gain to the most (matplotlib's magma_r from 0.08 to 0.85).
 GAINS: tuple[Colour, ...] = (
     (0.994, 0.849, 0.606),
     (0.990, 0.565, 0.395),

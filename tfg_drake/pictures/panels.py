@@ -10,8 +10,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.layers import SYMBOL
 
 POINTS_PER_INCH = 72.0
-# Room round what is shown, m; how high all panels are, at least and at most, inches; how small and how large a symbol
-# may be, points.
+# Margin around the content, m; least and greatest height of all panels, inches, and size of a symbol, points.
 MARGIN = 1.0
 HEIGHTS = 1.5, 12.0
 SYMBOLS = 0.7, 2.0

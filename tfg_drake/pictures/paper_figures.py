@@ -19,8 +19,8 @@ from tfg_drake.pictures.panels import panels
 from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
 
-# Of new landmarks, high, medium and low, for which the paper gives no figures: standard deviations, m, of the prior,
-# which its text varies, and their number on a metre of frontier, which its caption varies.
+# High, medium and low values for new landmarks, for which the paper gives no numbers: the prior's standard deviation,
+# m, which its text varies, and the number per metre of frontier, which its caption varies.
 PRIORS = {"high": 10.0, "medium": 0.1, "low": 0.001}
 DENSITIES = {"high": 2.0, "medium": 0.2, "low": 0.0}
 _VIEW = css(LIGHT.wall_end)

@@ -12,9 +12,9 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.layers import SYMBOL, Layer, of_free_space, of_map
 from tfg_drake.pictures.palette import css
 
-# The drawing is so many times smaller than the building.
+# Scale of the drawing, 1 to SCALE.
 SCALE = 100
-# Room round the map, m, the scale bar's length, m, and the height of letters, m.
+# Margin around the map, length of the scale bar and height of letters, m.
 MARGIN, BAR, LETTER = 1.0, 5, 0.25
 
 

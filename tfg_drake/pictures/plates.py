@@ -12,7 +12,7 @@ from tfg_drake.pictures import palette
 from tfg_drake.pictures.drawing import MAGNIFIED
 from tfg_drake.pictures.layers import LOOKS, SPREAD
 
-# All of them are so wide, and a line so high, pixels; of a legend so many entries are in a line.
+# Width of a plate and height of a line of text, pixels; number of entries in a line of a legend.
 WIDTH, LINE, COLUMNS = 1600, 46, 5
 
 

@@ -35,11 +35,11 @@ from tfg_drake.world.world import World
 
 Record = Mapping[str, NDArray[Any]]
 
-# Positions that differ by no more are alike, m: in most pictures a fraction of a pixel.
+# Positions that differ by at most this, m, are drawn alike: in most pictures a fraction of a pixel.
 POSITION = 0.01
-# Of a candidate: the parts of its gain and all of it, nats.
+# Columns of a candidate: the parts of its gain, and the gain, nats.
 GAINS = ("exploitation", "exploration", "pose_price", "gain")
-# How many candidates besides the chosen one are explained.
+# Number of candidates besides the chosen one that are explained.
 NEXT_BEST = 3
 
 

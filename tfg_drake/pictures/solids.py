@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.layers import Layer
 
-# The seven bars of a numeral that is 1 wide and 2 high, and which of them 0, 1, ... have.
+# The seven segments of a numeral 1 wide and 2 high, and the segments of 0, 1, ...
 _BARS = np.array([(0, 2, 1, 2), (1, 1, 1, 2), (1, 0, 1, 1), (0, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 2), (0, 1, 1, 1)])
 _HAVE = ("012345", "12", "01346", "01236", "1256", "02356", "023456", "012", "0123456", "012356")
-# Of its colour: what a solid shines by itself, lest lamps leave half a building in the dark, and what it reflects. Its
-# sides are darker than its top.
+# Shares of a solid's colour that it emits, so that no half of a building is dark, and that it reflects; its sides are
+# darker than its top.
 SHINE, REFLECTION, SIDES = 0.9, 0.3, 0.8
 
 

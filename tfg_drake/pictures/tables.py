@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from tfg_drake.mapfile.saved_map import SavedMap
     from tfg_drake.slam.keyframe_graph import KeyframeGraph
 
-# Of a variance's logarithm, that is a tenth of a standard deviation, and of a correlation.
+# Resolution of a variance's logarithm, a tenth of a standard deviation, and of a correlation.
 VARIANCE = 0.2
-# Of the most gain: a fifth of the way from one shade to the next.
+# Resolution of a gain, as a share of the greatest: a fifth of a step from one shade to the next.
 SHARE = 0.04
-# Added to variances, m^2: below a tenth of a millimetre they are all alike.
+# Added to variances, m^2, so that deviations below a tenth of a millimetre look alike.
 LEAST = 1e-8
 
 

@@ -20,8 +20,8 @@ from tfg_drake.storage.serialization import Packed, pack
 
 FILE_NAME = "checkpoint.bin"
 MAGIC = b"tfg_drake checkpoint 3\n"
-# What is told: names of scenario, world, robot and method; own: whether the method is a file or has parts of somebody's
-# own; scenario_digest: of what the mission is defined by; stamps (n,) s and X_WB (n, 3): the estimated poses.
+# The header: names of scenario, world, robot and method; own: whether the method is a file or has parts of one's own;
+# scenario_digest: of the mission's definition; stamps (n,) s and X_WB (n, 3): the estimated poses.
 TOLD: Mapping[str, Any] = {
     "version": str,
     "scenario": str,
@@ -36,7 +36,7 @@ TOLD: Mapping[str, Any] = {
     "X_WB": FloatArray,
     "contacts": int | None,
 }
-# Bytes that are read at most: those of an hour in a large building are 40 MB.
+# Greatest size of a file, bytes; that of an hour in a large building has 40 MB.
 LARGEST = 256 * 2**20
 _CHECKSUM = struct.Struct("<I")
 _MEND = "copy it again from where it was written, or begin a mission with the run's map: --map"

@@ -22,10 +22,11 @@ from tfg_drake.pictures.layers import LETTER, Layer, layers, of_map
 
 MAP, BASE = "map", "base"
 POSE, PATH, SURFACES = "display.pose", "display.path", "display.map"
-# Our fields of a scan have numbers behind this, but for the ranges, which are Foxglove's; and what is only Foxglove's.
+# Our fields of a scan are numbered from here on, but for the ranges, a field of Foxglove's; fields that only Foxglove
+# has.
 FIRST_OWN = 1000
 ONLY_ITS = frozenset(one.name for one in FoxgloveScan.DESCRIPTOR.fields) - {"ranges"}
-# A LinePrimitive of the lines between each two of its points.
+# Foxglove's type of a LinePrimitive that has a line between each two points.
 LINE_LIST = 2
 _UPRIGHT = {"w": 1.0}
 
@@ -84,7 +85,7 @@ def map_message(time: float, shown: tuple[MapEstimate, TfgMap, MapEstimate | Non
     return _scene(time, of_map(*shown))
 
 
-# What is shown, by topic: its schema, and what makes its bytes of a time, s, and what is recorded then.
+# Displayed topics: the schema, and the function from a time, s, and the recorded message to the bytes.
 TOPICS: dict[str, tuple[Any, Callable[[float, Any], bytes]]] = {
     POSE: (FrameTransform, pose_message),
     PATH: (SceneUpdate, path_message),

@@ -45,14 +45,14 @@ from tfg_drake.storage import foxglove
 from tfg_drake.table import dtype_of
 
 FILE_NAME = "ports.mcap"
-# Of a killed program no more than so much is lost, s.
+# Greatest time that is lost if the program is killed, s.
 FLUSH_PERIOD = 1.0
-# Maps to show may take so much of a file, as a share of the ports' messages, before they are compressed.
+# Greatest size of displayed maps, as a share of the ports' messages, before compression.
 MAP_SHARE = 0.1
 
 _NS = 1e9
 _Field = descriptor_pb2.FieldDescriptorProto
-# Integers of fixed size, as files of before have them.
+# Integers of fixed size, for older files.
 _TYPES: Mapping[Any, Any] = {
     np.dtype(np.float64): _Field.TYPE_DOUBLE,
     np.dtype(np.int64): _Field.TYPE_SFIXED64,
@@ -84,7 +84,7 @@ class Standing:
     stage: int
 
 
-# What is recorded of a station: a run cannot be played without the messages, but without a command.
+# Recorded ports of a station: a run cannot be replayed without MESSAGES, but without commands.
 MESSAGES: Mapping[str, type] = {
     "base.odometry": Odometry,
     "base.hazards": Hazards,
@@ -95,7 +95,7 @@ COMMAND = "base.velocity_commanded"
 ENABLED = "base.enabled"
 GOAL, SAID = "operator.goal", "operator.pose"
 PORTS: Mapping[str, type] = {**MESSAGES, COMMAND: Velocity, ENABLED: Enabled, GOAL: RequestedGoal, SAID: SaidPose}
-# What an operator asks the explorer for, by the input that takes it.
+# Requests of an operator by the explorer's input that takes them.
 REQUESTS: Mapping[str, str] = {"requested_goal": GOAL, "said_pose": SAID}
 
 

@@ -36,15 +36,15 @@ from tfg_drake import messages
 from tfg_drake.slam import noise, turn
 from tfg_drake.table import dtype_of, spelled_out
 
-# Types of an array's entries.
+# Permitted types of an array's entries.
 DTYPES = ("<f8", "<i8", "|b1", "<f4", "<i4", "|i1", "|u1")
-# Bytes of a block's JSON at most: in memory lists take twenty times as many.
+# Greatest size of a block's JSON, bytes; its lists take twenty times as much memory.
 MOST_TEXT = 16 * 2**20
-# The longest side of an array of no entries, which is no longer than all entries otherwise.
+# Greatest side of an array without entries, which is otherwise bounded by its number of entries.
 WIDEST = 2**12
-# An integer is less, as in an array.
+# Upper bound of an integer, as in an array.
 _MOST = 2**63
-# What stands where no more is known than a protocol.
+# The class that implements each protocol.
 _IMPLEMENTED: Mapping[Any, type] = {noise.Sample: turn.Sample}
 _MESSAGES = tuple(
     kind for kind in vars(messages).values() if isinstance(kind, type) and kind.__module__ == messages.__name__

@@ -41,15 +41,15 @@ if TYPE_CHECKING:
 
 FILE_NAME = "timeline.tfg"
 MAGIC = b"tfg_drake timeline 2\n\n\n\n"
-# Wall time between two blocks, s: at most so much is lost with the program; less where somebody looks on.
+# Wall time between two blocks, s, which is lost at most if the program ends; shorter while a page is open.
 FLUSH_PERIOD, WATCHED_PERIOD = 1.0, 0.08
-# Of a layer no more is written on average, bytes a simulated second: what changes more is told less often.
+# Greatest mean rate of a layer, bytes per simulated second; one that changes more is written less often.
 LAYER_RATE = 8e3
-# And of a table no more is compared with what stands there, bytes a simulated second: a large map is told less often.
+# Greatest mean rate at which tables are compared, bytes per simulated second; a large map is written less often.
 COMPARED_RATE = 400e3
-# Layers of many points of which nobody sees a centimetre.
+# Layers of many points for which centimetres suffice.
 COARSE = ("scan", "free", "path")
-# zlib's: the quickest; more takes twice the time and saves a twentieth.
+# Level of zlib, the fastest; the next one takes twice the time and saves a twentieth.
 COMPRESSION = 1
 
 NUMBERS = {"mm": "<i4", "c2": "<i2", "c4": "<i4", "f4": "<f4", "i4": "<i4", "u2": "<u2", "u1": "u1"}
