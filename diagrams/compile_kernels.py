@@ -28,7 +28,7 @@ from tfg_drake.diagrams.screen import Screen, say
 from tfg_drake.percent import percent
 
 MODULE = "tfg_drake.diagrams.compile_kernels"
-# More processes than this compile much of numba's own once more each, and take 0.3 GB each.
+# Greatest number of processes; each compiles much of numba's own code again and takes 0.3 GB.
 MOST_PROCESSES = 4
 
 

@@ -17,7 +17,7 @@ from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.scripted_driver import ScriptedDriver
 
-# The sequencer plans anew when a way takes much longer than at full speed, m/s: nobody knows how long a driver takes.
+# Full speed by which the sequencer limits the time of a way, m/s: a driver's time is not limited.
 NO_HURRY = 1e-9
 
 

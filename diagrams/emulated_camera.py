@@ -20,12 +20,12 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.vision.mount import CameraMount
 from tfg_drake.world.world import World, WorldError
 
-# Images a second; pixels; horizontal field of view, rad.
+# Image rate, 1/s; size, pixels; horizontal field of view, rad.
 RATE, SIZE, FIELD_OF_VIEW = 5.0, (640, 480), math.radians(65.0)
 MOUNT = CameraMount(x=0.05, z=0.35)
-# How old an image is when it is sent, s, as in the network: however long it takes to render it.
+# Age of an image when it is sent, s, as over a network, independent of the rendering time.
 LATENCY = 0.15
-# How long the board is held in one way, s.
+# Time for which the board keeps a pose, s.
 _BOARD_EVERY = 0.6
 
 

@@ -22,7 +22,7 @@ from tfg_drake.systems.slam_estimator import SlamEstimator
 from tfg_drake.systems.tfg_builder import TfgBuilder
 from tfg_drake.tfg.graph import resolve
 
-# The station's ports, and what the explorer's systems call what comes from there.
+# The explorer's input names by the station's ports.
 SENSED = {
     "base.odometry": "odometry",
     "base.hazards": "hazards",

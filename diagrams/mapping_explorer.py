@@ -39,7 +39,7 @@ def MakeGridMappingExplorer(scenario: Scenario, end_time: float) -> Diagram:
     return wiring.Build(sequencer, sequencer, sequencer)
 
 
-# What maps a laser recording, by name.
+# Methods that map a laser recording, by name.
 MAPPING_METHODS: dict[str, Callable[..., Diagram]] = {
     "walls": MakeMappingExplorer,
     "grid": MakeGridMappingExplorer,

@@ -116,9 +116,9 @@ def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Di
     return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)
 
 
-# What a method may fix; all else is of the world, the same for all methods.
+# Sections that a method may fix; the others belong to the world and are the same for all methods.
 _OWN_SECTIONS = ("explorer.", "planner.", "grid.")
-# The first look is for the heading of a map of tags: scan matching gains nothing from it.
+# The first look determines the heading of a map of tags; scan matching gains nothing from it.
 _GRID_SETTINGS = ("explorer.first_look=0", "explorer.first_turns=1")
 
 METHODS = {

@@ -21,7 +21,7 @@ from tfg_drake.systems.pose_vector import PoseVector
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
-# Between two poses that are logged with their covariance, s.
+# Period at which poses are logged with their covariance, s.
 COVARIANCE_PERIOD = 1.0
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from tfg_drake.messages import FollowerStatus, GoalChoice, Hazards, MapEstimate,
 # A diagram needs a part of its own, and a scenario says of what: so a part is given as a function that makes one.
 Factory = Callable[[Scenario], System]
 
-# What others listen to, by a part's role: its output ports, with the message that each carries; of a vector, its size.
+# Output ports of each role: the message that a port carries, or the size of its vector.
 OUTPUTS: dict[str, dict[str, type | int]] = {
     "estimator": {"pose": PoseEstimate, "map": MapEstimate},
     "goal_selector": {"goal": GoalChoice},

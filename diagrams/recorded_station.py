@@ -21,9 +21,9 @@ from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
 from tfg_drake.systems.port_player import PortPlayer
 
-# Its mission ends by itself once all is mapped, at the latest so long after the recording, s.
+# Greatest time after the recording, s, until its mission ends, which it does once all is mapped.
 PATIENCE = 10.0
-# A new wall needs one look for so many scans a metre of way, as many as in a mission at most.
+# Scans per metre of way for each look that a new wall needs, up to the number in a mission.
 SCANS_PER_LOOK = 3.0
 
 

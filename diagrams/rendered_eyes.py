@@ -20,9 +20,9 @@ from tfg_drake.vision.sighting import TagNoise, TagSizes
 from tfg_drake.world.scene import SceneConfig
 from tfg_drake.world.world import World
 
-# Of tags that are narrower in the image, pixels, the renderer draws smaller copies: they seem to be a per cent nearer.
+# Width of a tag in the image, pixels, below which the renderer's mipmaps make it appear a per cent nearer.
 LEAST_SIDE = 18.0
-# Of corners in what is rendered, by benchmarks/rendered_detections.py.
+# Noise of the corners in rendered images, by benchmarks/rendered_detections.py.
 TAG_NOISE = TagNoise(pixels=0.04, place=0.001, unlike=0.7)
 
 

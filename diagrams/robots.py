@@ -12,7 +12,7 @@ from tfg_drake.diagrams.scenario import Scenario
 from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.mission.operation import Request
 
-# What a robot is called that is a laser recording.
+# Name of the robot that is a laser recording.
 RECORDED = "recording"
 
 

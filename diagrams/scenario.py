@@ -393,7 +393,7 @@ def ApplyWorldFile(
     return result
 
 
-# Names of walls and of a map_server file's image; and what tells such a file from a scenario.
+# Suffixes of wall lists and map_server images; keys that distinguish a map_server file from a scenario.
 _PLANS = (".vectormap.txt", ".pgm", ".pgm.gz", ".png")
 _MAP_KEYS = frozenset({"image", "resolution", "occupied_thresh", "free_thresh"})
 
@@ -423,9 +423,9 @@ def _Parse(text: str, source: str) -> object:
         raise ScenarioError(f"{source}: {error}") from None
 
 
-# What of the section reality is rendered, too; the rest says what ideal sensors do.
+# Keys of the section reality that also hold for rendered sensors; the others are of ideal ones.
 _RENDERED = ("yaw", "ahead", "left")
-# A camera without distortion does not see more, rad (150 degrees).
+# Greatest field of view of a camera without distortion, rad (150 degrees).
 _WIDEST = math.radians(150.0)
 
 

@@ -8,8 +8,8 @@ import threading
 import time
 from typing import Any
 
-# Wall time after which a line is written again where there is no terminal, s: at first and at most, and meanwhile this
-# share of what has passed. What takes longer than INTERVAL is shown with the time so far.
+# Wall time between two lines without a terminal, s: at first and at most; in between the share SHARE of the time
+# passed. Work that takes longer than INTERVAL is shown with the time so far.
 INTERVAL, LONGEST_INTERVAL, SHARE = 2.0, 60.0, 1.0 / 6.0
 
 

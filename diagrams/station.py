@@ -26,11 +26,11 @@ from tfg_drake.world.world import World
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-# Longer than any run: drawn once.
+# A period longer than any run, s, of random numbers that are drawn once.
 _ONCE = 2.0**30
-# The plant's inputs that keys of a scenario need.
+# Keys of a scenario by the plant's input that they need.
 _NEEDS = {"people": "reality.people", "world": "reality.changes", "pushes": "disturbances"}
-# What the simulation tells of the truth, as far as there is such.
+# Ground truth of the simulation.
 _TRUTH = ("pose", "contacts", "clearance", "contacts_received", "people", "world")
 
 

@@ -18,9 +18,10 @@ from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, off_by_way, remedies
 from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-# The first turn and a half, rad: so many moves of scans it takes to be sure of what is wrong with them.
+# Turn, rad, after which scans and tags are compared with odometry: their faults are significant after a turn and a
+# half.
 FIRST_TURN = 3.0 * math.pi
-# And the first way that tells where the scanner looks, m.
+# Way, m, after which the scanner's yaw is compared.
 FIRST_WAY = 1.5
 CONTRADICT = (
     "scans and odometry contradict each other for a while, the map may not hold: see whether the wheels slip, the "

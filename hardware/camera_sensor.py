@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from tfg_drake.vision.camera_view import CameraView
     from tfg_drake.vision.frames import Frame
 
-# Fewer images a second are told, counted over so many seconds. Tags are mapped all the same.
+# Image rate, 1/s, below which a remark is made, counted over COUNTED, s; tags are mapped nevertheless.
 LOW_RATE, COUNTED = 4.0, 3.0
-# Images whose mean is below or above are too dark or too bright, grey levels; one pixel in so many is looked at.
+# Mean grey levels of images that are too dark and too bright; every _SPARSE-th pixel is counted.
 DARK, BRIGHT, _SPARSE = 25.0, 230.0, 16
-# How long something must last to be told, s: light and rate; no tag in sight.
+# Duration after which a remark is made, s: of light and rate; of no tag in sight.
 LASTS, WITHOUT_TAG = 2.0, 30.0
 
 

@@ -24,14 +24,14 @@ from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.safety.scan_watch import LEAST_SHOWN, SHOWN_SHARE
 
-# A ray so near to a sighting's bearing, rad, shows what stands there.
+# A ray within this angle of a sighting's bearing, rad, has the range of its surface.
 BESIDE = 0.02
-# So many tags must agree to this share on a factor of their ranges, and so great must that be, before it is their size
-# or the calibration: one alone may hang over what the scan meets.
+# Tag size or calibration is wrong if at least TAGS tags agree within the share AGREE on a range factor above GREAT; a
+# single one may hang above the surface that the scan meets.
 TAGS, AGREE, GREAT = 2, 0.25, 1.5
-# So many scans that are the same to the last bit are one, for ranges are noisy.
+# Number of identical scans after which the scanner is frozen, as ranges are noisy.
 SAME_SCANS = 5
-# Of no more frames with tags than this nothing is said: cameras that take turns see others.
+# Greatest number of frames with tags that are not judged, as cameras that take turns see different tags.
 FEW_FRAMES = 3
 
 

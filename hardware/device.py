@@ -68,13 +68,13 @@ class BaseState:
 Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState | SaidPose
 T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState, SaidPose)
 
-# How long to wait for an answer of the process, s.
+# Time to wait for an answer of the process, s.
 ANSWER_TIMEOUT = 5.0
-# A process that has not begun in this time is lost for good, and so is a base that says nothing for so long, s.
+# A process that has not started, or a base that has been silent, for this time, s, is lost for good.
 HOPELESS = 60.0
-# Messages of a kind that wait to be taken or are remembered, at most: half a minute of the fastest.
+# Greatest number of queued and of remembered messages of a kind: half a minute of the fastest.
 WAITING = 2000
-# Kinds of reasons that are told of one source, so that nonsense fills no screen, and characters of a line.
+# Greatest number of kinds of faults reported of one source, and of characters of a line.
 _KINDS, _LONGEST = 5, 300
 _NO_ANSWER = "the robot's process does not answer"
 

@@ -27,7 +27,7 @@ from tfg_drake.hardware.remarks import alarms
 from tfg_drake.hardware.watchdog import SILENCE, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
-# How long orders are taken up before the robot has its turn again, however many there are, s.
+# Greatest time for which orders are read before the robot is served again, s.
 _ORDERS_WITHIN = TICK
 
 

@@ -19,25 +19,25 @@ from tfg_drake.mission.operation import Side
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.table import misfit, take
 
-# A stamp may be so far ahead of the host's clock, and so old when it arrives, s. One that is farther ahead, where the
-# other clock is known, tells of its jump.
+# Greatest lead of a stamp over the host's clock, and greatest age on arrival, s. A stamp farther ahead, once the other
+# clock is known, is a jump of it.
 AHEAD, OLD = 0.25, 30.0
-# How fast the clocks of a robot and of the host may drift apart, s/s.
+# Greatest relative drift of the robot's clock against the host's, s/s.
 CLOCK_DRIFT = 2e-4
-# How far a base can be from where it was switched on, m.
+# Greatest distance of a base from where it was switched on, m.
 FARTHEST = 1e5
-# Of one message: sightings of tags, and rays.
+# Greatest number of sightings, and of rays, in a message.
 MOST_TAGS, MOST_RAYS = 2000, 50_000
-# A tag is seen within this, m; its id is below that.
+# Greatest range of a tag, m, and bound of its id.
 TAG_RANGE, IDS = 100.0, 2**31
-# A detector makes tags up where, of this many frames with tags, so many tags and this share of all are in one frame
-# alone: even a camera of two frames a second that turns at 1.2 rad/s sees most of them twice in that time.
+# Detections are false if, in FRAMES frames with tags, at least LEAST_ONCE tags and the share ONCE_SHARE of all occur in
+# one frame only: even a camera of two frames a second that turns at 1.2 rad/s sees most tags twice in that time.
 FRAMES, LEAST_ONCE, ONCE_SHARE = 20, 15, 0.8
 # Standard deviations that a sensor may state: m of a range to a tag, rad of its bearing, m of a ray's range.
 SIGMA_RANGE, SIGMA_BEARING, SIGMA_RAY = (1e-4, 10.0), (1e-5, 1.0), (1e-4, 1.0)
-# A scanner's range_max is at most this, m; a return this many of its standard deviations farther away is none.
+# Greatest range_max of a scanner, m; returns beyond it by more than BEYOND standard deviations are none.
 SCAN_RANGE, BEYOND = 1000.0, 6.0
-# Angles are in (-pi, pi], but for rounding, rad.
+# Bound of an angle in (-pi, pi], rad, with rounding.
 _HALF_TURN = math.pi + 1e-6
 _ALL_SIDES = int(Side.RIGHT | Side.CENTRE | Side.LEFT)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 
-# Between two velocities that are sent, s.
+# Period at which velocities are sent, s.
 TICK = 0.02
-# The last word to a base is said this often, a tick apart: one may be lost.
+# Number of times that the last command is sent, a tick apart, as one may be lost.
 LAST_WORDS = 5
 
 

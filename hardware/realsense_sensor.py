@@ -18,9 +18,9 @@ from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
 from tfg_drake.vision.mount import CameraMount
 
-# Width, height, pixels, and images a second, the wide one first: what the D400 series and the L515 have.
+# Width and height, pixels, and rate, 1/s, in order of preference: modes of the D400 series and the L515.
 MODES = ((848, 480, 15), (640, 480, 15), (640, 480, 30))
-# What it measures along its axis, m, and the standard deviation of a range, m.
+# Least and greatest depth along the axis, and standard deviation of a range, m.
 LEAST_DEPTH, MOST_DEPTH, SIGMA = 0.3, 5.0, 0.03
 # Standard deviation of a pixel's depth at 1 m, m: a D435 matches to 0.08 pixels, with 424 pixels of focal length and
 # 5 cm between its lenses.

@@ -19,10 +19,10 @@ from tfg_drake.datasets.tagslam import load_tagslam
 from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.hardware.ros.bag_files import is_bag
 
-# How laser logs are named, perhaps packed (.gz, .bz2), the last those of BreezySLAM.
+# Suffixes of laser logs, perhaps packed (.gz, .bz2); the last is BreezySLAM's.
 _ROVER = ".dat"
 _LOGS = (".log", ".clf", _ROVER)
-# What a user may have meant.
+# A hint for a file that may be a video.
 _VIDEO = "of a video give --calibration and --tag-size"
 
 

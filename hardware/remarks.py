@@ -14,11 +14,12 @@ from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import Command, Side
 from tfg_drake.percent import percent
 
-# What was over for so long is told anew when it begins again, s.
+# Break after which a condition is reported again, s.
 QUIET = 1.0
-# How long a battery must be low, and dangerously so, to be believed, s: it sags while the wheels speed up.
+# Duration after which a low, and a dangerously low, battery is reported, s, as its voltage sags while the wheels
+# accelerate.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
-# For so long this share of frames must be lost to be told, s.
+# Lost frames are reported after LOSES, s, with at least the share SHARE lost.
 LOSES, SHARE = 1.5, 0.1
 BUTTONS: dict[int, Command] = {Button.B0: "stop", Button.B1: "pause", Button.B2: "enable"}
 _CHARGERS = {

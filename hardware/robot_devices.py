@@ -28,14 +28,13 @@ from tfg_drake.hardware.serial_port import check_port
 from tfg_drake.hardware.watchdog import Limits
 from tfg_drake.vision.camera_view import CameraView, joint_view
 
-# Whose mounts and topics hold where nobody says otherwise.
+# Default preset of mounts and topics.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
-# The newest message of each may be so old, s. A camera's frames are few where a slow computer looks for tags in them,
-# and nobody is run over for want of one.
+# Greatest age of the newest message, s. A slow computer detects tags in few frames, and safety does not depend on them.
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
-# How near a scanner of our own sees, by its transport, m. What serves a socket says itself where nothing is known.
+# Least range of our own scanners, m. A server of a socket states its own.
 NEAREST = {"rplidar": LEAST_RANGE, "realsense": LEAST_DEPTH}
-# As a source of tags: the robot has none, whatever its preset says.
+# The source of tags of a robot without any, whatever its preset says.
 NO_TAGS = "none"
 # Cameras of our own that tags come from: each as a source, and its configuration.
 _Cameras = list[tuple[str, RobotCameraConfig]]

@@ -11,13 +11,13 @@ from typing import Any
 from tfg_drake.hardware.device import DeviceError, Driver
 from tfg_drake.hardware.process import TICK
 
-# How long to wait for a device's first message, s.
+# Time to wait for a device's first message, s.
 PATIENCE = 10.0
-# A device that says nothing for so long is opened again, or is a new connection, s.
+# Silence after which a device is opened, or connected, again, s.
 SILENT = 2.0
-# Between two attempts to connect again, s: the first and the last.
+# First and longest time between two attempts to connect, s.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
-# What a sensor says may be this old when it arrives, s; a stamp that is older is of another clock.
+# Greatest age of a message on arrival, s; an older stamp is of another clock.
 OLDEST = 1.0
 
 

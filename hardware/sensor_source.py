@@ -29,10 +29,10 @@ from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 
 T = TypeVar("T", LaserScan, Sweep, TagDetections)
-# How often a process is looked at, s, and after how many looks at which it has said nothing it hangs: ten seconds.
+# Period at which a process is polled, s, and number of silent polls after which it hangs: ten seconds.
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
-# Sensors that hang on this machine, what each is a source of, and what may be named of it.
+# Sensors connected to this machine, the messages of each, and how its source is written.
 OWN = {"camera": "tags", "rplidar": "scan", "realsense": "scan"}
 _OWN_FORMS = {
     "camera": "camera:/dev/video0, camera:http://HOST/STREAM or camera:FILE",

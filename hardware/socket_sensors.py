@@ -18,10 +18,10 @@ from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.table import dtype_of
 
-# A server that does not answer holds up the process for so long, s: less than it may say nothing.
+# Time to wait for a server's answer, s, shorter than the silence after which the process hangs.
 CONNECT_WITHIN = 2.0
 
-# A line that is longer than this is none, bytes.
+# Greatest length of a line, bytes.
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 

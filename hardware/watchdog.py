@@ -14,13 +14,12 @@ from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
-# Without a command younger than this the velocity is zero, and without odometry it is so until it is enabled anew, s.
-# With a tick and the way there the robot has it in 0.6 s.
+# Without a command younger than this, s, the velocity is zero; without odometry, too, until it is enabled again. With a
+# tick and transmission the robot stops within 0.6 s.
 SILENCE = 0.5
-# What a base says of itself must last so long before it stops it, s: a wheel that starts and one garbled frame are no
-# alarm.
+# Duration of a base's own alarm before it is stopped, s, as a starting wheel or a garbled frame is none.
 LASTING = 0.2
-# Reasons that say less than any other.
+# Reasons that yield to any other.
 _NOT_ENABLED = "not enabled yet"
 _NO_ODOMETRY = f"no odometry for more than {SILENCE} s"
 

@@ -17,7 +17,8 @@ from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan, with_noise
 from tfg_drake.vision.mount import CameraMount
 
-# A number between 0 and 1 is so many seeds; another than that of a grey image of the same instant.
+# Number of seeds that a random number in [0, 1) selects from; an offset from the seed of the grey image of that
+# instant.
 _SEEDS, _OTHER = 2**32, 1
 
 

@@ -12,7 +12,7 @@ from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.vision.exposure import exposed
 from tfg_drake.vision.hue import photographed
 
-# A number between 0 and 1 is so many seeds.
+# Number of seeds that a random number in [0, 1) selects from.
 _SEEDS = 2**32
 
 

@@ -15,9 +15,9 @@ from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, w
 from tfg_drake.planning.scripted_drive import end_of_drive
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
-# The path that the mission is told of goes so far ahead of the robot, m: nobody knows where the driver will go.
+# Length of the reported path ahead of the robot, m, as the driver's way is unknown.
 AHEAD = 0.5
-# The mission is told that so much of it is left, m: there is always more to glance at.
+# Reported length that is left of it, m, enough for another glance.
 LEFT = 10.0
 
 

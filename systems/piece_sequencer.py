@@ -13,10 +13,10 @@ from tfg_drake.mission.sequence import initial_status
 from tfg_drake.systems.mission_sequencer import MAPS
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
-# A piece of the way is mapped after this length, m, and so many scans at least: some logs have but one a metre.
+# Length, m, and least number of scans of a piece of the way, as some logs have one scan a metre.
 PIECE_LENGTH = 1.0
 PIECE_SCANS = 2
-# What is said of a recording at its end.
+# The reason of the outcome at a recording's end.
 ENDED = "all of the recording is mapped"
 
 

@@ -12,7 +12,7 @@ from tfg_drake.storage.foxglove import PATH, POSE
 from tfg_drake.storage.port_recording import PortWriter
 from tfg_drake.systems.ports import PERIOD, MessageInputs, connect_by_name
 
-# What an explorer says that is recorded to be shown.
+# Ports of an explorer that are recorded for display.
 SHOWN = ("pose", "path", "map", "tfg", "landmarks")
 
 

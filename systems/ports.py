@@ -24,11 +24,11 @@ from pydrake.systems.framework import (
 
 from tfg_drake import messages
 
-# Period of the odometry, s, and of all that listen to it; a power of two, so that they do at the same instants.
+# Period of the odometry and of its consumers, s; a power of two, so that their instants coincide.
 PERIOD = 1.0 / 16.0
-# Period of the base, its commands and the filter before it, s.
+# Period of the base, its commands and the safety filter, s.
 COMMAND_PERIOD = 1.0 / 32.0
-# What the ports carry that systems have in common: whatever is called so is such a message, in and out.
+# Message of each port name that systems share, as input and as output.
 KINDS: Mapping[str, type] = {
     "odometry": messages.Odometry,
     "hazards": messages.Hazards,

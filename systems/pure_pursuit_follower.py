@@ -12,12 +12,12 @@ from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import PERIOD, MessageInputs, declare_message_output
 
-# An observation lasts this long at least, s: a tag is seen in several frames.
+# Least duration of an observation, s, in which a tag is seen in several frames.
 LOOK_TIME = 0.75
 
-# A robot that was told to move and has not for this long is held up, s.
+# A robot that has not moved for this time, s, despite a command is held up.
 PATIENCE = 3.0
-# One that is held up for so long, s, this near to its goal, m, is there: a corner may let it no nearer.
+# One held up for SHORT_PATIENCE, s, within AT_GOAL, m, of its goal has arrived, as a corner may let it no nearer.
 SHORT_PATIENCE, AT_GOAL = 0.5, 0.2
 
 # The discrete state: time of the last update, s; when the running turn began, s, how far it has turned and the last

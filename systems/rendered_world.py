@@ -41,12 +41,12 @@ from tfg_drake.world.scene import SceneConfig, make_scene
 from tfg_drake.world.world import World
 
 _RENDERER = "vtk"
-# What is nearer to the lens, m, is not drawn, nor what is farther; a building is smaller.
+# Least and greatest distance that is rendered, m; a building is smaller.
 _NEAREST, _FARTHEST = 0.03, 100.0
-# Lamps on three sides of every wall, so far away that they shine alike everywhere: rad above the horizon.
+# Headings of three directional lamps, and their height above the horizon, rad.
 _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20.0)
 
-# How tall people are, m, and the grey levels of what they wear and of the sky.
+# Height of people, m, and grey levels of their clothes and of the sky.
 _TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
 # Drake's renderer has the optical axis at (center_x, center_y) from the corner of the first pixel, ours is from its
 # centre: an edge in the axis shows so in colour and in depth (RenderEngineVtk, Drake 1.51).

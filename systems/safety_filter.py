@@ -29,9 +29,9 @@ from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-# Scans in a row before it is said why the base stands that is told to drive: about two seconds.
+# Number of scans in a row, about two seconds, after which the reason is reported why the base stands despite a command.
 _HELD_SCANS = 20
-# What stops the base is no farther from where it is to stop than this, m: noise, and its way while it brakes.
+# Greatest distance of the obstacle that stops the base beyond the stop distance, m: noise, and its way while it brakes.
 _NEAR = 0.1
 _BLOCKED = "something stands in its way; it may turn on the spot, and goes on when its way is free"
 

@@ -29,7 +29,7 @@ from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
 
-# Odometry of a recording that is silent for so long, s, has ended.
+# A recording's odometry has ended after this time without a message, s.
 SILENCE = 1.0
 
 

@@ -10,7 +10,7 @@ from tfg_drake.systems.ports import MessageInputs
 from tfg_drake.world.changing import WorldNow
 from tfg_drake.world.world import World
 
-# Period of what changes or walks about there, s.
+# Period at which people and changes are updated, s.
 PERIOD = 1.0 / 8.0
 
 

@@ -16,7 +16,7 @@ from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import empty_map, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 
-# Scans kept of a glance: the robot moves, and they are taken to have been taken where it began.
+# Number of scans kept of a glance, as all are assumed at its start although the robot moves.
 GLANCE_SCANS = 3
 
 

@@ -20,15 +20,15 @@ from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.systems.ports import MessageInputs, connect_by_name
 
-# Poses a simulated second, and how many of them to a scan and to a look at what changes seldom: the page draws what
-# lies between.
+# Poses per simulated second, and number of poses per scan and per check of slowly changing layers; the page
+# interpolates.
 RATE = 8.0
 POSES_A_SCAN, POSES_A_LOOK = 4, 2
 
 _MESSAGES = ("map", "tfg", "roadmap", "goal", "path", "grid", "mission", "pose", "scan", "local_roadmap", "landmarks")
-# What it hears of the station.
+# Its inputs by the station's ports.
 _HEARD_AS = {"scan": "scan.ranges", "enabled": "base.enabled", "truth": "truth.pose", "people": "truth.people"}
-# The layers of a message that has several.
+# Layers of messages that have several.
 _LAYERS = {
     "map": ("map", "wall_landmarks"),
     "goal": ("goal", "gains"),

@@ -30,26 +30,26 @@ from tfg_drake.systems.rendered_world import PlanarPose
 from tfg_drake.systems.timeline_recorder import TimelineRecorder
 from tfg_drake.world.world import World
 
-# Of words and legend, m: above Meshcat's own grid.
+# Height of text and legend above Meshcat's grid, m.
 PLATE_HEIGHT = 0.05
-# Height of a stop's number, symbols; how many standard deviations are drawn.
+# Height of a stop's number, in symbols; number of standard deviations that are drawn.
 NUMBER, SIGMAS = 3.0, 3.0 * MAGNIFIED
-# Where nothing is, for Meshcat to tell whether it records.
+# An empty path by which Meshcat shows whether it records.
 PROBE = "/tfg/recorded"
-# Between two scans, or lines of words, that a recording keeps, s.
+# Period of the scans and lines of text in a recording, s.
 RECORDED = 2.0
-# Of the trail a piece has so many steps of this length, m; the words are written so often, s.
+# Number and length, m, of the steps of a piece of the trail; period of the text, s.
 TRAIL_STEPS, TRAIL_STEP, WORDS = 16, 0.25, 1.0
-# Of a layer a recording takes no more on average, bytes a simulated second: a grid changes all the time.
+# Greatest mean rate of a layer in a recording, bytes per simulated second, as a grid changes all the time.
 RECORDED_RATE = 50e3
-# The camera: what it sees from top to bottom, rad, how steeply it looks down, rad, and the narrowest window, width over
-# height, that shows all of the building.
+# The camera: vertical field of view, rad, elevation, rad, and the least aspect ratio of a window that shows the whole
+# building.
 VIEW_ANGLE, ELEVATION, ASPECT = math.radians(35.0), math.radians(58.0), 1.5
 
 _log = logging.getLogger("tfg_drake.visualizer")
 
 
-# The layers that are tables, those of which there is one record at a time, and those seen while the robot drives.
+# Layers that are tables; layers with one record at a time, and those shown while the robot drives.
 TABLES = ("map", "wall_landmarks", "tfg", "frontiers", "gains")
 RECORDS, DRIVING = ("path", "goal", "grid"), ("path", "goal")
 

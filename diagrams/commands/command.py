@@ -33,7 +33,7 @@ EXIT_CODES = {
     "fault": 3,
     "interrupted": 130,
 }
-# Tags nearer to each other than this would lie on top of one another, m.
+# Least spacing of tags, m, below which they would overlap.
 LEAST_SPACING = 0.05
 
 # The signals that end a command.

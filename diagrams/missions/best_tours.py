@@ -19,7 +19,7 @@ from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.storage.trajectory import read_tum
 from tfg_drake.world.world import World
 
-# Changes when the search does: what another one found is not taken for its own.
+# Version of the search; stored tours of another one are not used.
 SEARCH = 2
 
 

@@ -26,9 +26,9 @@ from tfg_drake.world.reachability import (
 )
 from tfg_drake.world.world import World
 
-# So much of the reachable cells is all but corners that a scan happens to miss.
+# Share of the reachable cells that counts as all, as a scan may miss corners.
 NEARLY_ALL = 0.99
-# Scans this near to where a turn or glance began count, and a robot this near to its start has not driven yet, m.
+# Scans within this distance, m, of a turn's or glance's start count; a robot within it of its start has not driven.
 IN_PLACE = 0.1
 
 

@@ -24,10 +24,10 @@ from tfg_drake.planning.requested_goal import goal_there
 from tfg_drake.storage.run import Run, load_run
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
-# A goal asked for is the reachable place of the roadmap next to it, no farther away than this, m; so near the robot has
-# got there.
+# Greatest distance, m, of a requested goal from the nearest reachable node, which takes its place, and of the robot
+# from a goal that it has reached.
 NEXT_TO_GOAL = 0.5
-# Of a run's summary, what a fork cannot do without.
+# Fields of a run's summary that a fork needs.
 _NEEDED = ("method", "contacts", "outcome", "sim_time_s", "scenario", "world", "version")
 
 

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.systems.visualizer import TfgVisualizer
 
-# Whose CPU time counts as the estimator's, as a stage's planning, and as the planner's on the whole.
+# Systems whose CPU time is the estimator's, a stage's planning, and all planning.
 ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
 PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
@@ -75,12 +75,12 @@ PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 # The fields of a line of stages.jsonl, null where a map does not tell them.
 STAGE_FIELDS: tuple[str, ...] = ("stage", "goal", "exploitation", "exploration", "pose_price", "predicted_gain")
 STAGE_FIELDS += ("realised_gain", "time_s", "entropy_nats", "landmarks")
-# Time between two looks at the mission, s, simulated; a stage takes several times as long. A mission that is farther
-# behind the clock does not keep real time.
+# Simulated time between two checks of the mission, s, a fraction of a stage. A mission farther behind the clock does
+# not keep real time.
 STEP = 1.0
-# A robot that observes this near to its goal was there, m.
+# Greatest distance from its goal, m, of a robot that has reached it.
 AT_GOAL = 0.3
-# A simulated robot begins this near to the world's start, m and rad.
+# Greatest distance of a simulated robot from the world's start, m and rad.
 AT_START = 0.01
 
 T = TypeVar("T")
@@ -122,7 +122,7 @@ class Departure:
     covariance: FloatArray
 
 
-# What a mission has noted of itself, besides its Context: in a checkpoint, annotated.
+# State of a mission besides its Context, with annotations for the checkpoint.
 STATE: Mapping[str, Any] = {
     "stages": list[dict[str, int | float | list[float] | None]],
     "departures": list[Departure],

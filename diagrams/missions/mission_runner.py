@@ -24,10 +24,10 @@ from tfg_drake.storage.checkpoint import CheckpointError
 if TYPE_CHECKING:
     from tfg_drake.mission.clock import Clock
 
-# Time between two looks at a real robot's mission, and at the wishes of a page, simulated s; of wall time while its
-# clock is held.
+# Simulated time between two checks of a real robot's mission, and of a page's requests, s; wall time while the clock is
+# held.
 WATCHED_STEP = 0.125
-# Share of the time that looks at the area seen take at most: of a large building one takes a tenth of a second.
+# Greatest share of the time spent on the seen area, which takes a tenth of a second in a large building.
 AREA_SHARE = 0.02
 
 _log = logging.getLogger("tfg_drake.run")

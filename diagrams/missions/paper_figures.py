@@ -25,20 +25,20 @@ from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg
 from tfg_drake.planning.candidates import GoalParameters
 
-# The stage whose gains are drawn, half-way: much is known, much is open.
+# The stage whose gains are drawn, half-way through the mission.
 GAIN_STAGE = 60
-# Pictures of the map's growth.
+# Number of pictures of the map's growth.
 GROWTH = 4
-# Simulated time between two looks at the mission, s.
+# Simulated time between two checks of the mission, s.
 STEP = 0.5
 LONGEST = 3600.0
-# Missions of each method for Table II, as many as the paper's Fig. 8 is of.
+# Number of missions per method for Table II, that of the paper's Fig. 8.
 RUNS = 4
-# The push of Sec. IV-C, whose size is not printed, and who is pushed: a robot that is active, one that somebody drives
-# who knows the building, and one with a grid.
+# The push of Sec. IV-C, whose size is not printed, and the methods that are pushed: active, driven by an expert, and
+# with a grid.
 PUSH = DisturbanceConfig(time=120.0, duration=1.0, ahead=-0.5, turn=0.5)
 DISTURBED = ("tfg", "scripted", "grid-nearest")
-# Each figure, what it shows, and what the paper says of its own.
+# Each figure, its content, and the paper's statement.
 PAGE = (
     ("tfg.png", "Fig. 3: the TFG and goal points", "vertices are features, edges obstacle surfaces."),
     (

@@ -25,9 +25,9 @@ from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.sweep import POLL, SweepError, attempt, folder_of, run_of
 from tfg_drake.io.extras import pip_install
 
-# A mission whose worker or machine died is begun again this often.
+# Number of new attempts at a mission whose worker or machine died.
 RETRIES = 3
-# How long a cluster may take to answer, s.
+# Time to wait for a cluster's answer, s.
 _PATIENCE = 5.0
 
 

@@ -43,11 +43,11 @@ from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
 
-# Mission and map are kept no more often than takes this share of the time on the wall: of one that is killed a few
-# seconds of work are lost, ten in a large building.
+# Greatest share of the wall time spent on saving mission and map: a killed mission loses a few seconds of work, ten in
+# a large building.
 KEPT_SHARE = 0.03
 
-# Of the summary, what is too long for the page's last card.
+# Fields of the summary that are too long for the page's last card.
 TOO_LONG = ("open_edges", "openings")
 
 _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_drake.world")

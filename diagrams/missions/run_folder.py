@@ -18,7 +18,7 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.config import ROBOTS
 from tfg_drake.io.files import open_inside
 
-# What a run leaves in its folder; task.json is a comparison's, which goes on where it ended.
+# Files that a run leaves in its folder; task.json is that of a comparison, which continues where it ended.
 RESULTS: tuple[str, ...] = (
     "log.txt",
     "stages.jsonl",
@@ -34,11 +34,11 @@ RESULTS: tuple[str, ...] = (
     "known_map.npz",
 )
 RESULTS += ("trajectory.tum", "truth.tum", "online.tum")
-# Kept free for the last map and the summary of a disk that is full, bytes: the files that a run writes at its end take
-# 2 MB after ten minutes, 10 MB after an hour.
+# Disk space reserved for the last map and the summary, bytes; the files that a run writes at its end take 2 MB after
+# ten minutes, 10 MB after an hour.
 RESERVE = 16 * 2**20
 
-# What remarks what an operator is to see at once.
+# Loggers whose remarks an operator sees at once.
 REMARKING = (
     "hardware",
     "notes",

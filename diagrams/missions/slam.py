@@ -44,9 +44,9 @@ from tfg_drake.storage.trajectory import write_tum
 
 _log = logging.getLogger("tfg_drake.slam_command")
 
-# Settings of a recording's scanner begin so.
+# Prefix of the settings of a recording's scanner.
 _SCANNER = "hardware.scanner."
-# What the summary says where a reference is known.
+# Fields of the summary with a reference.
 _AGAINST_TRUTH = ("relative_translation_m", "relative_rotation_rad", "robot_rmse_m", "online_rmse_m")
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from tfg_drake.percent import percent
 from tfg_drake.planning.openings import REACH
 
-# So many openings are named on a screen and on the page, those with the most unknown behind them; all are counted. The
-# screen has as many notes.
+# Number of openings named on a terminal and on the page, those with the most unknown behind them; all are counted. The
+# terminal has as many notes.
 ON_SCREEN, ON_PAGE = 3, 20
 
 

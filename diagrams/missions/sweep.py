@@ -37,7 +37,7 @@ from tfg_drake.diagrams.screen import say
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
-# How often an interrupt is looked for, s.
+# Period at which an interrupt is checked, s.
 POLL = 0.2
 
 

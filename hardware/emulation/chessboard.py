@@ -9,13 +9,12 @@ from scipy.spatial.transform import Rotation
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image
 
-# Inner corners along and down, side of a square, m.
+# Inner corners in a row and in a column, side of a square, m.
 COLUMNS, ROWS, SQUARE = 9, 6, 0.025
-# Pixels of a square's side in the board's own picture, how many times finer than the image it is drawn, and the grey
-# level beside it.
+# Pixels of a square's side in the board's texture, oversampling of the drawn image, and grey level of the background.
 _CELL, _FINER, _BESIDE = 40, 3, 128
-# How far it is tilted to any side and turned, rad, how near and far it is held, m, and how far from the middle, as a
-# share of the distance.
+# Greatest tilt and turn, rad, least and greatest distance, m, and greatest offset from the middle, as a share of the
+# distance.
 _TILT, _TURN, _NEAR, _FAR, _ASIDE = 0.5, 0.3, 0.32, 0.45, 0.22
 
 

@@ -31,10 +31,10 @@ from tfg_drake.world.world import World, bare_world
 MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
 # A full battery, 0.1 V.
 FULL = 165
-# What a base says besides in every frame, by ids and lengths of its sub-payloads: dock, cliff sensors' voltages,
-# currents, samples of the gyro, expansion port.
+# Other sub-payloads of every frame by id and length: dock, voltages of the cliff sensors, currents, samples of the
+# gyro, expansion port.
 _BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
-# How late a late frame is, s.
+# Delay of a late frame, s.
 DELAY = 0.2
 
 

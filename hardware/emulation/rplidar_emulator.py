@@ -19,7 +19,7 @@ from tfg_drake.hardware.rplidar.codec import Command, Health, Node
 from tfg_drake.messages import FloatArray
 from tfg_drake.simulation.laser_scanner import scan
 
-# Rays a second, and revolutions, as an A1 has them.
+# Rays and revolutions per second of an A1.
 RAYS, TURNS = 2000.0, 5.5
 
 

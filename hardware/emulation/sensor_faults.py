@@ -83,7 +83,7 @@ def _certain(tags: TagDetections, value: float) -> TagDetections:
     return replace(tags, sigma_range=sigma, sigma_bearing=sigma)
 
 
-# By sensor and name: what makes the fault of its numbers.
+# Constructors of the faults by sensor and name.
 FAULTS: dict[str, dict[str, Callable[..., Fault]]] = {
     "scan": {
         "silent": lambda: lambda _: None,

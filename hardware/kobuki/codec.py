@@ -22,7 +22,7 @@ BAUD_RATE = 115200
 # Time between two frames of feedback, s.
 PERIOD = 0.02
 HEADER = b"\xaa\x55"
-# Least and greatest length of a payload: one sub-payload with a byte of data; what the length's byte can say.
+# Least and greatest length of a payload: one sub-payload with a byte of data; the greatest value of the length's byte.
 MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
 
 

@@ -15,7 +15,7 @@ from tfg_drake.messages import replace
 if TYPE_CHECKING:
     import serial
 
-# The major number of the firmware whose protocol this is.
+# Major version of the firmware that speaks this protocol.
 _MAJOR = "1"
 
 

@@ -23,8 +23,8 @@ _VERSIONS = p.RequestExtra(p.Extra.HARDWARE | p.Extra.FIRMWARE | p.Extra.UNIQUE_
 # The first LED is orange while it may not move, green while it may.
 _ORANGE, _GREEN = p.Output.RED | p.Output.GREEN, p.Output.GREEN
 _TUNE_ON, _TUNE_OFF = p.SoundSequence(p.Tune.ON), p.SoundSequence(p.Tune.OFF)
-# Told to move at least so fast, m/s or rad/s, for so long, s, without a tick: the wheels are blocked or their encoders
-# stuck.
+# The wheels are blocked or their encoders stuck if the base is commanded at least this speed, m/s or rad/s, for this
+# time, s, without a tick.
 _MOVES, _TURNS, _WITHOUT_TICK = 0.05, 0.3, 0.4
 _STOP = p.BaseControl()
 

@@ -18,9 +18,9 @@ import time
 from tfg_drake.hardware import process
 from tfg_drake.hardware.kobuki.codec import BaseControl, encode
 
-# After so long without a sign of life the base is told to stop, s.
+# The base is stopped after this time without a sign of life, s.
 SILENCE = 0.3
-# It has so long to answer, and to answer for the first time, while its process starts, s.
+# Time within which the guardian answers, and within which its process starts, s.
 ANSWERS_WITHIN, STARTS_WITHIN = 0.4, 10.0
 
 

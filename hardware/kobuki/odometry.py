@@ -18,27 +18,27 @@ from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.mission.operation import Side
 
-# Distance between the wheels, m, and how far one tick of an encoder takes its wheel, m.
+# Distance between the wheels, m, and way of a wheel per encoder tick, m.
 WHEEL_BASE = 0.230
 METRES_PER_TICK = 8.5292090e-5
-# The unit of the gyro's angle, rad, and of its rate, rad/s.
+# Unit of the gyro's angle, rad, and rate, rad/s.
 GYRO_UNIT = math.radians(0.01)
-# No wheel moves and no base turns faster, m/s and rad/s: twice the base's top speeds, and more than its gyro measures.
+# Greatest speed of a wheel, m/s, and turn rate, rad/s: twice the base's limits, and more than its gyro measures.
 _FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
-# Frames farther apart than this are no longer reckoned between, s: the base was not connected. As often it says how it
-# is.
+# Longest time between two frames, s, over which odometry continues; beyond it the base was not connected. Also the
+# period of its state reports.
 LONGEST_GAP = 1.0
-# Without a tick for this long the base is at rest, s: longer than what lies between two looks at its newest message.
+# The base is at rest after this time without a tick, s, longer than the period at which its newest message is read.
 _REST = 0.1
-# The wheels have turned the base so far, rad, while the gyro's angle has not changed by a unit: the gyro is stuck.
+# The gyro is stuck if its angle does not change while the wheels turn the base by this, rad.
 _UNNOTICED = 0.15
-# Gyro and wheels may disagree by this share of the wheels' turn, as wheels slip, and at this rate, rad/s, as they are
-# not quite alike. What is more adds up; at _APART, rad, gyro or wheels are wrong. What no slip explains, as where the
-# gyro tells more turn than the wheels, adds up at _PUSHED, rad/s, at the most: a push turns a base far, not for long.
+# Gyro and wheels may differ by the share _SLIP of the wheels' turn, as wheels slip, and by the rate _UNLIKE, rad/s, as
+# they are not quite equal. The excess is summed; at _APART, rad, gyro or wheels are wrong. An excess that no slip
+# explains, as when the gyro turns more than the wheels, grows by at most _PUSHED, rad/s, as a push is strong but short.
 _SLIP, _UNLIKE, _APART, _PUSHED = 0.3, 0.05, 0.5, 0.15
-# Below these the vendor calls the battery low, and dangerously so, V.
+# The vendor's limits of a low and of a dangerously low battery, V.
 LOW, DANGEROUS = 14.0, 13.2
-# Why its clock may jump.
+# The reason given for a jump of the base's clock.
 _RESTARTED = "it was started anew, or frames arrive out of order"
 
 

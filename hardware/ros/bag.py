@@ -26,19 +26,19 @@ from tfg_drake.notes import Note
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "tf2_msgs/TFMessage"
 KINDS = (SCAN, ODOMETRY, TRANSFORMS, "tf/tfMessage")
 STATIC = "tf_static"
-# The body where odometry does not name it (REP 105).
+# Frame of the body if odometry does not name it (REP 105).
 BODIES = ("base_footprint", "base_link")
-# Least cosine of the tilt of what is upright: 8 degrees.
+# Least cosine of the tilt of an upright sensor, of 8 degrees.
 UPRIGHT = 0.99
-# A transform whose numbers change by no more than this stays as it is, m and parts of a quaternion.
+# A transform that changes by at most this, m and components of a quaternion, is constant.
 _FIXED = 1e-3
-# What is believed of a scanner's place and direction where they are told, and where they are not, m and rad.
+# Deviations of a scanner's mount if the bag states it, and if not, m and rad.
 TOLD, UNTOLD = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02), ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
-# Stamps that so many messages share, on average, are none of theirs.
+# Stamps that this many messages share on average are not used.
 _SHARED = 3
 # By frame its parent, and its pose (4, 4) there.
 Transforms = dict[str, tuple[str, FloatArray]]
-# What can be said of a scanner by hand.
+# The option that states a scanner's mount.
 SAID = "--set hardware.scanner.KEY=VALUE"
 
 

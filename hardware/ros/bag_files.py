@@ -25,15 +25,15 @@ from mcap.opcode import Opcode
 from tfg_drake.datasets.recording import DatasetError
 from tfg_drake.io.yaml_text import parse_yaml
 
-# What files begin with.
+# First bytes of the file formats.
 _MCAP, _SQLITE, _ROS1, _ZSTD = b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n", b"\x28\xb5\x2f\xfd"
 # Suffixes of files of a bag; a recorder that packs whole files adds another to them.
 SUFFIXES = (".mcap", ".db3", ".bag", ".active")
 _PACKED = (".zstd", ".zst")
 METADATA = "metadata.yaml"
-# What is packed stands for so many bytes at most, or for so many times its own: scans of nothing shrink much.
+# Greatest unpacked size, bytes, or as a multiple of the packed size, as scans without returns shrink much.
 LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
-# A record or a message has at most so many bytes: an image is there to be passed over.
+# Greatest size of a record or message, bytes; images are skipped.
 _LARGEST = 256 * 2**20
 
 

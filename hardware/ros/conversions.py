@@ -30,24 +30,24 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagNoise, in_plane
 from tfg_drake.vision.tag_position import LEAST_RANGE, tag_positions
 
-# A robot whose odometry tells no more motion than this has not turned a wheel: m or m/s, and rad/s.
+# A robot is at rest if its odometry shows at most this motion: m or m/s, and rad/s.
 REST, REST_TURN_RATE = 1e-5, 1e-3
-# A quaternion whose length is off by no more was rounded. A range this near to range_max, m, is one that met nothing:
-# drivers write that, or what their steps make of it.
+# Greatest error of a quaternion's length by rounding. A range within NO_RETURN, m, of range_max is no return, as
+# drivers write range_max for it.
 OFF_UNIT, NO_RETURN = 0.05, 1e-3
-# Nobody says better where a robot is, m and rad.
+# Least deviations of a pose that a person states, m and rad.
 LEAST_SAID = 0.05
 # Columns of a plain detections message, see `plain_detections`.
 COLUMNS = ("id", "range", "bearing", "sigma_range", "sigma_bearing")
 # sensor_msgs/PointField: its datatypes 1 to 8 as numpy's.
 _DATATYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-# Fields and bytes of a point in a PointCloud2, at most.
+# Greatest number of fields and of bytes of a point in a PointCloud2.
 _MOST_FIELDS, _LONGEST_POINT = 100, 4096
-# A battery whose charge is at most such a share is low, or dangerously so. More than the last is told in percent.
+# Charge of a low and of a dangerously low battery, as a share. A value above the last one is in percent.
 LOW_CHARGE, DANGEROUS_CHARGE, GREATEST_SHARE = 0.15, 0.05, 1.5
 # sensor_msgs/BatteryState.power_supply_status.
 _CHARGING = 1
-# A ROS stamp is below that (the year 2242), s. Between two rays of a sweep lies less, s.
+# Upper bound of a ROS stamp (the year 2242), s, and of the time between two rays of a sweep, s.
 _LAST_STAMP, _RAY_TIME = 2**33, 1.0
 
 

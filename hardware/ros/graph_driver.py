@@ -21,7 +21,7 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 Send = Callable[[dict[str, Any]], None]
 D = TypeVar("D", bound="GraphDriver")
-# By what a topic is wanted for: its key in a preset's `topics`, and the kind of its messages.
+# The key in a preset's `topics`, and the kind of its messages, by the purpose of a topic.
 KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
 

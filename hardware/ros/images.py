@@ -16,7 +16,7 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import Sighting, TagNoise
 from tfg_drake.vision.tag_eyes import TagEyes
 
-# By an image's encoding: bytes a pixel, and where in them red, green and blue are; one byte is grey.
+# Bytes per pixel and positions of red, green and blue in them, by encoding; one byte is grey.
 ENCODINGS = {
     "mono8": (1, (0,)),
     "8UC1": (1, (0,)),

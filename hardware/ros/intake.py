@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from tfg_drake.hardware.ros.images import ImageTags
 
 
-# The clock is learned from this much odometry before anything is believed, s.
+# Duration of odometry from which the clock's offset is learnt before any message is passed on, s.
 LEARN = SILENCE
-# The offset is the least delay of the newest one to two spans of this, s, and changes no faster than that, s/s, so that
+# The offset is the least delay over the newest one to two spans of SPAN, s, and changes by at most SLEW, s/s, so that
 # stamps keep their order.
 SPAN = 10.0
 SLEW = 1e-3
-# The robot's clock may differ from the host's by this, s; what a camera sees may be OLDEST when it arrives. A stamp
-# that is farther in the future, or before the one before it, is a jump of the clock.
+# Greatest difference of the robot's clock from the host's, s; an image may be OLDEST old on arrival. A stamp farther in
+# the future, or before the previous one, is a jump of the clock.
 JUMP = MAX_SKEW = AHEAD
 
 

@@ -111,7 +111,7 @@ class Publish:
     tf: _Name = "/tf"
 
 
-# By the key in `publish`: the type, and whether a late listener gets the newest message.
+# Type of each key in `publish`, and whether a late subscriber gets the newest message.
 PUBLISHED = {
     "map": ("nav_msgs/msg/OccupancyGrid", True),
     "markers": ("visualization_msgs/msg/MarkerArray", True),
@@ -136,9 +136,9 @@ class Preset:
     discovery: Annotated[str, OneOf(("subnet", "localhost"))] = "subnet"
 
 
-# What tags may be looked for in.
+# Types of images in which tags can be detected.
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-# The types that a topic may have, by its key in `topics`.
+# Permitted types of a topic by its key in `topics`.
 TYPES = {
     "odometry": ("nav_msgs/msg/Odometry",),
     "scan": ("sensor_msgs/msg/LaserScan",),

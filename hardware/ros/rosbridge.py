@@ -18,7 +18,7 @@ from tfg_drake.hardware.ros.graph_driver import Graph
 from tfg_drake.hardware.ros.preset import Topic
 from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, PATIENCE
 
-# What of a slow connection only the newest is wanted.
+# Types of which a slow connection delivers only the newest message.
 STREAMS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CameraInfo")
 
 Receive = Callable[[Any, float], None]

@@ -14,7 +14,7 @@ import math
 import operator
 import struct
 
-# Of the A1 and most of the A2, and of the A2M7, A2M12 and A3.
+# Baud rates of the A1 and most of the A2, and of the A2M7, A2M12 and A3.
 BAUD_RATES = (115200, 256000)
 
 
@@ -37,16 +37,16 @@ class Health(enum.IntEnum):
     FAILED = 2
 
 
-# By command: the type of its answer and its length, and whether answers go on.
+# Type and length of the answer to each command, and whether answers continue.
 ANSWERS = {Command.GET_INFO: (0x04, 20, False), Command.GET_HEALTH: (0x06, 3, False), Command.SCAN: (0x81, 5, True)}
 # The motor's duty, of 1023, at which an A2 or A3 turns ten times a second.
 DUTY = 660
 
 _NODE = struct.Struct("<BHH")
-# Nodes that must follow each other well before the first is believed: after bytes were lost, and else, for a node whose
-# last bytes are lost looks well itself.
+# Number of consecutive plausible nodes before the first is passed on: after lost bytes, and otherwise, as a node whose
+# last bytes are lost looks plausible itself.
 _RUN, _NEXT = 6, 2
-# From one node to the next the angle grows by at most that, and falls by at most that, degrees.
+# Greatest increase and decrease of the angle from one node to the next, degrees.
 _AHEAD, _BACK = 20.0, 3.0
 
 

@@ -19,7 +19,7 @@ from tfg_drake.hardware.sensor_reader import PATIENCE, SILENT, SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
-# How long to wait for an answer, and for a scanner that was reset, s.
+# Time to wait for an answer, and for a scanner after a reset, s.
 ANSWER_WITHIN, RESET_WITHIN = 0.5, 1.0
 
 

@@ -17,13 +17,13 @@ from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.rplidar.codec import Node
 
-# How far the models see, m, and how near all of them; standard deviation of a range, m.
+# Greatest range of each model, least range of all, and standard deviation of a range, m.
 RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02
-# Rays that make a turn, at least.
+# Least number of rays of a revolution.
 _FEWEST = 30
-# Turns that are remembered, four seconds of an A1's.
+# Number of revolutions kept, four seconds of an A1.
 _REMEMBERED = 24
-# A turn that seems late by so much of a turn, so often in a row, was not late: one before it was lost.
+# If _IN_A_ROW revolutions in a row seem late by the share _LATE of one, an earlier one was lost.
 _LATE, _IN_A_ROW = 0.5, 5
 
 
