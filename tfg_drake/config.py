@@ -67,7 +67,7 @@ class RobotConfig:
 
 @dataclasses.dataclass
 class OdometryConfig:
-    """Wheel encoders and gyro, and what the estimator believes of them."""
+    """Wheel encoders and gyro: their data sheet, which the estimator assumes."""
 
     # Random walk of the distance travelled, m per root metre.
     distance_noise: float = 0.02
@@ -79,8 +79,8 @@ class OdometryConfig:
     gyro_bias: float = 0.001
     # Standard deviation of the constant relative scale error of the gyro, drawn once a run.
     gyro_scale: float = 0.01
-    # Random walk of the position whatever the motion, m per root second: wheels slip a little when turning on the spot,
-    # and no covariance becomes singular.
+    # Random walk of the position independent of the motion, m per root second, as wheels slip a little in turns in
+    # place; it also keeps covariances regular.
     position_noise: float = 5e-4
 
 
@@ -103,16 +103,17 @@ class TagSensorConfig:
     bearing_noise: Annotated[float, Bounds(0.0, 1.0)] = 0.01
     # Probability that a visible tag is detected in a frame.
     detection_probability: Annotated[float, Bounds(0.0, 1.0)] = 1.0
-    # Probability that a detection is a gross error in range and bearing, or bears another tag's id. Not told either.
+    # Probability that a detection is a gross error in range and bearing, or has another tag's id. The estimator does
+    # not know it.
     outlier_probability: Share = 0.0
     wrong_id_probability: Share = 0.0
-    # Ratio of measured to true range, 1 for no error. The estimator is not told.
+    # Ratio of measured to true range, 1 for no error. The estimator does not know it.
     range_scale: Positive = 1.0
-    # How far the camera may look aside, rad, and its clock be off the base's, s, as standard deviations. Both are
-    # learnt with the map; 0 where they are known.
+    # Standard deviations of the camera's yaw, rad, and of its clock against the base's, s. Both are learnt with the
+    # map; 0: exactly known.
     yaw_deviation: Annotated[float, NotNegative(), Radians()] = 0.0175
     clock_deviation: float = 0.05
-    # How far from its place it may sit, ahead and to the side, m, and its ranges be too long, as a share. Likewise.
+    # The same of its place, ahead and to the side, m, and of the relative error of its ranges.
     mount_deviation: float = 0.005
     range_scale_deviation: Share = 0.01
 
@@ -121,7 +122,7 @@ class TagSensorConfig:
 class ScanConfig:
     """The planar laser scanner."""
 
-    # Greatest range, m, and the least: nearer it sees nothing, as a depth camera within some 0.45 m.
+    # Greatest and least range, m; a depth camera's least range is some 0.45 m.
     range: Positive = 10.0
     least_range: float = 0.0
     # Field of view, rad (124 degrees).
@@ -132,13 +133,13 @@ class ScanConfig:
     rate: Annotated[float, Bounds(1.0, 1000.0)] = 10.0
     # Range noise, m.
     noise: float = 0.015
-    # How far it may look aside, rad, sit from its place, ahead and to the side, m, its clock be off the base's, s, and
-    # its rays be taken one after the other, s/rad, as standard deviations. All are learnt with the map.
+    # Standard deviations of its yaw, rad, of its place, ahead and to the side, m, of its clock against the base's, s,
+    # and of the delay of its rays per angle, s/rad. All are learnt with the map.
     yaw_deviation: Annotated[float, NotNegative(), Radians()] = 0.01
     mount_deviation: float = 0.005
     clock_deviation: float = 0.02
     sweep_deviation: float = 0.02
-    # Looks that a new wall needs; of a recording with few scans a metre one may have to do.
+    # Number of looks that a new wall needs; of a recording with few scans per metre one has to suffice.
     least_looks: int = 3
 
 
@@ -146,8 +147,8 @@ class ScanConfig:
 class StationConfig:
     """The parts of the simulated station."""
 
-    # What it sees with, one of EYES. Saying `camera` also sets in the sections tags and scan what such a camera's data
-    # sheet says; what is set after that holds.
+    # Its sensors, one of EYES. `camera` also sets the sections tags and scan to such a camera's data sheet; later
+    # settings override it.
     eyes: Annotated[str, OneOf(EYES)] = "ideal"
 
 
@@ -155,15 +156,15 @@ class StationConfig:
 class CameraConfig:
     """The camera that sees colour and depth, where `station.eyes` is one, and the building that it looks at.
 
-    How much of the surroundings it sees, how far and how often, say the sections tags (colour) and scan (depth).
+    Its field of view, range and rate are in the sections tags (colour) and scan (depth).
     """
 
     # Pixels.
     width: Annotated[int, Whole(), Bounds(64.0, 4096.0)] = 640
     height: Annotated[int, Whole(), Bounds(64.0, 4096.0)] = 480
-    # The lens above the floor, m.
+    # Height of the lens above the floor, m.
     mount_height: Positive = 0.3
-    # Sides of the tags' black squares, their centres above the floor, and the walls' height, m.
+    # Side of the tags' black squares, height of their centres above the floor, and height of the walls, m.
     tag_size: Positive = 0.16
     tag_height: Positive = 0.3
     wall_height: Positive = 2.5
@@ -173,22 +174,22 @@ class CameraConfig:
 class SafetyConfig:
     """The filter between any controller and the base."""
 
-    # Without a scan younger than this there is no forward speed, s.
+    # Greatest age of the scan, s, beyond which the base does not drive ahead.
     scan_timeout: Positive = 0.6
-    # Nothing nearer to the robot's outline than this in its direction of travel, m, by the scan.
+    # Least distance of scan points from the robot's outline in its direction of travel, m.
     stop_distance: float = 0.04
-    # How long the base backs away after a bumper hit, s, and how fast, m/s.
+    # Duration, s, and speed, m/s, of backing away after a bumper hit.
     reflex_time: float = 1.0
     reflex_speed: float = 0.1
     # Turn rate of the reflex when only one side was hit, rad/s.
     reflex_turn_rate: float = 0.4
-    # The corridor kept free ahead is this much wider than the base on either side, m.
+    # Width of the corridor that must be free ahead, beyond the base on either side, m.
     side_margin: float = 0.03
 
 
 @dataclasses.dataclass
 class RobotCameraConfig:
-    """The camera of `--tags camera:`, where it sits on the robot, and the tags that it looks for."""
+    """The camera of `--tags camera:`, its mount, and the tags that it detects."""
 
     # The calibration's file, OpenCV's YAML or ROS's camera_info.
     calibration: str = ""
@@ -201,9 +202,9 @@ class RobotCameraConfig:
     yaw: Angle = 0.0
     pitch: Angle = 0.0
     roll: Angle = 0.0
-    # How old an image is when it arrives, s, where neither camera nor stream says when it was taken.
+    # Age of an image on arrival, s, if neither camera nor stream stamps it.
     latency: float = 0.0
-    # Tags are looked for in an image so many times smaller; 1 sees smaller ones in four times the time.
+    # Factor by which an image is reduced before detection; 1 detects smaller tags than 2 and takes four times as long.
     decimation: Annotated[float, Bounds(1.0, 100.0)] = 2.0
     # Threads of the detector.
     threads: Annotated[int, Whole(), Bounds(1.0, 100.0)] = 1
@@ -223,11 +224,11 @@ class RobotScannerConfig:
     flip: bool = False
     # Whether it counts its rays clockwise as seen from above it.
     clockwise: bool = False
-    # What its rays span, rad, where its messages do not say; 0: as they say.
+    # Field of view, rad, if its messages do not state it; 0: as they state.
     field_of_view: float = 0.0
-    # How far its clock is ahead of the odometry's, s.
+    # Lead of its clock over the odometry's, s.
     clock_offset: float = 0.0
-    # A depth camera's scan is of what stands in this band of heights above the floor, m.
+    # Band of heights above the floor, m, from which a depth camera's scan is made.
     low: float = 0.05
     high: Positive = 0.5
 
@@ -236,37 +237,37 @@ class RobotScannerConfig:
 class HardwareConfig:
     """The real robot, where the station is one."""
 
-    # How the base is reached, one of ROBOTS.
+    # The protocol of the base, one of ROBOTS.
     robot: Annotated[str, OneOf(ROBOTS)] = "kobuki"
     # Speed limit of a real robot, m/s, if no other is lower.
     max_speed: Annotated[float, Bounds(0.0, FASTEST)] = 0.3
     # kobuki: the serial port.
     port: str = "/dev/kobuki"
-    # A shipped preset or a YAML file that says what the robot's topics are and where its sensors sit; empty: that of a
-    # turtlebot2 for a kobuki, else of a turtlebot4.
+    # A shipped preset or a YAML file with the robot's topics and mounts; empty: turtlebot2 for a kobuki, otherwise
+    # turtlebot4.
     preset: str = ""
     # rosbridge: HOST:PORT of the server.
     bridge: str = "localhost:9090"
-    # Where tags and scans come from: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics
-    # of the preset; a kobuki has none of its own. Tags also from camera:SOURCE, or several of them with commas between,
-    # or none; scans from rplidar:DEVICE or realsense:[SERIAL].
+    # Sources of tags and scans: ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, or empty for the topics of
+    # the preset; a kobuki has none of its own. Tags also from camera:SOURCE, or several of them separated by commas, or
+    # none; scans from rplidar:DEVICE or realsense:[SERIAL].
     tags: str = ""
     scan: str = ""
-    # What a preset says of sensors on ROS, of those of our own.
+    # Calibration and mount of sensors that are not on ROS; those on ROS are in the preset.
     camera: RobotCameraConfig = dataclasses.field(default_factory=RobotCameraConfig)
-    # Of the second camera and those after it, where tags come from several: camera:SOURCE,camera:SOURCE.
+    # The same for the second and further cameras, if tags come from several: camera:SOURCE,camera:SOURCE.
     more_cameras: list[RobotCameraConfig] = dataclasses.field(default_factory=list)
     scanner: RobotScannerConfig = dataclasses.field(default_factory=RobotScannerConfig)
 
 
 @dataclasses.dataclass
 class DisturbanceConfig:
-    """The base is moved while its wheels notice nothing: they slip, or somebody pushes it."""
+    """The base is moved unnoticed by its wheels: they slip, or somebody pushes it."""
 
-    # When it begins and how long it takes, s.
+    # Start and duration, s.
     time: float = 0.0
     duration: Positive = 1.0
-    # How far the base is moved in all, ahead and to its left, m, and how far it is turned, rad.
+    # Total displacement of the base, ahead and to its left, m, and turn, rad.
     ahead: Signed = 0.0
     left: Signed = 0.0
     turn: Angle = 0.0
@@ -293,12 +294,12 @@ class TagConfig:
 class ChangeConfig:
     """Somebody shuts or opens a door, moves a chair or a tag."""
 
-    # When, s; what would come right beside the robot waits until that has gone, and all later changes with it.
+    # Time, s; a change right beside the robot waits until the robot has gone, as do all later changes.
     time: float = 0.0
-    # Surfaces that come and surfaces that go, [x0, y0, x1, y1] in W, m; what goes may be a piece of a wall.
+    # Surfaces that appear and surfaces that disappear, [x0, y0, x1, y1] in W, m; the latter may be pieces of walls.
     walls: list[Segment] = dataclasses.field(default_factory=list)
     opened: list[Segment] = dataclasses.field(default_factory=list)
-    # Tags that are moved, where they are then, and ids of tags that fall off.
+    # Tags that are moved, at their new places, and ids of tags that fall off.
     tags: list[TagConfig] = dataclasses.field(default_factory=list)
     fallen: list[int] = dataclasses.field(default_factory=list)
 
@@ -316,28 +317,26 @@ class TagRealityConfig:
     outlier_probability: Share | None = None
     wrong_id_probability: Share | None = None
     range_scale: Positive | None = None
-    # From so far, m, half of the tags that are looked at straight are detected, from half as far again none, and from
-    # half of it all; what is looked at aslant counts as that much farther off as it seems narrower. 0: as the data
-    # sheet says.
+    # Range, m, at which half of the tags seen head-on are detected; at 1.5 times it none, at half of it all. The range
+    # of a tag seen obliquely counts divided by the cosine of the incidence. 0: as in the data sheet.
     detection_range: float = 0.0
-    # Range and bearing noise of a tag from one frame to the next fall to 1/e of their correlation in this time, s; 0:
-    # white.
+    # Correlation time of a tag's range and bearing noise, s, after which the correlation has fallen to 1/e; 0: white.
     correlation_time: float = 0.0
-    # Standard deviations of each tag's constant error in range, m, and bearing, rad: it is printed, measured or hung
-    # otherwise than believed.
+    # Standard deviations of each tag's constant error in range, m, and bearing, rad, from print, measurement or
+    # mounting.
     tag_range_error: float = 0.0
     tag_bearing_error: float = 0.0
-    # The camera's clock less the base's, s: a frame's stamp is so much too late.
+    # The camera's clock minus the base's, s, by which the stamp of a frame is too late.
     clock_offset: Signed = 0.0
     # Standard deviation of a stamp's own error, s, and probability that a frame is lost.
     clock_jitter: float = 0.0
     frame_loss_probability: Share = 0.0
-    # The camera's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
-    # is believed to sit there and to look ahead.
+    # The camera's true yaw in the body frame, rad, and place, ahead and to the left of the body's origin, m; all are
+    # assumed to be zero.
     yaw: Angle = 0.0
     ahead: Signed = 0.0
     left: Signed = 0.0
-    # No tag is detected while the robot turns faster than this, rad/s: the image is blurred; 0: never.
+    # Turn rate above which blur prevents any detection, rad/s; 0: none.
     blurring_turn_rate: float = 0.0
 
 
@@ -350,9 +349,9 @@ class OdometryRealityConfig:
     gyro_noise: float | None = None
     gyro_bias: float | None = None
     gyro_scale: float | None = None
-    # The encoders count so many ticks a metre; 0: any number.
+    # Resolution of the encoders, ticks per metre; 0: infinite.
     ticks_per_metre: float = 0.0
-    # Wheels slip in turns: they roll farther than the base moves by this share per rad/s that it turns, s.
+    # Slip of the wheels in turns: the share by which they roll farther than the base moves, per turn rate, s.
     slip_per_turn_rate: float = 0.0
 
 
@@ -361,22 +360,23 @@ class ScanRealityConfig:
     """The simulated scanner where it differs from its data sheet, ScanConfig; None: as that says."""
 
     noise: float | None = None
-    # Errors of two rays fall to 1/e of their correlation over this angle between them, rad; 0: white.
+    # Angle between two rays at which the correlation of their errors has fallen to 1/e, rad; 0: white.
     correlation_angle: float = 0.0
-    # Probability that a ray meets nothing (glass, black walls), and that it tells a range between the surface that it
-    # passes the edge of and the one behind.
+    # Probability that a ray has no return (glass, black walls), and that a ray past an edge has a range between the
+    # surfaces in front and behind.
     dropout_probability: Share = 0.0
     mixed_probability: Share = 0.0
-    # The scanner's heading in the body frame, rad, and where it sits, ahead and to the left of the body's origin, m; it
-    # is believed to sit there and to look ahead.
+    # The scanner's true yaw in the body frame, rad, and place, ahead and to the left of the body's origin, m; all are
+    # assumed to be zero.
     yaw: Angle = 0.0
     ahead: Signed = 0.0
     left: Signed = 0.0
-    # Whether it is mounted upside down; it is believed not to be.
+    # Whether it is mounted upside down, which is not assumed.
     flip: bool = False
-    # From the first ray to the last, s, while the robot moves on; a scan is stamped with the first. 0: all at once.
+    # Time from the first ray to the last, s, during which the robot moves; the stamp is that of the first. 0: all at
+    # once.
     sweep_time: float = 0.0
-    # The scanner's clock less the base's, s.
+    # The scanner's clock minus the base's, s.
     clock_offset: Signed = 0.0
 
 
@@ -384,9 +384,9 @@ class ScanRealityConfig:
 class CameraRealityConfig:
     """The faults of a rendered camera."""
 
-    # How long a frame is exposed, s: meanwhile the robot turns, and the image is blurred by so much.
+    # Exposure time of a frame, s, during which the robot's turn blurs the image.
     exposure_time: float = 0.0
-    # Grey levels are so many times those of a good exposure: below 1 it is dark, above 1 there is glare.
+    # Factor on the grey levels of a good exposure: below 1 too dark, above 1 glare.
     brightness: Positive = 1.0
     # Standard deviation of a pixel's white noise, grey levels.
     noise: float = 2.0
@@ -397,18 +397,18 @@ class CameraRealityConfig:
 
 @dataclasses.dataclass
 class RealityConfig:
-    """What the simulated world does otherwise than the sections `tags`, `odometry` and `scan` say, which are what the
-    explorer believes. None of it is told."""
+    """Deviations of the simulated world from the sections `tags`, `odometry` and `scan`, which the explorer assumes. It
+    does not know them."""
 
     tags: TagRealityConfig = dataclasses.field(default_factory=TagRealityConfig)
     odometry: OdometryRealityConfig = dataclasses.field(default_factory=OdometryRealityConfig)
     scan: ScanRealityConfig = dataclasses.field(default_factory=ScanRealityConfig)
     camera: CameraRealityConfig = dataclasses.field(default_factory=CameraRealityConfig)
-    # How many people walk about in the building.
+    # Number of people who walk about in the building.
     people: int = 0
-    # How long it takes, s, to choose a goal, and to plan a path, until they are known to the others.
+    # Simulated computing time, s, of a choice of a goal and of a path, after which they are output.
     planning_time: float = 0.0
-    # What changes in the building while the robot is in it, one after the other.
+    # Changes of the building during the mission, in their order.
     changes: list[ChangeConfig] = dataclasses.field(default_factory=list)
 
 
@@ -421,8 +421,8 @@ def as_it_is(belief: S, reality: Any) -> S:
 
 @dataclasses.dataclass
 class PartsConfig:
-    """Parts of one's own: each the dotted name of a function of the scenario that makes one, or of a class that is made
-    with the scenario, such as my_module.MyEstimator; "" for the usual one."""
+    """Your own parts: the dotted name of a function or class that takes the scenario and returns the part, such as
+    my_module.MyEstimator; "" for the default."""
 
     estimator: str = ""
     goal_selector: str = ""
@@ -434,16 +434,16 @@ class PartsConfig:
 class ExplorerConfig:
     """The method's own parameters. None is read from the world."""
 
-    # The rule by which the next goal is picked, one of GOAL_RULES.
+    # The rule that chooses the next goal, one of GOAL_RULES.
     goal: Annotated[str, OneOf(GOAL_RULES)] = "tour"
-    # Seconds and metres that the mission may take, 0: as many as it needs; and whether the robot comes home at the end.
+    # Limits of the mission's time, s, and way, m, 0: none; and whether the robot returns to its start at the end.
     budget_time: float = 0.0
     budget_distance: float = 0.0
     return_home: bool = False
-    # Whether the robot, when all is explored, looks again where the landmarks' error falls by a larger share than the
-    # mission grows longer (tour only).
+    # Whether the robot, after exploration, looks again where the landmarks' error falls by a larger share than the
+    # mission's duration grows (tour only).
     revisit: bool = True
-    # Landmarks expected per metre of unexplored surface, until the building has shown how many there are.
+    # Prior number of landmarks per metre of unexplored surface, until the building has shown its own.
     density: Positive = 1.0
     # Standard deviation of an unknown landmark's position, each axis, m.
     prior_sigma: Positive = 10.0
@@ -451,39 +451,39 @@ class ExplorerConfig:
     samples: AtLeastOne = 400
     # The mission is complete when no candidate sees enough frontier or promises more than this, nats.
     stop_gain: float = 20.0
-    # Attempts at one frontier point before it is given up.
+    # Number of attempts at a frontier point before it is given up.
     frontier_attempts: AtLeastOne = 3
     # Turn rate while observing at a goal, rad/s.
     turn_rate: Annotated[float, Bounds(0.0, FASTEST_TURN)] = 1.2
-    # The robot stands and looks this long before it first moves, s, and then turns round so many times, half of them
-    # back. The map's heading is that of the start pose: only frames taken there tell it, as the gyro wanders with every
-    # turn; the turns tell where among the landmarks the robot stood.
+    # Time for which the robot stands and observes before it moves, s, and number of turns that follow, half of them
+    # back. The map's heading is that of the start pose, which only frames taken there determine, as the gyro drifts
+    # with every turn; the turns determine its place among the landmarks.
     first_look: float = 5.0
     first_turns: AtLeastOne = 1
-    # Areas that the robot must not enter, each the corners [x, y] of a polygon in W, m: of a robot in a building that
-    # is not known in the frame of its start.
+    # Areas that the robot must not enter, each a polygon of corners [x, y] in W, m; W is the frame of the start pose in
+    # an unknown building.
     keep_out: list[list[Point]] = dataclasses.field(default_factory=list)
 
-    # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
+    # Ablations, by which parts and alternatives are evaluated. Missions are best with the defaults.
 
     # The formula of the information gain, one of GAINS.
     gain: Annotated[str, OneOf(GAINS)] = "exact"
-    # Whether goals are preferred by their gain less the price of arriving with an uncertain pose (of a tour, where no
-    # frontier is left), and how many known tags a goal should have in view.
+    # Whether the gain is reduced by a price for an uncertain arrival pose (of a tour, once no frontier is left), and
+    # number of known tags that a goal should have in view.
     pose_price: bool = True
     least_tags: int = 0
-    # On its way to a goal the robot maps what it has ahead once in this time, s, and chooses anew; 0: only at goals.
+    # Period at which the robot maps what is ahead on its way to a goal, and chooses again, s; 0: only at goals.
     glance_period: float = 2.0
     # The way between views is mapped in pieces of this length, s; 0: path sightings localise only, as in the paper.
     path_keyframe_period: float = 5.0
-    # What solves the estimator's keyframe graph, one of SOLVERS. GTSAM is slower and knows no constant errors of tags.
+    # The solver of the keyframe graph, one of SOLVERS. GTSAM is slower and does not estimate constant errors of tags.
     solver: Annotated[str, OneOf(SOLVERS)] = "dissection"
-    # What the map is made of, one of LANDMARKS: tags, walls as the scan sees them, or both.
+    # The landmarks, one of LANDMARKS: tags, walls seen by the scanner, or both.
     landmarks: Annotated[str, OneOf(LANDMARKS)] = "both"
-    # The file of a map of the building, or the folder of a run, that the mission begins with; "": none.
+    # The map file, or the folder of a run, with which the mission begins; "": none.
     known_map: str = ""
-    # Where in W the robot is thought to be at the beginning, x, y (m), yaw (rad), and the deviations of the place (m)
-    # and of the yaw (rad): what it sees counts for more. Empty: anywhere in that map.
+    # Prior of the start pose in W: x, y (m), yaw (rad), and the deviations of the position (m) and of the yaw (rad),
+    # against which observations prevail. Empty: anywhere in that map.
     known_at: KnownPose = dataclasses.field(default_factory=list)
     parts: PartsConfig = dataclasses.field(default_factory=PartsConfig)
 
@@ -494,7 +494,7 @@ class PlannerConfig:
 
     # Largest probability of a collision.
     collision_probability: Annotated[float, Bounds(0.0, 0.5)] = 0.01
-    # What it is the probability of: of any point of a path by itself, or of the whole path; one of RISKS.
+    # What this bounds, one of RISKS: the collision probability of each point of a path, or of the whole path.
     risk: Annotated[str, OneOf(RISKS)] = "point"
 
 
@@ -504,24 +504,24 @@ class GridConfig:
 
     # Side of a cell, m.
     resolution: Annotated[float, Bounds(0.01)] = 0.05
-    # Particles of the filter, each with a map of its own.
+    # Number of particles of the filter, each with its own map.
     particles: AtLeastOne = 100
-    # A scan goes into the map after this much time (s), way (m) or turn (rad), whatever comes first.
+    # Time (s), way (m) or turn (rad), whichever comes first, after which a scan is added to the map.
     update_period: Positive = 3.0
     update_distance: Positive = 1.0
     update_angle: Annotated[float, Bounds(0.0, 2.0 * math.pi)] = 0.5
-    # Weights of the weighted sum (the paper's eq. 1): per nat of the grid's entropy, of which a square metre of unknown
-    # cells has log(2) / resolution^2, and per nat of the pose's.
+    # Weights of the paper's eq. 1: per nat of the grid's entropy, of which a square metre of unknown cells has
+    # log(2) / resolution^2, and per nat of the pose's.
     weight_map: float = 0.01
     weight_pose: float = 1.0
 
-    # Ablations: what a part is worth, and what others do instead. Missions are best with the defaults.
+    # Ablations, by which parts and alternatives are evaluated. Missions are best with the defaults.
 
-    # Whether the weighted sum is taken per expected second. If not, the largest sum is the goal, however far, as eq. 1
-    # is printed.
+    # Whether the weighted sum is divided by the expected time. If not, the largest sum is the goal at any distance, as
+    # in the printed eq. 1.
     per_time: bool = True
-    # Whether a goal whose frontier was seen on the way is left for the next at once. If not, the robot drives there and
-    # looks round, as Yamauchi's did.
+    # Whether a goal whose frontier was seen on the way is abandoned at once. If not, the robot drives there and looks
+    # around, as Yamauchi's did.
     eager: bool = True
 
 
