@@ -61,6 +61,6 @@ def test_what_does_not_fit_is_told_with_its_place(tree, told):
 
 
 def test_the_comments_of_parameters_are_in_their_docstrings():
-    assert "\n\nrange, least_range: Greatest range, m, and the least: nearer" in str(config.ScanConfig.__doc__)
-    assert "\nlearnt with the map; 0 where they are known." in str(config.TagSensorConfig.__doc__)
+    assert "\n\nrange, least_range: Greatest and least range, m; a depth" in str(config.ScanConfig.__doc__)
+    assert "\nmap; 0: exactly known." in str(config.TagSensorConfig.__doc__)
     assert "Ablations" not in str(config.ExplorerConfig.__doc__)
