@@ -59,20 +59,20 @@ class Scenario:
     odometry: config.OdometryConfig = dataclasses.field(default_factory=config.OdometryConfig)
     tags: config.TagSensorConfig = dataclasses.field(default_factory=config.TagSensorConfig)
     scan: config.ScanConfig = dataclasses.field(default_factory=config.ScanConfig)
-    # What a simulated station is made of, and its camera, where it has one.
+    # Parts of a simulated station, and its camera, if it has one.
     station: config.StationConfig = dataclasses.field(default_factory=config.StationConfig)
     camera: config.CameraConfig = dataclasses.field(default_factory=config.CameraConfig)
-    # What a simulated world does otherwise than the sections tags, odometry and scan say; a real one goes by itself.
+    # Deviations of a simulated world from the sections tags, odometry and scan; not used with a real robot.
     reality: config.RealityConfig = dataclasses.field(default_factory=config.RealityConfig)
     safety: config.SafetyConfig = dataclasses.field(default_factory=config.SafetyConfig)
-    # What moves the base besides its wheels.
+    # Motions of the base that its wheels do not notice.
     disturbances: list[config.DisturbanceConfig] = dataclasses.field(default_factory=list)
     explorer: config.ExplorerConfig = dataclasses.field(default_factory=config.ExplorerConfig)
     planner: config.PlannerConfig = dataclasses.field(default_factory=config.PlannerConfig)
     # Where a human operator would drive and look round, [x, y] in W, m: the method "scripted".
     drive: list[Point] = dataclasses.field(default_factory=list)
     grid: config.GridConfig = dataclasses.field(default_factory=config.GridConfig)
-    # Of a simulated robot it means nothing.
+    # Not used with a simulated robot.
     hardware: config.HardwareConfig = dataclasses.field(default_factory=config.HardwareConfig)
 
     @property
@@ -376,7 +376,7 @@ def ApplyWorldFile(
     tags by tags along every reachable surface. start: (x, y, yaw), m and rad; without it the start of a scenario is
     kept, and that in a map is drawn from the seed. Raises ScenarioError.
     """
-    # What few missions need, and what takes a while to be imported.
+    # Needed by few missions and slow to import.
     from tfg_drake.world.load import furnish, load_map
 
     result = copy.deepcopy(scenario)
@@ -470,7 +470,7 @@ def _CheckWorld(scenario: Scenario, source: str) -> None:
         _CheckEyes(scenario, source)
         worlds = successive(world, scenario.reality.changes)
         if scenario.reality.people:
-            # What few missions need, and what takes a while to be imported.
+            # Needed by few missions and slow to import.
             from tfg_drake.simulation.people import ground
 
             for one in worlds:

@@ -139,7 +139,7 @@ def tell(refusals: Refusals, source: str, remarks: Sequence[str]) -> None:
 
 def known_calibration(name: str, camera: RobotCameraConfig) -> CameraCalibration:
     """The calibration of the camera that is called `name`; raises DeviceError."""
-    # What OpenCV and FFmpeg would say in their own words is said here in ours.
+    # OpenCV and FFmpeg are silenced, as faults are reported here.
     os.environ.update(OPENCV_LOG_LEVEL="SILENT", OPENCV_FFMPEG_LOGLEVEL="-8")
     imported(name, "robotpy_apriltag", "camera")
     from tfg_drake.vision.calibration import CalibrationError, load_calibration

@@ -59,7 +59,7 @@ def serve(driver: Driver, connection: Connection) -> None:
                 if order[0] == "close":
                     return
                 if order[0] == "enable":
-                    # Whoever asked longer ago was told that nobody answers.
+                    # Older requests have timed out.
                     if (now := time.monotonic()) - order[1] < ANSWER_TIMEOUT:
                         watchdog.enable(now)
                     if fault:

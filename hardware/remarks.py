@@ -140,7 +140,7 @@ class RobotRequests:
         self._base = base
         self._pressed = 0
         self._spells: Spells = {}
-        # What of the battery was told so far, by the name of the remark.
+        # Remarks made about the battery, by name.
         self._told: dict[str, str] = {}
 
     def requests(self) -> list[Command]:

@@ -170,7 +170,7 @@ def _cameras(config: HardwareConfig) -> _Cameras:
     """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
     if not config.tags.startswith("camera:"):
         return []
-    # What an address holds besides stays its own.
+    # Other commas stay part of an address.
     texts = config.tags.replace(",camera:", "\ncamera:").split("\n")
     known = [config.camera, *config.more_cameras]
     if len(texts) > len(known):

@@ -42,7 +42,7 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
         raise ValueError("no object with a type")
     if (kind := _KINDS.get(fields["type"])) is None:
         return None
-    # What JSON has no number for: null is free, 0 is unknown.
+    # JSON has no infinity and no NaN: null is free, 0 is unknown.
     free: list[bool] = []
     if kind is LaserScan and isinstance(ranges := fields.get("ranges"), list):
         free = [one is None for one in ranges]

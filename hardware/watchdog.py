@@ -70,7 +70,7 @@ class Watchdog:
 
     def hear_alarms(self, alarms: Mapping[str, str], now: float) -> None:
         """Why the base must not drive by what it said of itself at `now`, s, by kind of reason."""
-        # What is so at first has been so before.
+        # Alarms of the first message have lasted before it.
         since, before = (-math.inf, {}) if self._alarms is None else (now, self._alarms)
         self._alarms = {kind: (why, before[kind][1] if kind in before else since) for kind, why in alarms.items()}
 
@@ -96,7 +96,7 @@ class Watchdog:
 
         How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
         """
-        # Who was held up for so long has not watched: how the robot moved meanwhile is not known.
+        # After such a delay the robot's motion in between is unknown.
         if SILENCE < now - self._when < math.inf:
             self._heard = -math.inf
         self._check(now)

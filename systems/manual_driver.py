@@ -115,7 +115,7 @@ class ManualDriver(LeafSystem):
         following = self._inputs(context, "following_status")
         if mission.phase == "observe" or now.sent.node >= 0:
             return following
-        # Of a robot that stands nothing is told: the mission waits. A driver who sends it somewhere waits for a stage.
+        # While the robot stands nothing is reported and the mission waits. A goal from the page waits for a stage.
         waits = now.requested.count > now.sent.count
         told = now.path.id if now.looks or waits or any(now.velocity) else -1
         arrived = now.looks or (waits and not self._glances)

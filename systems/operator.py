@@ -90,12 +90,12 @@ class Operator(LeafSystem):
             _log.info("%.2f s: said to be at (%.2f, %.2f) m in the world of its map", then, *said[-1].X_WB[:2])
         commands = [request for request in requests if isinstance(request, str) and request != "push"]
         if begins:
-            # What was asked for before the mission began was not meant for it, unless it was to stop.
+            # Requests from before the mission do not count, except to stop.
             commands = [command for command in commands if command in ("stop", "end")]
         if not self._recalls:
             commands = ["end" if command == "recall" else command for command in commands]
         if "stop" in commands or "end" in commands:
-            # Nobody knows in which order they came: who asked for a stop gets it.
+            # Their order is unknown, so a stop prevails.
             commands = [command for command in commands if command != "enable"]
         for command in commands:
             _log.info("%.2f s: %s", context.get_time(), command)

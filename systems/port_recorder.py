@@ -65,7 +65,7 @@ class PortRecorder(LeafSystem):
         by the names of the inputs here."""
         for name, output in requested.items():
             builder.Connect(output, self.GetInputPort(name))
-        # Of a recorded station that nobody listens to there is no request.
+        # A recorded station whose requests are not connected has none.
         unheard = dict.fromkeys(storage.REQUESTS.values(), "")
         connect_by_name(builder, self, explorer, station, **unheard)
 

@@ -63,7 +63,7 @@ class PrmPlanner(LeafSystem):
     def _Update(self, context: Context, before: planner.PlannerState) -> planner.PlannerState:
         now = planner.Now(*(*self._inputs.each(context), self._parameters))
         seen = after = planner.looked(before, now)
-        # What is not due is not metered: that would cost more than to find it out.
+        # CPU time is metered only where work is due, as metering would take longer than the check.
         if now.tfg.stage > seen.nodes.stage:
             after = measured(self, "roadmap", planner.extended, seen, now)
         elif now.mission.phase == "plan":

@@ -86,7 +86,7 @@ class PurePursuitFollower(LeafSystem):
             turn_rate = self._Turn(x, mission, self._inputs(context, "goal"), pose)
         elif mission.drives:
             speed, turn_rate = self._Follow(x, self._inputs(context, "path"), pose.X_MB, moving[0])
-        # Who is told to drive does not by turning a little: a gyro's noise alone looks like that.
+        # A small turn does not count as driving, as a gyro's noise alone looks like it.
         if (speed == 0.0 and turn_rate == 0.0) or not at_rest(moving[0], moving[1] if speed == 0.0 else 0.0):
             x[OBEYED] = x[STAMP]
         elif mission.drives and x[LEFT] < AT_GOAL and x[STAMP] - x[OBEYED] > SHORT_PATIENCE:

@@ -82,7 +82,7 @@ class SafetyFilter(LeafSystem):
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._inputs = MessageInputs(self, "hazards", "scan", "odometry", "pose")
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        # The filter's own state, what of it is told: the velocity, and whether the base may move; and the `enable` that
+        # The filter's state, its outputs, the velocity and whether the base may move, and the `enable` that
         # a cliff or a wheel drop has used up.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)

@@ -110,7 +110,7 @@ class TfgVisualizer(TimelineRecorder):
         self._scene.write("frame", time, {"pose": X_WM})
 
     def _Begin(self, context: Context) -> None:
-        # What is drawn belongs to a simulation: another one begins anew.
+        # Drawings belong to one simulation; another one starts anew.
         self._Forget()
         self._scene.begin(context.get_time())
 
@@ -132,7 +132,7 @@ class MeshcatScene:
         # A symbol's size: visible when the whole building fills the window.
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
         _, lines = legend_plate(())
-        # What a pixel of the plates is, m, and where they lie, from their lowest y to their highest: south of it all.
+        # Size of a pixel of the plates, m, and their extent in y, south of the building.
         pixel, top = (self._view[2] - self._view[0]) / WIDTH, self._view[1] - 5.0 * self._unit
         self._words_y = top - LINE * pixel, top
         self._legend_y = self._words_y[0] - lines * pixel, self._words_y[0]
@@ -146,7 +146,7 @@ class MeshcatScene:
 
     def begin(self, time: float = 0.0) -> None:
         """Draw the scene before the mission begins, at a time, s."""
-        # Of each thing its newest version, and whether a recording has that.
+        # The newest version of each object, and whether a recording has it.
         self._versions: dict[str, tuple[int, bool]] = {}
         self._old: list[str] = []
         self._recorded = False

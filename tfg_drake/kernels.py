@@ -128,11 +128,11 @@ def _folder(given: str) -> Path:
     for tried in [Path(given)] if given else [cache, own] if cache.is_absolute() else [own]:
         with contextlib.suppress(OSError):
             tried.mkdir(mode=0o700, parents=True, exist_ok=True)
-            # What is in it is run: in a folder for everybody's files it must be nobody else's.
+            # Its files are executed, so in a shared folder it must belong to this user.
             if tried == own and tried.stat().st_uid != os.getuid():
                 continue
             with tempfile.TemporaryFile(dir=tried):
-                # Of this installation; another one's kernels are of other sources.
+                # Kernels of this installation only, as another one has other sources.
                 return tried / f"kernels-{_digest(str(PACKAGE))[:8]}"
     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), given or str(own))
 

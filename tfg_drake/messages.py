@@ -50,7 +50,7 @@ else:
         """The message with some fields changed: `dataclasses.replace` without another look at all that stays."""
         old, new, array = message.__dict__, object.__new__(type(message)), np.ndarray
         fields, names = new.__dict__, message.__dataclass_fields__
-        # What was worked out of the old fields and kept beside them is not the new message's.
+        # Values derived from the old fields are not copied.
         fields.update((name, old[name]) for name in names)
         for name, value in changes.items():
             fields[name] = _freeze(value) if isinstance(value, array) else value

@@ -84,7 +84,7 @@ def slam(
             show(text)
 
         load: Callable[[Path], Any]
-        # What is missing is told before the imports, which take long.
+        # Missing options are reported before the slow imports.
         if calibration is not None and tag_size is not None:
             load = video_loader(calibration, tag_size, mount, odometry, say)
         elif is_bag(dataset):

@@ -478,7 +478,7 @@ class Mission:
         if self.world is None or not self.scenario.reality.changes:
             return self.world
         now = self.truth.world(self._context) if self.truth is not None else None
-        # Of a recording it is not known whether a change had to wait for the robot.
+        # In a recording it is unknown whether a change had to wait for the robot.
         return now if now is not None else world_at(self.world, self.scenario.reality.changes, self.end_time)
 
     def true_poses(self) -> tuple[FloatArray, FloatArray] | None:
@@ -518,7 +518,7 @@ class Mission:
         """The map as it is now, to be kept, its estimate and TFG; None before the first view."""
         if not self._maps:
             return None
-        # Of an estimator that says no more than its map, that is the final one.
+        # The map of an estimator without further outputs is final.
         self._final = state = StateOfExplorer(self.explorer, self._explorer_context)
         try:
             self._final = finished_map(state) if self.explorer.HasOutputPort("estimator_state") else state

@@ -94,8 +94,8 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             for line in (*odd_tags(MakeWorld(scenario.world)), *AreasOutside(scenario)):
                 _of_world.warning(line)
         with contextlib.ExitStack() as stack:
-            # What there is so far is not looked through for garbage again and again. What is left of all that comes
-            # now, such as a figure's megabytes, is collected at the end.
+            # Existing objects are exempt from garbage collection; what is made from now on, such as a figure's
+            # megabytes, is collected at the end.
             gc.freeze()
             stack.callback(gc.unfreeze)
             stack.callback(gc.collect)

@@ -95,8 +95,7 @@ def parse_methods(text: str, scenario: Scenario, settings: Sequence[str] = ()) -
 def run_one(task: MissionRequest, folder: Path) -> dict[str, Any]:
     """Run a mission in this process, leave its folder and its receipt, and return its summary."""
     (folder / "task.json").unlink(missing_ok=True)
-    # Whoever started this process looks after signals. A recording takes a megabyte and a half a minute, and one seed
-    # gives it again.
+    # The parent process handles signals. A recording takes 1.5 MB a minute and can be made again from the seed.
     result = run_mission(task, out_dir=folder, interrupted=threading.Event(), record=False)
     write_atomic(folder / "task.json", json.dumps(_receipt(task), indent=2) + "\n")
     return result.summary

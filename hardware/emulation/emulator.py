@@ -62,7 +62,7 @@ class EmulatedBase(EmulatedRobot):
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
         self.turned = 0.0
-        # What the left and the right wheel have gone, m, and the gyro's rate, rad/s.
+        # Ways of the left and the right wheel, m, and the gyro's rate, rad/s.
         self._wheels = [0.0, 0.0]
         self._turn_rate = 0.0
         self._answers: list[p.SubPayload] = []

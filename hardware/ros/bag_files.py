@@ -240,7 +240,7 @@ def _ros1_fields(header: bytes) -> dict[bytes, bytes]:
 def _of_sqlite(stream: IO[bytes], kinds: Collection[str], _: _Unpacked) -> Iterator[Logged]:
     """rosbag2's tables topics (id, name, type, ..) and messages (id, topic_id, timestamp, data)."""
     path = Path(stream.name).absolute()
-    # Of a recorder that was killed, some may be in its log still.
+    # A killed recorder may have left messages in its write-ahead log.
     how = "mode=ro" if Path(f"{path}-wal").is_file() else "immutable=1"
     with contextlib.closing(sqlite3.connect(f"{path.as_uri()}?{how}", uri=True)) as tables:
         tables.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST)

@@ -284,7 +284,7 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     columns = {name: points[name].astype(float) for name in COLUMNS}
     ids = columns.pop("id")
     bearing = columns["bearing"]
-    # Who judges leaves out what is no angle, and what is no id.
+    # Values that are no angle or no id are removed by the plausibility check.
     ids = np.where(np.isfinite(ids), np.clip(ids, -IDS, IDS), -1.0)
     turns = np.abs(bearing) <= 2.0 * math.pi
     columns["bearing"] = np.where(turns, wrap_angle(np.where(turns, bearing, 0.0)), bearing)

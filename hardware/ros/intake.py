@@ -51,7 +51,7 @@ class StampClock:
         """source: the topic that it is learned from, whose messages arrive at once; None where it is learned from them
         all, which may be slow."""
         self.source, self._offset = source, 0.0
-        # What is silent for longer is a new connection, s: the clock is learned anew.
+        # Silence, s, after which a connection is new and the clock is learnt again.
         self._silence = SILENT if source is None else SILENCE
         self._reset()
 
@@ -126,10 +126,10 @@ class Intake(Inbox):
         self._V_B = np.zeros(2)
         self._watched = WatchedOdometry()
         self._hazards = Hazards(-math.inf, 0, 0, 0)
-        # What the camera says of itself, and that of it which apriltag_msgs need.
+        # The newest camera_info, and its part that apriltag_msgs need.
         self._camera_info: Any = None
         self._camera: CameraCalibration | None = None
-        # What looks for tags in images.
+        # The tag detector for images.
         self._eyes: ImageTags | None = None
         self._families: list[str] = []
         self.arrived: set[str] = set()
@@ -163,7 +163,7 @@ class Intake(Inbox):
             self._camera_info = message
             self._camera = None if self._images else conversions.calibration(message)
         elif key == "battery":
-            # Of now, whatever its stamp: nothing is reckoned with it.
+            # Stamped on arrival, as its stamp is not used.
             self._messages.append(conversions.battery(message, arrival))
         elif key == "initial_pose":
             self._messages.append(conversions.said_pose(message, arrival, self._preset.frames.map))

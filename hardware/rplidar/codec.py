@@ -112,7 +112,7 @@ class NodeDecoder:
     def __init__(self) -> None:
         self.lost = 0
         self._pending = bytearray()
-        # Of the last ray, degrees; None where the next one must be found.
+        # Angle of the last ray, degrees; None if the next one must be found.
         self._angle: float | None = None
 
     def feed(self, data: bytes) -> list[Node]:

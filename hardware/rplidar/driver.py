@@ -81,7 +81,7 @@ class RplidarDriver(SensorReader):
         self._model, self._decoder = model, NodeDecoder()
         self._maker = SweepMaker(self._mount, model)
         self._heard = time.monotonic()
-        # What comes before the first rays, until their descriptor was found.
+        # Bytes before the first rays, until their descriptor is found.
         self._preamble: bytes | None = b""
 
     def _say(self, data: bytes) -> None:

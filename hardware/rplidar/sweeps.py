@@ -72,7 +72,7 @@ class SweepMaker:
         self._clock = TurnClock()
         # When this turn began and how long one takes, s; None where that is not known.
         self._turn: tuple[float, float] | None = None
-        # Of this turn and of the one before.
+        # Nodes of this revolution and of the previous one.
         self._nodes: list[Node] = []
         self._before: list[Node] = []
 

@@ -403,4 +403,4 @@ def test_shipped_tags_hang_on_their_walls(name):
 def test_the_comments_of_its_fields_are_in_its_docstring():
     """But not of the sections that have docstrings of their own."""
     assert str(Scenario.__doc__).startswith("Everything that defines a run.\n\nseed: Every random number")
-    assert "\n\nreality: What a simulated world does otherwise" in str(Scenario.__doc__)
+    assert "\n\nreality: Deviations of a simulated world" in str(Scenario.__doc__)

@@ -30,7 +30,7 @@ _WHOLE = 2**14
 class WholeRequestHandler(BaseHTTPRequestHandler):
     """request: what was said, and the connection that it was said on."""
 
-    # Whoever does not read for so long has gone, s.
+    # A client that does not read for this time, s, has gone.
     timeout = 60.0
 
     def setup(self) -> None:
@@ -44,13 +44,13 @@ class WholeRequestServer(ThreadingHTTPServer):
     """Its handler is a WholeRequestHandler. answered: the connections that threads answer, the oldest first."""
 
     block_on_close = False
-    # Whoever comes in the middle of a flood stands in this line: where it is full one tries again a second later.
+    # Length of the queue of new connections; if it is full, a client tries again a second later.
     request_queue_size = 4096
 
     def __init__(self, address: tuple[str, int], handler: type[WholeRequestHandler]) -> None:
         """Raises OSError where nobody can listen there."""
         self.answered: dict[socket.socket, None] = {}
-        # What each connection has said, the oldest first; then those that have said all that a thread is to answer.
+        # Received bytes of each connection, the oldest first; then the complete requests that await a thread.
         self._waiting: dict[Any, bytes] = {}
         self._whole: dict[Any, bytes] = {}
         self._address: dict[Any, str] = {}

@@ -202,7 +202,7 @@ class Search:
         self._ways = known_ways(obstacles, places, robot.radius + NODE_MARGIN)
         around = self._seen_all_round(places, see)
         self.is_visible = np.asarray(around.any(axis=0))
-        # What nobody sees from any place is not asked for, lest there is no tour.
+        # Cells that are visible from no place are not required, as otherwise there would be no tour.
         self._see, self.places = take(see, self.is_visible), places
         self._around = np.packbits(around[:, self.is_visible], axis=1)
         self._tags = np.packbits(self._see.is_tag)

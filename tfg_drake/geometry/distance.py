@@ -167,7 +167,7 @@ def crossed(
     for a in range(a0, a1):
         lower, upper = low, high
         if not is_steep:
-            # What of the line lies in this column.
+            # The part of the line in this column.
             x0, x1 = max(left, frame[0] + a * frame[2]), min(right, frame[0] + (a + 1) * frame[2])
             y0, y1 = ay + (x0 - ax) * slope, ay + (x1 - ax) * slope
             lower, upper = max(low, min(y0, y1)), min(high, max(y0, y1))

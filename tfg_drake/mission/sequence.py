@@ -79,7 +79,7 @@ def step(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
         # A path may have gone stale while the robot stood (or was kidnapped): plan it anew.
         resume = "plan" if status.resume_phase == "follow" else status.resume_phase
         since = status.since if resume == "observe" else inputs.time
-        # What a glance was to see ahead is not where the robot drives any more: it stands until there is a new path.
+        # The robot no longer drives where the glance was to look: it stands until there is a new path.
         resume = "map" if resume == "glance" else resume
         replans = status.replans + (status.resume_phase == "follow")
         return replace(status, phase=resume, resume_phase="", since=since, replans=replans, moving=False, reason="")
@@ -105,7 +105,7 @@ def _observe(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
 
 def _glance(status: MissionStatus, inputs: MissionInputs) -> MissionStatus:
     if _stalled(status, inputs):
-        # What it does not see from here keeps it from moving.
+        # Obstacles out of sight from here keep it from moving.
         return _give_up_goal(status, inputs)
     in_the_way = _seen_or_felt(status, inputs)
     if not in_the_way and inputs.time < status.since + GLANCE_TIME:

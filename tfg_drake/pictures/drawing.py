@@ -6,7 +6,7 @@ import numpy as np
 
 from tfg_drake.messages import FloatArray
 
-# Small deviations are drawn so many times as large, or nobody would see them; whoever draws them says so.
+# Factor by which small deviations are enlarged to be visible, which the legend states.
 MAGNIFIED = 10.0
 
 

@@ -152,7 +152,7 @@ def draw(axes: Axes, X_WM: FloatArray, shown: Iterable[Layer], symbol: float, ti
         if not places:
             continue
         label = look.words + (f" \u00d7 {times:g}" if layer.name.endswith(SPREAD) and times > 1.0 else "")
-        # What stands is translucent in space only, for the sake of what is behind it.
+        # Standing layers are translucent in 3D only, to show what is behind them.
         opacity = 1.0 if look.stands else look.opacity
         style: dict[str, Any] = {"label": label or None, "alpha": opacity, "zorder": 1.0 + look.high}
         if layer.kind == "points":

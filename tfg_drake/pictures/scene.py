@@ -78,7 +78,7 @@ def explained(choice: GoalChoice, roadmap: Roadmap) -> list[dict[str, Any]]:
     if choice.node < 0 or not len(choice.candidates):
         return []
     rows = roadmap.nodes(choice.candidates)
-    # Of equals those with more gain; a tour gives no value to what it leaves out.
+    # Ties are broken by the gain, as a tour gives no value to the candidates that it leaves out.
     order = np.lexsort((-choice.gain, -choice.value))
     chosen = [i for i in order if choice.candidates[i] == choice.node][:1]
     taken = np.isin(choice.candidates, choice.tour) | (choice.candidates == choice.node)

@@ -117,7 +117,7 @@ def visible_targets(
                 continue
             share = max(0.0, 1.0 - tolerance / r)
             ex, ey = x + share * dx, y + share * dy
-            # What hid one target often hides the next: look there first.
+            # The segment that hid one target often hides the next and is tried first.
             hidden_by = crossed(x, y, ex, ey, segments, grid, before)
             before = hidden_by if hidden_by >= 0 else before
             clear = hidden_by < 0

@@ -103,7 +103,7 @@ def _edges(free: BoolArray, off_surface: BoolArray) -> list[tuple[IntArray, IntA
     """Return rows and columns of the cells of each edge of the free cells (h, w) that is off all surfaces (h, w) on
     either side."""
     border = free & off_surface & ndimage.binary_dilation(~free & off_surface)
-    # What a cell between two parts hides is one edge all the same.
+    # Two parts with one cell between them are one edge.
     label, _ = ndimage.label(ndimage.binary_dilation(border, np.ones((3, 3))), np.ones((3, 3)))
     row, column = np.nonzero(border)
     order, ends = np.argsort(label[row, column], kind="stable"), np.cumsum(np.bincount(label[row, column]))

@@ -248,7 +248,7 @@ def _plan_or_wait(state: PlannerState, now: Now) -> PlannerState:
         return after
     _, in_view = seen_past(obstacles_in_map(state, state.estimate), scan, pose_at(pose, scan.stamp))
     if not in_view.all():
-        # What the robot does not see may have gone; if not, it will see it on its way.
+        # An obstacle out of sight may have gone; if not, the robot will see it on its way.
         state = take(state, b=in_view)
         after = _plan(state, now)
     since = min(state.waiting_since, pose.stamp)

@@ -32,11 +32,11 @@ REST_TURN_RATE = 0.02
 HEADING_GAIN = 3.0
 # What the robot is to look at at a goal is brought this far within the field of view, rad.
 VIEW_MARGIN = math.radians(15.0)
-# To stop and turn back takes as long as turning so much farther, rad.
+# Extra angle, rad, whose turn takes as long as stopping and turning back.
 TURNING_BACK = 0.3
 # All round, a heading every 5 degrees.
 ALL_ROUND = np.arange(72) * (math.pi / 36.0)
-# The path is searched this far ahead of the progress made so far, m.
+# Length of path searched ahead of the progress, m.
 SEARCH = 1.0
 
 
@@ -152,7 +152,7 @@ def follow(
     progress, remaining, dx, dy, error, limit = _aim(points, X_MB, speed, progress, robot.max_speed, turn_rate, braking)
     if remaining < ARRIVED:
         return PathCommand(0.0, 0.0, progress, False, True)
-    # So near the end a robot that drives must not turn for a point beside it, only for one behind it.
+    # This near to the end a driving robot turns in place only for a point behind it, not for one beside it.
     beside = speed > REST_SPEED and remaining < 0.5 * LOOK_AHEAD_MIN
     turn_above = 0.5 * math.pi if beside else TURN_ABOVE
     if abs(error) > (TURN_BELOW if turning else turn_above):

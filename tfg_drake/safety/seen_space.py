@@ -281,7 +281,7 @@ def open_distance_among(
                 if met[a, b]:
                     dx, dy = p_OM[a, b, 0] - X_OB[0], p_OM[a, b, 1] - X_OB[1]
                     outline, corridor = radius + _REACHES, radius + _REACHES + wider
-            # What is beneath the base is free.
+            # Space beneath the base is free.
             if radius * radius < dx * dx + dy * dy < span * span:
                 x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
                 distance = touch_distance(x, y, curvature, outline, corridor)

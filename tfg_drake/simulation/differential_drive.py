@@ -150,7 +150,7 @@ def _step(
         pose[2] = math.pi - (math.pi - pose[2] - moved[2]) % (2.0 * math.pi)
     blocked = _push_out(walls, pose, previous, radius)
     if blocked:
-        # What is left of the speed is the progress the walls allowed along the heading.
+        # The remaining speed is the progress that the walls allowed along the heading.
         heading = previous[2] + 0.5 * turn_rate * period
         progress = (pose[0] - previous[0]) * math.cos(heading) + (pose[1] - previous[1]) * math.sin(heading)
         allowed = progress / period

@@ -228,7 +228,7 @@ def way_between(ground: Ground, p_WP: FloatArray, place: float, p_WB: FloatArray
     robot = np.append(p_WB, p_WB)[None]
     # Straight from each to the farthest that can be gone to straight; to the next it always can.
     kept, i, need = [], 0, RADIUS + MARGIN - SLACK
-    # Who stands nearer to a wall than that may leave it straight, too.
+    # A person nearer to a wall than that may leave it straight.
     least = min(need, float(clearance(np.append(p_WP, p_WP)[None], ground.walls, need)[0]) - 1e-9)
     while i < len(points) - 1:
         lines = np.hstack([np.broadcast_to(points[i], (len(points) - i - 1, 2)), points[i + 1 :]])

@@ -53,7 +53,7 @@ def visible_tags(
         rows[count] = i
         count += 1
     rows = rows[:count]
-    # The wall that a tag is on, or so far off, must not hide it.
+    # The wall that a tag is on, or in front of, must not hide it.
     return rows[in_sight(walls, X_WB[:2], p_WT[rows], TAG_OFFSET)]
 
 

@@ -181,7 +181,7 @@ def find_places(
     around = around if tells_place(around) else cells
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     middle, window = np.append(0.5 * (low + high), 0.0), np.append(0.5 * (high - low), math.pi)
-    # What was seen lately tells most as a rule, but not where the map has not looked.
+    # Recent observations are usually the most informative, but not where the map has not looked.
     queries = (around,) if len(around) == len(cells) else (around, cells)
     found = [peaks(points[:, :2], query[:COARSE, :2], middle, window, SIDE_OF_MAP)[1] for query in queries]
     given = [np.zeros((0, 3)) if before is None else before, np.zeros((0, 3)) if prior is None else prior.of_frame]
@@ -200,7 +200,7 @@ def find_places(
     log += 0.0 if prior is None else prior.log(X)
     odds = log + _beyond(beyond, is_growing=is_growing)
     among = log + HALF * ON * np.minimum(beyond, on) if is_growing else odds
-    # What is not mapped yet may look like other places as well as what is.
+    # Unmapped surface may look like another place, too.
     others = np.delete(on, np.argmax(among)).max(initial=0.0) if is_growing else 0.0
     of_none = ALIKE * ON * others + (0.0 if prior is None else prior.elsewhere)
     of_any = float(np.logaddexp.reduce(odds))

@@ -137,7 +137,7 @@ def joined(state: EstimatorState) -> EstimatorState:
     views = estimate.stage - known.since
     if views > EACH_VIEW and views % LATER:
         return state
-    # Of what is seen all that is the session's own.
+    # All observations of the session itself.
     tags, own = (empty_map(), OF_KNOWN + 1) if known.since else (estimate.of_tags, 0)
     seen = seen_by_keyframes(state.graph, range(own, len(state.graph.keyframes)))
     state = _with_place(state, known, (tags, seen))
@@ -287,7 +287,7 @@ def found_again(
     at = estimate.X_MD
     for one in way:
         at = se2.compose(at, one.keyframe.y_AD)
-    # Of what is adrift all views tell together where it is.
+    # All views of the adrift part together are searched.
     k = len(graph.keyframes)
     seen = _seen_of(view, state, at, None if lost else seen_by_keyframes(graph, range(j + 1, k)))
     known = estimate.of_landmarks(before & (lost | ~since)).of_tags

@@ -101,7 +101,7 @@ def update(
     scene = _Scene(estimate, panorama, tags, robot, explorer, glance)
     if estimate.is_joint:
         return _with_view(graph, np.arange(graph.stage), scene)
-    # What the view may have seen was seen by views from as far off again.
+    # Places that the view may have seen were seen by views within twice that distance.
     part = part_of(graph, estimate, 2.0 * seen)
     scene = dataclasses.replace(scene, estimate=part.estimate, radius=seen)
     return with_part(graph, part, _with_view(part.graph, np.flatnonzero(part.rows["k"]), scene))

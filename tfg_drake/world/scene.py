@@ -87,7 +87,7 @@ def _texture(ids: list[int]) -> tuple[np.ndarray, FloatArray, FloatArray, FloatA
             place[:] = (_FLOOR, _WALL)[k - len(ids)]
         x0, x1, y0, y1 = column / across, (column + 1) / across, 1.0 - (row + 1) / down, 1.0 - row / down
         corners[k] = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
-    # Of one colour is what lies in the middle of its tile, whatever is beside it.
+    # Surfaces of one colour take it from the middle of their tile, away from its neighbours.
     middle = corners[len(ids) :].mean(axis=1, keepdims=True) + np.zeros((2, 4, 2))
     return texture, corners[: len(ids)], middle[0], middle[1]
 
