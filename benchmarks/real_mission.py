@@ -37,8 +37,8 @@ from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.storage.trajectory import poses_at, read_tum
 
 CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
-FIELDS = ("outcome", "time", "distance", "mapped", "position", "heading", "landmarks", "aligned", "contacts")
-
+FIELDS = {"outcome": "", "time": "s", "distance": "m", "mapped": "", "position": "m", "heading": "rad"}
+FIELDS |= {"landmarks": "m", "aligned": "m", "contacts": ""}
 
 # When an operator enables a base again that stands until he does, s.
 ANEW = 2.0
@@ -195,7 +195,7 @@ def simulated(world: str, speed: float, seed: int, max_time: float, out: Path) -
 
 def line(name: str, figures: dict[str, Any]) -> str:
     """A row of the table."""
-    cells = [f"{figures[field]:.4f}" if isinstance(figures[field], float) else str(figures[field]) for field in FIELDS]
+    cells = [f"{figures[field]:.4g}" if isinstance(figures[field], float) else str(figures[field]) for field in FIELDS]
     return "  ".join(f"{cell:>12}" for cell in (name, *cells))
 
 
@@ -216,7 +216,8 @@ def main() -> None:
         for seed in range(options.simulated):
             folder = out / f"seed{seed}"
             rows.append(line(f"seed {seed}", simulated(options.world, options.speed, seed, options.max_time, folder)))
-    print("\n" + "  ".join(f"{cell:>12}" for cell in ("", *FIELDS)))
+    heads = [f"{field} {unit}".strip() for field, unit in FIELDS.items()]
+    print("\n" + "  ".join(f"{cell:>12}" for cell in ("", *heads)))
     print("\n".join(rows))
 
 
