@@ -207,7 +207,7 @@ def ApplySettings(scenario: Scenario, settings: typing.Sequence[str]) -> Scenari
         for depth, name in enumerate(names):
             with _complaining(source):
                 annotation = annotation_of(annotation, name, ".".join(names[:depth]))
-        if any(map(dataclasses.is_dataclass, (annotation, *typing.get_args(annotation)))):
+        if dataclasses.is_dataclass(annotation):
             raise ScenarioError(f"{source}: {key} is a section; set one of its keys, or write a scenario file")
         for name in reversed(names):
             tree = {name: tree}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.mutations import assert_refused_or_read
-from tfg_drake.config import as_it_is
+from tfg_drake.config import DisturbanceConfig, as_it_is
 from tfg_drake.diagrams.scenario import (
     ApplySettings,
     ApplyWorldFile,
@@ -241,6 +241,8 @@ def test_settings_are_applied_in_order_to_a_copy():
     assert (changed.explorer.stop_gain, changed.tags.range_scale, changed.seed) == (5.0, 1.01, 4)
     assert isinstance(changed.explorer.stop_gain, float)
     assert scenario == Scenario()
+    pushed = ApplySettings(scenario, ["disturbances=[{time: 3, ahead: 0.5}]"])
+    assert pushed.disturbances == [DisturbanceConfig(time=3.0, ahead=0.5)]
 
 
 @pytest.mark.parametrize(
