@@ -137,7 +137,8 @@ def table_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
     rows = [("data set", f"{summary['name']}, {summary['method']}")]
     if summary["method"] in MAPPING_METHODS:
-        return rows + _log_rows(summary, metres)
+        ended = summary["outcome"] == "complete"
+        return rows + ([] if ended else [("outcome", summary["reason"])]) + _log_rows(summary, metres)
     used, rejected = summary["measurements_used"], summary["measurements_rejected"]
     mapped = f"{summary['landmarks_mapped']} mapped"
     if summary["method"] == GRAPH_METHOD:  # It has no ground truth.

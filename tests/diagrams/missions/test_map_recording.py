@@ -175,5 +175,6 @@ def test_a_recording_that_is_interrupted_keeps_what_there_is(room, tmp_path):
 
     result = map_recording(room, room.name, tmp_path / "run", say=say, interrupted=event)
     assert result.summary["outcome"] == "interrupted"
+    assert "interrupted" in dict(slam_module.table_rows(result.summary))["outcome"]
     assert 2 <= load_run(result.folder).map.stage < 15
     assert len((result.folder / "trajectory.tum").read_text().splitlines()) == len(room.scans)
