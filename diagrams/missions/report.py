@@ -24,7 +24,7 @@ from tfg_drake.mapfile.saved_map import SavedMap, load_map, save_map
 from tfg_drake.messages import BoolArray, GridMap, MapEstimate, Roadmap, TfgMap
 from tfg_drake.mission.manual_drive import drive_csv
 from tfg_drake.planning.mission_end import UNSEEN
-from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings
+from tfg_drake.planning.openings import NOT_WORTH, WHY, find_openings, with_seen_before
 from tfg_drake.planning.undiscovered import AREAS, undiscovered
 from tfg_drake.slam.walls import least_known
 from tfg_drake.storage.trajectory import write_tum
@@ -68,13 +68,17 @@ def write_report(mission: Mission, folder: RunFolder) -> dict[str, Any]:
     stamps, X_WB = mission.estimated_poses()
     true_poses = mission.true_poses()
     files = [path for name in ("map.npz", "grid.npz") if (path := folder.path / name).exists()]
-    summary = _known_to_any(mission, estimate, sum(path.stat().st_size for path in files))
-    if saved is not None and (least := least_known(saved.graph)) is not None:
-        summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
+    known_map = None
     if saved is not None and mission.scenario.explorer.known_map:
         known_map = load_map(Path(mission.scenario.explorer.known_map))
+    has_found = known_map is not None and math.isfinite(mission.placed_since)
+    size = sum(path.stat().st_size for path in files)
+    summary = _known_to_any(mission, estimate, size, known_map.tfg if known_map is not None and has_found else None)
+    if saved is not None and (least := least_known(saved.graph)) is not None:
+        summary["least_known"] = {"deviation_m": least[0], "p_WL": transform(saved.X_WM, least[1][None])[0].tolist()}
+    if saved is not None and known_map is not None:
         summary["changes"] = {"found_at_s": mission.placed_since, "places": mission.places}
-        if math.isfinite(mission.placed_since):
+        if has_found:
             summary["changes"] |= map_changes(known_map, saved)
     reachable = np.zeros(0, dtype=np.bool_)
     world = mission.world_then
@@ -135,8 +139,11 @@ def write_map(folder: RunFolder, grid: GridMap | None, saved: SavedMap | None, *
         folder.attempt("map.npz", lambda path: save_map(path, saved, final=final))
 
 
-def _known_to_any(mission: Mission, estimate: MapEstimate | None, map_bytes: int) -> dict[str, Any]:
-    """Every field of the summary in its order, those that take the world or the truth null."""
+def _known_to_any(
+    mission: Mission, estimate: MapEstimate | None, map_bytes: int, before: TfgMap | None
+) -> dict[str, Any]:
+    """Every field of the summary in its order, those that take the world or the truth null. before: as of
+    `_left_open`."""
     # Landmarks that are not doubtful, and tags that are not known to be at any one place; a grid has none.
     none: Any = np.zeros(0, dtype=np.int64)
     sure, doubtful = (none, none) if estimate is None else (~estimate.is_doubtful, estimate.doubtful)
@@ -171,7 +178,7 @@ def _known_to_any(mission: Mission, estimate: MapEstimate | None, map_bytes: int
         **_null("surface_coverage", "surface_coverage_5cm", "surface_phantom_m", "area_coverage", "area_seen_s"),
         "explored_s": mission.explored_time,
         "open_edges": mission.open_edges(),
-        **_left_open(mission),
+        **_left_open(mission, before),
         **_null("contacts", "contacts_received", "min_clearance_m"),
         "map_variables": _variables(mission),
         "map_bytes": map_bytes,
@@ -189,14 +196,15 @@ def _null(*fields: str) -> dict[str, Any]:
     return dict.fromkeys(fields)
 
 
-def _left_open(mission: Mission) -> dict[str, Any]:
+def _left_open(mission: Mission, before: TfgMap | None) -> dict[str, Any]:
     """The summary's `openings`, those with the most unknown behind them first, and `undiscovered`; both null for a
-    method without a TFG."""
+    method without a TFG. before: what an earlier session has seen, in the same frame M."""
     tfg, pose, roadmap = mission.tfg, mission.pose, None
     if tfg is not None and tfg.stage:
         roadmap = mission.look_for("roadmap", Roadmap)
     if tfg is None or roadmap is None or pose is None:
         return {"openings": None, "undiscovered": None}
+    tfg = tfg if before is None else with_seen_before(tfg, before)
     found = find_openings(tfg, roadmap, pose.X_MB[:2], mission.scenario.robot, mission.scenario.view)
     why = [UNSEEN if row == NOT_WORTH and mission.outcome != "complete" else WHY[row] for row in found.why]
     places, missing = transform(mission.X_WM, found.p).round(2), found.missing.round(2)

@@ -15,6 +15,7 @@ from tfg_drake.planning.openings import (
     TOO_NARROW,
     TOO_UNCERTAIN,
     find_openings,
+    with_seen_before,
 )
 from tfg_drake.tfg.graph import empty_map
 
@@ -58,6 +59,19 @@ def test_an_opening_has_its_place_and_width():
     np.testing.assert_allclose(openings.width, [1.0], atol=2 * CELL)
     assert openings.why.tolist() == [NOT_WORTH]
     assert openings.missing.tolist() == [0.0]
+
+
+def test_what_an_earlier_session_has_seen_is_not_open():
+    """A closet behind the corridor, with a post where the newer session has seen free space."""
+    closet = np.array([[4.4, 0.5], [6.0, 0.5], [6.0, 2.5], [4.4, 2.5]])
+    sides = np.vstack([np.hstack([closet[:-1], closet[1:]]), [[4.4, 0.5, 4.4, 1.0], [4.4, 2.0, 4.4, 2.5]]])
+    post = np.array([[1.0, 1.0, 1.2, 1.0]])
+    before = room(0.0, star_offsets=np.array([0, 4]), star_vertices=closet, segments=np.vstack([sides, post]))
+    kinds = {"segment_kind": np.zeros(6, dtype=np.int64), "segment_ids": np.zeros((6, 2), dtype=np.int64)}
+    both = with_seen_before(room(1.0), replace(before, **kinds))
+    assert len(found(both).p) == 0
+    assert not (both.segments == post).all(axis=1).any()
+    assert len(both.segments) == len(room(1.0).segments) + len(sides)
 
 
 @pytest.mark.parametrize("gap", [0.25, 0.3, 0.4])

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.config import NODE_MARGIN, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.star import inside_any
-from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap, message
+from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap, message, replace
 from tfg_drake.planning.mission_end import SHUT, hindrances
 
 # Side of a grid cell, m, larger if the grid would have more than MOST_CELLS.
@@ -97,6 +97,22 @@ def find_openings(
     open_to = room >= need - ROOM_STEP
     why[open_to] = np.where(_at(p, width, tfg.given_up), IN_VAIN, NOT_WORTH)[open_to]
     return Openings(p, width, room, need, behind, why)
+
+
+def with_seen_before(tfg: TfgMap, before: TfgMap) -> TfgMap:
+    """Return a TFG with the free space of an earlier session in the same frame M, and with the surfaces of that session
+    that do not lie in the newer free space."""
+    middle = 0.5 * (before.segments[:, :2] + before.segments[:, 2:])
+    stays = ~inside_any(middle, tfg.star_offsets, tfg.star_vertices)
+    return replace(
+        tfg,
+        segments=np.vstack([tfg.segments, before.segments[stays]]),
+        segment_kind=np.append(tfg.segment_kind, before.segment_kind[stays]),
+        segment_ids=np.vstack([tfg.segment_ids, before.segment_ids[stays]]),
+        star_offsets=np.append(tfg.star_offsets, tfg.star_offsets[-1] + before.star_offsets[1:]),
+        star_vertices=np.vstack([tfg.star_vertices, before.star_vertices]),
+        star_centers=np.vstack([tfg.star_centers, before.star_centers]),
+    )
 
 
 def _edges(free: BoolArray, off_surface: BoolArray) -> list[tuple[IntArray, IntArray]]:

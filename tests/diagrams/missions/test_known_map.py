@@ -93,6 +93,8 @@ def test_from_python_it_goes_on_when_it_was_cut(first, tmp_path):
     scenario = rooms()
     half = tfg_drake.explore(scenario, map=first.folder, until=8.0, out=tmp_path / "half")
     assert half.summary["changes"]["found_at_s"] < 5.0
+    # It has seen little of the rooms, all of which the first session has seen.
+    assert half.summary["undiscovered"][0]["probability"] < first.summary["undiscovered"][0]["probability"] + 0.1
     before = cut_short(half.folder, tmp_path / "after")
     assert before.request.scenario.explorer.known_map == str(tmp_path / "after" / "known_map.npz")
     after = tfg_drake.explore(resume=half.folder, out=tmp_path / "after", until=9.0)
