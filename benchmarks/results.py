@@ -145,6 +145,7 @@ CELLS: dict[str, list[Cell]] = {
     EXPLORED: [
         ("complete", count),
         ("explored s", mean(0, "explored_s")),
+        ("99 % seen s", mean(0, "area_seen_s")),
         ("position m", mean(3, "position_error_m", "mean")),
         ("surface within 5 cm, %", lambda runs: f"{100 * np.mean(values(runs, 'surface_coverage_5cm')):.1f}"),
         CPU,

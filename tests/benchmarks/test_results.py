@@ -80,6 +80,7 @@ def summary(seed: int, explored: float | None, **fields) -> dict:
         "seed": seed,
         "outcome": "complete" if explored else "stuck",
         "explored_s": explored,
+        "area_seen_s": 80.0,
         "position_error_m": {"mean": 0.01, "max": 0.02},
         "online_pose_anees": 0.5,
         "surface_coverage_5cm": 0.9,
@@ -102,8 +103,8 @@ def test_methods_are_compared_over_the_seeds_that_both_explore(results, monkeypa
     options = argparse.Namespace(rows=None, seeds=None, data=None, out=tmp_path, jobs=1)
     table = results.of_missions("explored", options)
     assert table.splitlines()[-1] == (
-        "| `house` | 1 to 3 | 3 of 3 | 433 | 0.010 | 90.0 | 10 | 0.50 (0.50)"
-        " | 1 of 2 | 500 | 0.010 | 90.0 | 10 | 0.60 |"
+        "| `house` | 1 to 3 | 3 of 3 | 433 | 80 | 0.010 | 90.0 | 10 | 0.50 (0.50)"
+        " | 1 of 2 | 500 | 80 | 0.010 | 90.0 | 10 | 0.60 |"
     )
 
 
