@@ -20,8 +20,17 @@ from tfg_drake.slam.keyframe_graph import adrift, empty_graph, empty_map, moved_
 from tfg_drake.slam.localizer import start_localizer
 from tfg_drake.slam.map_solver import solve
 from tfg_drake.slam.map_update import updated
-from tfg_drake.slam.place_search import no_places
-from tfg_drake.slam.relocalizer import CONTRADICTIONS, DRIFTED, ELSEWHERE, doubted, found_again, mapped_elsewhere
+from tfg_drake.slam.place_search import Places, no_places
+from tfg_drake.slam.relocalizer import (
+    CONTRADICTIONS,
+    DRIFTED,
+    ELSEWHERE,
+    PLACED,
+    doubted,
+    find_itself,
+    found_again,
+    mapped_elsewhere,
+)
 from tfg_drake.slam.shared import exactly_known
 from tfg_drake.slam.walls import known_walls
 from tfg_drake.table import empty
@@ -98,6 +107,22 @@ def test_certainty_comes_back_when_the_walls_tell_where_the_robot_is(carried, la
     error[2] = se2.wrap_angle(error[2])
     assert np.abs(error).max() < 0.03
     assert pose_estimate(state).places == -1
+
+
+@pytest.mark.parametrize("off", [0.12, 3.0])
+def test_it_is_lost_where_it_has_rather_been_carried_than_drifted(off, monkeypatch):
+    """Of a place that is likely, but not certain."""
+
+    def near(_known, _seen, prior, *_args, **_kwargs):
+        return Places((prior.X + np.array([off, 0.0, 0.0]))[None], np.array([0.99]), np.ones(1, dtype=bool))
+
+    monkeypatch.setattr(relocalizer, "find_places", near)
+    robot = Robot()
+    state = robot.view(process_odometry(initial_state(OdometryConfig(), landmarks="walls"), robot.odometry()))
+    state = robot.drive(state, 0.2, 0.0, 10)
+    state = find_itself(replace(state, contradictions=CONTRADICTIONS + 0.0, suspect=state.log[-1]), at_last=True)
+    assert state.contradictions == (0.0 if off < 1.5 else CONTRADICTIONS)
+    np.testing.assert_array_equal(state.log[-1].sigma, PLACED if off < 1.5 else KIDNAPPED)
 
 
 def test_while_what_is_seen_contradicts_the_pose_it_is_not_known(monkeypatch):

@@ -76,7 +76,8 @@ FRAMES, TURNED = 4, 1.0
 EACH_VIEW, LATER = 4, 4
 # Log prior odds of a place other than the one that a person has stated.
 SAID = -4.0
-# A place that was accepted is kept as long as its probability exceeds this.
+# A place that was accepted is kept as long as its probability exceeds this; so probable, one within the drift is
+# accepted.
 STILL = 0.9
 # A tag this far from its mapped place, m, contradicts the pose, however long the robot has driven without tags.
 ELSEWHERE = 5.0
@@ -210,10 +211,12 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     if found is None:
         if state.is_kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
-        take_note("slip", stamp, "what is in view contradicts the pose; the robot looks for itself")
-        # Tags met before the robot was moved have another place relative to it now.
-        state = replace(state, localizer=without_local(state.localizer))
-        return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
+        if is_carried or places.probability[0] < STILL:
+            take_note("slip", stamp, "what is in view contradicts the pose; the robot looks for itself")
+            # Tags met before the robot was moved have another place relative to it now.
+            state = replace(state, localizer=without_local(state.localizer))
+            return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
+        found = Placed(places.X[0], np.diag(BY_WALLS**2))
     if anywhere:
         _operator.warning("%.2f s: the robot has found itself in its map, by %s", stamp, found.by)
     else:
