@@ -25,7 +25,7 @@ USUAL, USUAL_TURN, TWIST_SHARE = 1.5, 2.0 * math.pi, 1.5
 LEAP, LEAP_TURN = 0.5, 0.5
 # A single step longer than this, m, is a jump if it is faster than FASTEST.
 SUDDEN = 0.15
-# After a silence longer than this, s, the motion is unknown. Over a jump the last velocity is held for at most HELD, s.
+# A LEAP or LEAP_TURN in more than SILENCE, s, is unknown motion. Over a jump velocity is held for at most HELD, s.
 SILENCE, HELD = 2.0, 1.0
 
 

@@ -31,7 +31,7 @@ SIDE, SIDE_OF_MAP, BLUR, STEP, AT = 0.1, 0.16, 1.5, 2.5, 8.3
 # Peaks of the correlation are APART, m, or TURNED, rad, from each other, at most PLACES of them. At most COARSE points
 # of the query are correlated, those within SURROUNDINGS, m, of the newest eye; at most QUERY points are fitted.
 APART, TURNED, PLACES, COARSE, QUERY, SURROUNDINGS = 1.0, 0.3, 30, 130, 400, 8.0
-# The fit of a peak: the correspondence distance of each iteration, m, and a prior without information.
+# The fit of a peak: the correspondence distance of each iteration, m, and the information of a negligible prior.
 LOOSELY, UNTIED = (0.5, 0.3, 0.3, 0.15, 0.15, 0.1, 0.1, 0.1), np.eye(3)
 # A query determines its place with LEAST_LENGTH metres of surface and at least this ratio of the smaller eigenvalue of
 # the position's information to the larger.
@@ -40,11 +40,11 @@ LEAST_LENGTH, LEAST_ACROSS = 5.0, 0.03
 SAME_PLACE = np.array([0.5, 0.5, 0.3])
 # A fit whose share of points on surfaces is lower than the best one's by this is rejected.
 MUCH_LESS = 0.3
-# Log odds of a place per metre of surface. ON: seen on a surface of the map. AGAINST, MOVABLE: one side has looked
-# through it and should have seen it; straight surface, other surface. BEYOND: seen where the map has not looked, in all
-# no less than MOST_BEYOND, or GROWING in an unfinished map. There, lest places win that are mapped well, a metre beyond
-# counts HALF a metre ON, up to the length of the latter, and unmapped surface explains the share ALIKE of what the
-# second best place explains.
+# Log odds of a place per metre of surface. ON: seen on the map's surface. AGAINST (straight surface), MOVABLE (other):
+# one side has looked through it and should have seen it. BEYOND: seen where the map has not looked, in total at least
+# MOST_BEYOND, in an unfinished map GROWING. There, lest places win that are mapped well, a metre beyond counts as HALF
+# a metre ON, for at most as many metres as are ON, and unmapped surface explains the share ALIKE of what the second
+# best place explains.
 ON, AGAINST, MOVABLE, BEYOND, MOST_BEYOND, GROWING = math.log(0.97 / 0.55), -3.0, -0.25, -0.6, -6.0, -2.0
 HALF, ALIKE = 0.5, 0.6
 # A cell within NEAR, m, of a surface is on it. It is looked through by an eye that sees at least DEPTH, m, farther,
@@ -58,7 +58,7 @@ ALONG, STRAIGHT, ACROSS, SAME_NORMAL = 3, 0.75, 0.1, 0.92
 BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
 # A place is accepted below this error probability.
 WRONG = 1e-4
-# The threshold of a likely event; and the least ratio to the likeliest place's probability of one that may be right.
+# Probability of a likely event. A place may be right if it is more than LIKELY times as probable as the likeliest one.
 LIKELY = 0.5
 
 
@@ -72,7 +72,7 @@ class Seen(NamedTuple):
 
     def with_look(self, points: FloatArray, X_AE: FloatArray) -> Seen:
         """Return it with points (q, 4) in the frame E (3,) of one more eye."""
-        # One that may be written to, as others are: the kernel is compiled once.
+        # The copy is writable, as other callers' arrays are, so that the kernel is compiled only once.
         moved, eye = moved_points(X_AE, points), np.array(X_AE[:2])
         depth = np.vstack([self.depth, nearest(eye, moved)])
         return Seen(np.vstack([self.points, moved]), np.vstack([self.eyes, eye]), depth)

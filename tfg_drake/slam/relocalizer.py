@@ -76,8 +76,8 @@ FRAMES, TURNED = 4, 1.0
 EACH_VIEW, LATER = 4, 4
 # Log prior odds of a place other than the one that a person has stated.
 SAID = -4.0
-# A place that was accepted is kept as long as its probability exceeds this; so probable, one within the drift is
-# accepted.
+# An accepted place is kept as long as its probability exceeds STILL. At the end of a search in doubt a place within the
+# drift is accepted from this probability on.
 STILL = 0.9
 # A tag this far from its mapped place, m, contradicts the pose, however long the robot has driven without tags.
 ELSEWHERE = 5.0
@@ -91,7 +91,7 @@ HERE = np.array([0.05, 0.05, 0.02])
 # Deviations of a drift, m, m, rad. Log prior odds of a place beyond three of them, that is, of having been carried: a
 # constant, and per metre, as the other end of a building, not mapped yet, may look alike.
 DRIFTED, CARRIED, A_METRE = np.array([0.5, 0.5, 0.17]), -5.0, -0.3
-# The same for a robot that is known to be elsewhere: no place is preferred.
+# DRIFTED and CARRIED of a robot that is known to be elsewhere: of places only the distance counts, by A_METRE.
 FROM_HERE = np.zeros(3), 0.0
 # A turn contradicts the pose if its log odds against the views within AROUND, m, are at most DOUBTFUL. Of 310 turns of
 # robots that nobody carried the lowest odds are -0.1, without people 0.2; each of 18 that were carried had -0.5 or less
@@ -177,7 +177,7 @@ def mapped_elsewhere(state: EstimatorState, localizer: Localizer, seen: TagDetec
 
 def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorState:
     """Return the state after a search for the pose in the map, as the robot is lost or too many frames contradict its
-    pose. Tags are searched at each frame with tags, surfaces once a second and at last.
+    pose. Tags are searched at each frame with tags, surfaces every LOOKS frames and at last.
 
     at_last: the observations are about to be mapped at the current pose, unless the robot is found or known to be
     elsewhere.
@@ -205,7 +205,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         return _drifted(state, newest) if at_last and by_walls else state
     is_carried = state.is_kidnapped or places.near(expected, 3.0 * DRIFTED) < LIKELY
     here = not is_carried and places.may_be(expected, HERE + 3.0 * suspect.sigma)
-    # One that is lost, and maps apart, cannot be more lost.
+    # A robot that is lost already, and maps apart, is not declared lost again.
     if here or (begin and found is None and not state.is_kidnapped):
         return replace(state, contradictions=0.0, suspect=None)
     if found is None:

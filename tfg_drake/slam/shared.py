@@ -18,7 +18,7 @@ from tfg_drake.messages import FloatArray, TagDetections, message, replace
 # (1 + GYRO_SCALE) * turn + GYRO_BIAS (rad/s) * time, measured range = (1 + RANGE_SCALE) * range. The camera looks
 # CAMERA_YAW (rad) to the left, sits LEVER_X ahead and LEVER_Y to the left (m) of where it is believed to sit, and its
 # clock is CLOCK (s) ahead of the base's: a frame stamped s was taken at s - CLOCK. The scanner's parameters mean the
-# same; SWEEP (s/rad) is the delay of its rays per radian to the left.
+# same; its ray at bearing b (rad, to the left) was taken SWEEP * b earlier, SWEEP in s/rad.
 DISTANCE_SCALE, GYRO_BIAS, GYRO_SCALE = range(3)
 CAMERA_YAW, LEVER_X, LEVER_Y, CLOCK, RANGE_SCALE = range(3, 8)
 SCANNER_YAW, SCANNER_X, SCANNER_Y, SCANNER_CLOCK, SWEEP = range(8, 13)

@@ -60,7 +60,7 @@ SLIP_LEAVES = 1 / 3
 SAME_INSTANT = 1e-6
 # The robot's twist at a frame is averaged over this time to either side, s.
 TWIST_SPAN = 0.12
-# Prior information of a parameter that a piece without tags does not determine.
+# Prior information on the scale that defines the chain's unit of length, whose error in that unit is zero.
 HELD = 1e12
 # Where the parameters and the tags begin in the dense rest, after D. The parameters are the shared ones, with the
 # scales of distance and range divided by that of the chain's unit.
@@ -670,7 +670,7 @@ def _subtract(target: FloatArray, at: int, rows: FloatArray, column: int, begin:
 
 @njit(cache=True)
 def _dot(rows: FloatArray, a: int, b: int) -> float:
-    """Two columns' product."""
+    """Return the product of two columns."""
     value = 0.0
     for k in range(len(rows)):
         value += rows[k, a] * rows[k, b]
