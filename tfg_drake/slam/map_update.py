@@ -25,11 +25,11 @@ REJECTED = 49.0
 # Iterations of an update.
 ITERATIONS = 4
 # The graph is solved if, since the last solve, a landmark has moved by more than FAR_MOVED, m; half as many keyframes
-# or MANY_KEYFRAMES were added; a shared parameter has moved by PARAMETER_MOVED of its deviation then; the pose's
-# deviation has grown by LOOSER, m and rad, in quadrature; or one of the NEAREST landmarks to the robot is not jointly
-# known. It is also solved if a rotation of the map about its origin by the heading's deviation leaves the tangent by
-# more than OFF_TANGENT, m, at the distance BEYOND, m, past the robot: each update would add false information on the
-# heading.
+# or MANY_KEYFRAMES, the fewer of these, were added; a shared parameter has moved by PARAMETER_MOVED of its deviation
+# then; the pose's deviation has grown by LOOSER, m and rad, in quadrature; or one of the NEAREST landmarks to the robot
+# is not jointly known. It is also solved if a rotation of the map about its origin by the heading's deviation leaves
+# the tangent by more than OFF_TANGENT, m, at the distance BEYOND, m, past the robot: each update would add false
+# information on the heading.
 FAR_MOVED = 0.05
 BEYOND, OFF_TANGENT = 5.0, 0.003
 MANY_KEYFRAMES = 32
@@ -133,7 +133,7 @@ def _in_unit(P: FloatArray, scale: float, lever: FloatArray, of_scale: int) -> F
     by = np.where(lever != 0.0, scale, 1.0)
     half = by * P[of_scale] + 0.5 * P[of_scale, of_scale] * lever
     other = by[:, None] * P * by + lever[:, None] * half + half[:, None] * lever
-    return np.asarray(np.where(np.tri(len(P), dtype=bool), other, other.T))  # What rounding made of both halves is one.
+    return np.asarray(np.where(np.tri(len(P), dtype=bool), other, other.T))  # Rounding must not break the symmetry.
 
 
 def _told(one: Keyframe, graph: KeyframeGraph) -> _Told:
@@ -236,16 +236,16 @@ def entropy_of(covariance: FloatArray) -> float:
 
 
 def _entries(size: int, local_row: IntArray) -> IntArray:
-    """Where in a joint covariance of this size some landmarks, by their rows (m,) in local, the pose and the parameters
-    are."""
+    """Return the entries, in a joint covariance of this size, of landmarks in rows (m,) of local, the pose and the
+    parameters."""
     return np.append((2 * local_row[:, None] + [0, 1]).ravel(), np.arange(size - 3 - SHARED, size))
 
 
 def _iterated(
     joint: Joint, local_row: IntArray, told: _Told, seen: IntArray, one: Keyframe, p_MC: FloatArray
 ) -> _Update:
-    """The update by m landmarks: local_row (m,) where they are in local, seen (m,) where in the keyframe, p_MC: (m, 2)
-    their anchors. joint: the map's."""
+    """Return the update by m landmarks, in rows local_row (m,) of local and seen (m,) of the keyframe, with anchors
+    p_MC (m, 2). joint: the map's."""
     (mean, covariance), m, r = joint, len(seen), len(told.told)
     at = _entries(len(covariance), local_row)
     P = covariance[np.ix_(at, at)]

@@ -23,11 +23,11 @@ DISTANCE, HEADING, TAGS, CORRELATION, LOOKS = range(5)
 PRIOR = np.array([0.35, 0.35, 0.3, 0.7, 0.7])
 LEAST = np.array([-0.35, -0.35, -0.35, -0.1, 0.0])
 MOST = np.array([1.6, 1.6, 1.6, 1.7, 2.5])
-# The newest MOST_SAMPLES samples are kept. The noise is learnt whenever the number of samples has grown by GROWTH
-# times.
+# The newest MOST_SAMPLES samples are kept. The noise is learnt whenever the number of samples seen has grown
+# GROWTH-fold.
 MOST_SAMPLES = 32
 GROWTH = 3
-# Greatest number of Newton steps; it has converged after a step below SMALL, in deviations. DIFFERENCE: of the
+# Greatest number of Newton steps; a step of at most SMALL, in deviations, is the last. DIFFERENCE: step of the
 # numerical derivatives.
 MOST_STEPS = 6
 SMALL = 1.0
@@ -127,8 +127,8 @@ class LearntNoise:
         return sum(one.misfit(noise) for one in self.samples) + 0.5 * float(np.sum((level / PRIOR) ** 2))
 
     def _differences(self, level: FloatArray, cost: float) -> tuple[FloatArray, FloatArray]:
-        """Gradient (5,) and Hessian (5, 5) of the cost. Where that is not definite, its eigenvalues' sizes are
-        taken, and no direction is known worse than by the prior."""
+        """Return gradient (5,) and Hessian (5, 5) of the cost. Relative to the prior's information the Hessian's
+        eigenvalues are replaced by their absolute values, but at least 1, so that it is definite."""
         n, step = len(level), DIFFERENCE * np.eye(len(level))
         ahead = np.array([self._cost(level + one) for one in step])
         back = np.array([self._cost(level - one) for one in step])
@@ -148,6 +148,6 @@ def noise_by_data_sheet(walks: FloatArray) -> LearntNoise:
 
 
 def _at(sheet: FloatArray, level: FloatArray) -> Noise:
-    """The noise at some levels (5,) beside walks (3,) of the data sheet."""
+    """Return the noise at levels (5,), given the walks (3,) of the data sheet."""
     walks = sheet * np.array([math.exp(level[DISTANCE]), math.exp(level[HEADING]), 1.0])
     return Noise(walks, math.exp(level[TAGS]), math.tanh(level[CORRELATION]), math.exp(level[LOOKS]))

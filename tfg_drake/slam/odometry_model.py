@@ -80,7 +80,7 @@ def reckon(last: DeadReckoning, before: Odometry, after: Odometry) -> DeadReckon
 
 
 def reckoned_at(before: DeadReckoning, after: DeadReckoning, stamp: float) -> DeadReckoning:
-    """Dead reckoning at a stamp between two."""
+    """Return the dead reckoning at a stamp between two."""
     span = after.stamp - before.stamp
     share = (stamp - before.stamp) / span if span > 0.0 else 1.0
     clock = before.clock + share * (after.clock - before.clock)
@@ -88,7 +88,7 @@ def reckoned_at(before: DeadReckoning, after: DeadReckoning, stamp: float) -> De
 
 
 def interpolate(before: Odometry | DeadReckoning, after: Odometry | DeadReckoning, stamp: float) -> FloatArray:
-    """X_OB (3,) at a stamp between two messages, the twist constant in between."""
+    """Return X_OB (3,) at a stamp between two messages, with a constant twist between them."""
     span = after.stamp - before.stamp
     share = (stamp - before.stamp) / span if span > 0.0 else 1.0
     return np.asarray(_along(before.X_OB, after.X_OB, share))
