@@ -32,9 +32,9 @@ NORMAL = 0.6745
 LEAST_SIGMA = 0.002
 # The length, m, over which an uneven wall is off its plane to one side.
 STRETCH = 0.5
-# Unevenness of walls: half a stretch has MOST_RAYS rays at most, a scan counts with LEAST_RAYS rays. Each scan changes
-# the variance by the share SLOWLY of itself, or of that of LEAST_UNEVEN, m, if that is more; it is at most that of
-# MOST_UNEVEN, m, of walls in inhabited buildings: what is more uneven is no wall.
+# Unevenness of walls: half a STRETCH has MOST_RAYS rays at most; a scan with fewer than LEAST_RAYS rays on lines is
+# ignored. Each scan changes the variance by the share SLOWLY of its value, taken as at least LEAST_UNEVEN^2, m^2. The
+# unevenness is at most MOST_UNEVEN, m, that of walls in inhabited buildings: what is more uneven is no wall.
 MOST_RAYS, LEAST_RAYS, SLOWLY, LEAST_UNEVEN, MOST_UNEVEN = 24, 30, 0.05, 0.004, 0.03
 # A ray within this distance of a line, m, is on it.
 ON_LINE = 0.1

@@ -112,9 +112,9 @@ class Comparison:
     begun: s, start of the first pair by the scans' clock. turn, travel: ratio of the scans' turns and distances to the
     odometry's. lag: s, offset of the scans' clock ahead of the odometry's. yaw: rad, yaw of the scanner to the left of
     its stated one. deviations: (4,) of turn, travel, lag and yaw, inf if undetermined. contradicts: (k, 2) intervals,
-    s by the scans' clock, in which the odometry contradicts the scans even so. turning, travelling: (2,) each, number
-    of pairs with a turn or motion by either, and number of these that are explained. stands: True if the odometry never
-    moves.
+    s by the scans' clock, in which the odometry, corrected, contradicts the scans. turning, travelling: (2,) each,
+    number of pairs with a turn or motion by either, and number of these that are explained. stands: True if the
+    odometry never moves.
     """
 
     mount_known: bool

@@ -16,7 +16,7 @@ from tfg_drake.messages import FloatArray
 # A ray's normal is fitted to the rays of its surface within REACH, m. Neighbours are on one surface if they are no
 # farther apart than on a plane seen at the cosine SLANT, plus STEP, m. A normal's deviation is at most NORMAL, rad.
 REACH, SLANT, STEP, NORMAL = 0.2, 0.13, 0.08, 0.15
-# Correspondence distances of the iterations, m: of the search, of the fit; and with which rays are counted as fitting.
+# Correspondence distances, m, of the iterations of search (COARSE) and fit (FINE); FIT: of rays that count as fitting.
 COARSE, FINE, FIT = (0.6, 0.4), (0.4, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1), 0.1
 # The search starts from TURNS headings to either side of the guess, TURN_STEP, rad, apart.
 TURNS, TURN_STEP = 9, 0.13

@@ -109,7 +109,7 @@ def _normals(
             n_x, n_y = (-C_xy, along - C_yy) if C_xx > C_yy else (C_xx - along, C_xy)
             length = math.hypot(n_x, n_y)
             n_x, n_y = n_x / length, n_y / length
-            # The part of a parabola of t, orthogonal to every line, in how far the rays are off.
+            # The rays' offsets along the normal, projected on the parabola in t that is orthogonal to all lines.
             mid, mean = 0.5 * (m - 1), (m * m - 1) / 12.0
             bend = n_x * (tt_x - 2.0 * mid * t_x + (mid * mid - mean) * s_x)
             bend += n_y * (tt_y - 2.0 * mid * t_y + (mid * mid - mean) * s_y)

@@ -31,7 +31,7 @@ from tfg_drake.slam.shared import (
 # tags in front of their surfaces, m.
 COMPARED = (RANGE_SCALE, CAMERA_YAW, LEVER_X, LEVER_Y)
 OF_SCANNER = (SCANNER_YAW, SCANNER_X, SCANNER_Y)
-# Prior standard deviation of that distance.
+# Prior standard deviation of the distance of tags in front of their surfaces, m.
 BEFORE_SURFACE = 0.02
 # Standard deviation of a tag's own error in range, m: tags are printed, measured and hung to a centimetre.
 TAG_SIGMA = 0.01

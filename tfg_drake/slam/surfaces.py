@@ -25,8 +25,8 @@ CELL = 0.3
 SAME_WAY, COMMON = 0.45, 0.8
 # Number of intervals of a full turn by which directions are sorted.
 TURNS = 4096
-# Deviations of a point, m, of all that one keyframe sees of a piece, m, and of the slope of a piece to the mean of its
-# points' normals.
+# Deviations. POINT: of a point, m. FLOOR: the error common to all points of one look at a piece, m. SLOPE: of a piece's
+# slope to the mean of its points' normals.
 POINT, FLOOR, SLOPE = 0.02, 0.01, 0.15
 # The weight of a point on an edge, as the edge seen varies with the place it is seen from.
 EDGE = 0.25
@@ -163,7 +163,7 @@ def scatter(H: FloatArray, g: FloatArray, at: IntArray, block: FloatArray, gradi
 def add_ties(
     which: IntArray, ties: Ties, X_MN: FloatArray, node_at: IntArray, block: FloatArray, gradient: FloatArray
 ) -> float:
-    """As add_pieces, for some ties, which (q,)."""
+    """Add Hessian and gradient of some ties, which (q,); arguments and result as of `add_pieces`."""
     total, J, e, at = 0.0, np.zeros((3, 6)), np.empty(3), np.empty(6, dtype=np.int64)
     for t in which:
         first, second, X_AB, information = ties.first[t], ties.second[t], ties.X_AB[t], ties.information[t]
@@ -227,7 +227,7 @@ def add_pieces(
     for g in which:
         first, m = looks[g], looks[g + 1] - looks[g]
         m_x, m_y, n_x, n_y = frame[g]
-        # In each look's frame: the normal, what it turns to, and the way along; how far A is across and along.
+        # Of each look: the normal in its frame A, and A's distances across and along the piece.
         of = np.empty((m, 8))
         S0, S1, S2, g0, g1 = 0.0, 0.0, 1.0 / SLOPE**2, 0.0, 0.0
         for k in range(m):

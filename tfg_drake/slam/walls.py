@@ -29,10 +29,10 @@ PROVISIONAL = 2 * WALLS_BELOW
 # Two looks of a turn are at one wall if their directions differ by at most SAME_ANGLE, rad, and the middle of one is
 # off the other's line by at most SAME_LINE, m, each plus three deviations, and the seen pieces overlap.
 SAME_ANGLE, SAME_LINE = 0.05, 0.05
-# SAME_LINE grows by this share of the distance, as the heading may have drifted between the looks.
+# SAME_LINE grows by this share of the look's distance from A, as the heading may have drifted between the looks.
 DRIFT = 0.02
-# The error of angle (rad) and distance (m) that all looks of a keyframe at one wall share, as no surface is a plane;
-# its multiples, one of which is estimated from walls that are seen again, and their prior.
+# FLOOR: the error of angle (rad) and distance (m) common to all looks of a keyframe at one wall, as no surface is a
+# plane. FLOORS: its candidate multiples, weighted by how well walls agree that are seen again; PRIOR: their prior.
 FLOOR = np.array([1e-3, 2e-3])
 FLOORS = np.exp2(np.arange(-1.0, 6.0))
 PRIOR = np.array([0.25, 0.4, 0.25, 0.1, 0.1, 0.1, 0.1])
