@@ -17,8 +17,8 @@ from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan, with_noise
 from tfg_drake.vision.mount import CameraMount
 
-# Number of seeds that a random number in [0, 1) selects from; an offset from the seed of the grey image of that
-# instant.
+# _SEEDS: number of seeds that a random number in [0, 1) selects from. _OTHER: offset from the seed of the grey image
+# of the same instant.
 _SEEDS, _OTHER = 2**32, 1
 
 

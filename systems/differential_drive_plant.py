@@ -79,7 +79,7 @@ class DifferentialDrivePlant(LeafSystem):
 
     @metered("differential_drive_plant")
     def _CalcPose(self, context: Context, output: BasicVector) -> None:
-        # Sensors whose periods are no multiple of ours look inside the running step.
+        # Sensors whose period is no multiple of COMMAND_PERIOD read the pose in the middle of a step.
         output.SetFromVector(drive.pose_at(self._State(context), context.get_time()))
 
     def _Hazards(self, context: Context) -> Hazards:

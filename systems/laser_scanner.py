@@ -44,7 +44,7 @@ class LaserScanner(LeafSystem):
         self._stated, self._reality = config, reality
         self._config, self._X_BS = as_it_is(config, reality), np.array([reality.ahead, reality.left, reality.yaw])
         self.has_ray_faults = reality.dropout_probability > 0.0 or reality.mixed_probability > 0.0
-        # A message's own, which every other shares.
+        # Arrays as a message holds them, shared by all messages.
         self._angles = replace(no_scan(config), angles=ray_angles(config)).angles
         self._towards = replace(no_scan(config), angles=-self._angles).angles if reality.flip else self._angles
         self._pose = self.DeclareVectorInputPort("pose", 5)

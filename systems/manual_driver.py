@@ -15,9 +15,9 @@ from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, w
 from tfg_drake.planning.scripted_drive import end_of_drive
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
 
-# Length of the reported path ahead of the robot, m, as the driver's way is unknown.
+# Length of the reported path straight ahead of the robot, m: the driver's way is unknown.
 AHEAD = 0.5
-# Reported length that is left of it, m, enough for another glance.
+# Reported remaining length of that path, m: enough for another glance.
 LEFT = 10.0
 
 
@@ -115,7 +115,7 @@ class ManualDriver(LeafSystem):
         following = self._inputs(context, "following_status")
         if mission.phase == "observe" or now.sent.node >= 0:
             return following
-        # While the robot stands nothing is reported and the mission waits. A goal from the page waits for a stage.
+        # While the robot stands, no path is reported and the mission waits. A goal from the page waits for a stage.
         waits = now.requested.count > now.sent.count
         told = now.path.id if now.looks or waits or any(now.velocity) else -1
         arrived = now.looks or (waits and not self._glances)
@@ -129,7 +129,7 @@ class ManualDriver(LeafSystem):
     def _Update(self, context: Context, before: _Driving) -> _Driving:
         mission, now = self._inputs(context, "mission"), self._Press(before, context)
         if mission.phase == "paused" and any(now.velocity):
-            now = replace(now, velocity=(0.0, 0.0))  # What goes on after a stop stands until the next key.
+            now = replace(now, velocity=(0.0, 0.0))  # After a pause the robot stands until the next key.
         if mission.phase == "observe" and now.looks:
             now = replace(now, looks=False, velocity=(0.0, 0.0))
         if mission.phase == "choose" and mission.stage > now.goal.stage:

@@ -38,7 +38,7 @@ class MessageDelay(LeafSystem):
         self._delay, self._name = delay, f"{name}_at_once"
         self._inputs = MessageInputs(self, **{self._name: object})
         self._queue = MessageState(self, _Queue(()), self._Update)
-        # Until there is a first message, the input's own.
+        # Before the first update the output is the input's current message.
         tickets = self._queue.tickets | {self._inputs.ports[self._name].ticket()}
         declare_message_output(self, name, self._Shown, tickets)
 

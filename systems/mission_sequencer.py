@@ -10,7 +10,7 @@ from tfg_drake.config import RobotConfig
 from tfg_drake.mission.sequence import MissionInputs, initial_status, step
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
-# The outputs of the TFG explorer that map, by port.
+# Output ports of the TFG explorer whose messages are maps.
 MAPS = ("map", "tfg")
 
 

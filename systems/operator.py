@@ -77,12 +77,12 @@ class Operator(LeafSystem):
             _log.info("nothing moves before it is enabled")
         if not (begins or requests):
             return before
-        # It holds from the next instant on, which all who listen still have before them.
+        # Requests take effect at the next instant, which no receiver has passed yet.
         then = context.get_time() + PERIOD
         places = [request for request in requests if isinstance(request, tuple)]
         if places:
             after = replace(after, goal=goal_asked_for(after.goal, places, then))
-        if "push" in requests:  # However often that was asked for at once, it is one.
+        if "push" in requests:  # Several pushes requested at one instant are one push.
             after = replace(after, pushes=with_push(after.pushes, then))
         said = [request for request in requests if isinstance(request, SaidPose)]
         if said:

@@ -13,7 +13,7 @@ from tfg_drake.mission.sequence import initial_status
 from tfg_drake.systems.mission_sequencer import MAPS
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState, number
 
-# Length, m, and least number of scans of a piece of the way, as some logs have one scan a metre.
+# A piece of the way is at least PIECE_LENGTH, m, long and has at least PIECE_SCANS scans: some logs have one per metre.
 PIECE_LENGTH = 1.0
 PIECE_SCANS = 2
 # The reason of the outcome at a recording's end.

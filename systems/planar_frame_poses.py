@@ -13,7 +13,7 @@ from tfg_drake.simulation.people import People, discs_at
 from tfg_drake.systems.ports import MessageInputs
 from tfg_drake.systems.rendered_world import PlanarPose
 
-# Pose, out of sight, of people who have not appeared yet.
+# Pose of people who have not appeared yet: below the floor, out of sight.
 _AWAY = RigidTransform([0.0, 0.0, -100.0])
 
 

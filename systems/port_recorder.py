@@ -65,7 +65,7 @@ class PortRecorder(LeafSystem):
         by the names of the inputs here."""
         for name, output in requested.items():
             builder.Connect(output, self.GetInputPort(name))
-        # A recorded station whose requests are not connected has none.
+        # Requests come only from `requested`, not from a recorded station's outputs of the same names.
         unheard = dict.fromkeys(storage.REQUESTS.values(), "")
         connect_by_name(builder, self, explorer, station, **unheard)
 
@@ -86,6 +86,6 @@ class PortRecorder(LeafSystem):
                 self._writer.write(topic, now, message)
         if pose is not None and self._writer.wants_map(pose.stage):
             estimate, tfg = look("map"), look("tfg")
-            # Surfaces come into the TFG a moment after the landmarks.
+            # The TFG gets the surfaces of a stage shortly after the map gets its landmarks.
             if tfg is not None and tfg.stage == estimate.stage:
                 self._writer.write_map(now, estimate, tfg, look("landmarks"))

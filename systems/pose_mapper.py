@@ -109,7 +109,7 @@ def _with_detections(seen: _Seen, X_MB: FloatArray, detections: TagDetections, c
 def _mapped(seen: _Seen, X_MD: FloatArray, covariance: FloatArray) -> MapEstimate:
     """Return the map with the current observation as a new view."""
     n, X_MA, no_wall = len(seen.ids), seen.way[0, 1:], np.zeros((len(seen.ids), 2))
-    # The pose's error is in all places alike.
+    # The covariance of the pose's position adds to every landmark's alike.
     each = 1.0 / seen.information[:, None, None] * np.eye(2) + covariance[:2, :2]
     return replace(
         seen.estimate,

@@ -12,18 +12,18 @@ from tfg_drake.planning.pure_pursuit import at_rest, follow, turn_in_place, turn
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import PERIOD, MessageInputs, declare_message_output
 
-# Least duration of an observation, s, in which a tag is seen in several frames.
+# Least duration of a look around, s: long enough to see a tag in several frames.
 LOOK_TIME = 0.75
 
-# A robot that has not moved for this time, s, despite a command is held up.
+# The robot is stalled if it has not moved for PATIENCE, s, despite a command.
 PATIENCE = 3.0
-# One held up for SHORT_PATIENCE, s, within AT_GOAL, m, of its goal has arrived, as a corner may let it no nearer.
+# With less than AT_GOAL, m, of the path left it counts as arrived after SHORT_PATIENCE, s: a corner may block the rest.
 SHORT_PATIENCE, AT_GOAL = 0.5, 0.2
 
-# The discrete state: time of the last update, s; when the running turn began, s, how far it has turned and the last
-# heading, rad; how far it is to turn first and then, rad, and how many of the two are done; the path's id, the progress
-# on it, m, and whether the robot turns in place on it; whether it is finished; when the robot last did as it was told,
-# s, and how much of the path is left, m.
+# The discrete state. STAMP: time of the last update, s. TURN_SINCE: when the turn began, s. TURNED, HEADING: angle
+# turned since and last heading, rad. FIRST, THEN: targets of the turn's two legs, rad. LEGS: number of legs done. PATH:
+# its id. PROGRESS: arc length along it, m. TURNING: the robot turns in place on it. FINISHED: it is driven. OBEYED:
+# when the robot last moved as commanded or had no command, s. LEFT: remaining length of the path, m.
 (
     STAMP, TURN_SINCE, TURNED, HEADING, FIRST, THEN, LEGS, PATH, PROGRESS, TURNING, FINISHED, OBEYED, LEFT,
 ) = range(13)  # fmt: skip
@@ -86,7 +86,7 @@ class PurePursuitFollower(LeafSystem):
             turn_rate = self._Turn(x, mission, self._inputs(context, "goal"), pose)
         elif mission.drives:
             speed, turn_rate = self._Follow(x, self._inputs(context, "path"), pose.X_MB, moving[0])
-        # A small turn does not count as driving, as a gyro's noise alone looks like it.
+        # A small turn does not count as motion: the gyro's noise alone looks like it.
         if (speed == 0.0 and turn_rate == 0.0) or not at_rest(moving[0], moving[1] if speed == 0.0 else 0.0):
             x[OBEYED] = x[STAMP]
         elif mission.drives and x[LEFT] < AT_GOAL and x[STAMP] - x[OBEYED] > SHORT_PATIENCE:
@@ -99,7 +99,7 @@ class PurePursuitFollower(LeafSystem):
         heading = float(pose.X_MB[2])
         if x[TURN_SINCE] != mission.since:
             x[TURN_SINCE], x[TURNED], x[HEADING], x[LEGS] = mission.since, 0.0, heading, 0.0
-            # Half of the first turns go back: what a turn is wrongly measured by does not turn the map.
+            # Half of the first turns go back: then a scale error of the measured turns does not rotate the map.
             turns = self._explorer.first_turns if mission.stage == 0 else 1
             x[FIRST], x[THEN] = 2.0 * np.pi * np.array([(turns + 1) // 2, (turns + 1) // 2 - turns // 2])
             if mission.stage > 0 and self._field_of_view is not None:

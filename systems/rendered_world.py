@@ -41,15 +41,15 @@ from tfg_drake.world.scene import SceneConfig, make_scene
 from tfg_drake.world.world import World
 
 _RENDERER = "vtk"
-# Least and greatest distance that is rendered, m; a building is smaller.
+# Clipping range: least and greatest rendered distance, m; a building is smaller.
 _NEAREST, _FARTHEST = 0.03, 100.0
-# Headings of three directional lamps, and their height above the horizon, rad.
+# Headings of three directional lamps and their elevation above the horizon, rad.
 _LAMP_HEADINGS, _LAMP_HEIGHT = np.radians([20.0, 140.0, 260.0]), math.radians(20.0)
 
 # Height of people, m, and grey levels of their clothes and of the sky.
 _TALL, _CLOTHES, _SKY = 1.7, 85.0, 225.0
-# Drake's renderer has the optical axis at (center_x, center_y) from the corner of the first pixel, ours is from its
-# centre: an edge in the axis shows so in colour and in depth (RenderEngineVtk, Drake 1.51).
+# Drake's renderer counts (center_x, center_y) from the corner of the first pixel, our calibration from its centre: an
+# edge on the optical axis shows it, in colour and in depth (RenderEngineVtk, Drake 1.51).
 _PIXEL_CENTRE = 0.5
 
 

@@ -29,9 +29,9 @@ from tfg_drake.simulation.laser_scanner import no_scan
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-# Number of scans in a row, about two seconds, after which the reason is reported why the base stands despite a command.
+# Number of consecutive scans, about two seconds, after which a base that stands despite a command reports the reason.
 _HELD_SCANS = 20
-# Greatest distance of the obstacle that stops the base beyond the stop distance, m: noise, and its way while it brakes.
+# The reported obstacle lies at most _NEAR, m, beyond the stop distance: range noise plus the braking distance.
 _NEAR = 0.1
 _BLOCKED = "something stands in its way; it may turn on the spot, and goes on when its way is free"
 
@@ -82,11 +82,11 @@ class SafetyFilter(LeafSystem):
         self._command = self.DeclareVectorInputPort("velocity_commanded", 2)
         self._inputs = MessageInputs(self, "hazards", "scan", "odometry", "pose")
         self._enable = self.DeclareVectorInputPort("enable", 1)
-        # The filter's state, its outputs, the velocity and whether the base may move, and the `enable` that
-        # a cliff or a wheel drop has used up.
+        # The filter's state; its outputs: the velocity, and whether the base may move; and the number of the `enable`
+        # that a cliff or a wheel drop has invalidated.
         initial = np.zeros(STATE_SIZE), np.zeros(2), np.ones(1), np.zeros(1)
         self._state, velocity, self._enabled, self._spent = (self.DeclareDiscreteState(values) for values in initial)
-        # As often as odometry comes; scans are fewer.
+        # Updated at the rate of odometry, which is higher than that of scans.
         self._watch = MessageState(self, no_watch(no_scan(scan)), self._Watch)
         self.DeclarePeriodicDiscreteUpdateEvent(COMMAND_PERIOD, 0.0, self._Filter)
         self.DeclareStateOutputPort("velocity", velocity)

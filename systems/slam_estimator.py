@@ -29,7 +29,7 @@ from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import metered
 from tfg_drake.systems.ports import PERIOD, MessageInputs, MessageState
 
-# A recording's odometry has ended after this time without a message, s.
+# A recording's odometry has ended if no message arrives for SILENCE, s.
 SILENCE = 1.0
 
 
@@ -141,6 +141,6 @@ class SlamEstimator(LeafSystem):
             explored = goal is not None and goal.is_explored
             estimator = end_turn(estimator, odometry.stamp, explored=explored)
         if math.isfinite(estimator.placed) and estimator.placed != self._state(context).placed:
-            # It may have been found by an older view: the poses up to now were published in another frame.
+            # An older view may have located the robot: the poses published up to now are in another frame.
             estimator = replace(estimator, placed=odometry.stamp)
         self._state.set(state, estimator)

@@ -92,7 +92,7 @@ class TagSensor(LeafSystem):
             errors = errors * np.array([reality.tag_range_error, reality.tag_bearing_error])
         world = self._around.world(context)
         if len(world.tag_ids) < len(fresh):
-            # Some have fallen off.
+            # Some tags have fallen off the walls.
             there = np.isin(self._world.tag_ids, world.tag_ids)
             fresh, errors = fresh[there], errors[there] if errors is not None else None
         X_WS = compose(pose[:3], self._X_BS) if self._X_BS.any() else pose[:3]

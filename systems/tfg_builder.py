@@ -16,7 +16,7 @@ from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.graph import empty_map, resolve, update
 from tfg_drake.tfg.panorama import build_panorama
 
-# Number of scans kept of a glance, as all are assumed at its start although the robot moves.
+# Greatest number of scans of a glance: all count as taken at its start, although the robot moves.
 GLANCE_SCANS = 3
 
 
@@ -65,7 +65,7 @@ class TfgBuilder(LeafSystem):
         self._tags, self._robot, self._explorer = tags, robot, explorer
         self._keep_out = np.zeros((0, 4)) if keep_out is None else keep_out
         self._inputs = MessageInputs(self, "scan", "map", "landmarks", "mission")
-        # Often enough to see every scan, and a power of two: 1/16 s at 10 Hz.
+        # Short enough to see every scan, and a power of two: 1/16 s at 10 Hz.
         period = 2.0 ** -math.ceil(math.log2(1.25 * scan.rate))
         # One value: Drake copies every abstract state at every event of any system.
         state = MessageState(self, _BuilderState(empty(TfgGraph), empty_map(), ()), self._Update, period)

@@ -20,15 +20,15 @@ from tfg_drake.simulation.disturbance import Pushes
 from tfg_drake.simulation.people import People, places_at
 from tfg_drake.systems.ports import MessageInputs, connect_by_name
 
-# Poses per simulated second, and number of poses per scan and per check of slowly changing layers; the page
-# interpolates.
+# Poses are written RATE times per simulated second, the page interpolates; a scan every POSES_A_SCAN poses, and slowly
+# changing layers are checked every POSES_A_LOOK poses.
 RATE = 8.0
 POSES_A_SCAN, POSES_A_LOOK = 4, 2
 
 _MESSAGES = ("map", "tfg", "roadmap", "goal", "path", "grid", "mission", "pose", "scan", "local_roadmap", "landmarks")
-# Its inputs by the station's ports.
+# Names of the station's outputs by the recorder's inputs.
 _HEARD_AS = {"scan": "scan.ranges", "enabled": "base.enabled", "truth": "truth.pose", "people": "truth.people"}
-# Layers of messages that have several.
+# Layers of each message that has several.
 _LAYERS = {
     "map": ("map", "wall_landmarks"),
     "goal": ("goal", "gains"),
@@ -104,8 +104,8 @@ class TimelineRecorder(LeafSystem):
 
     def _Forget(self) -> None:
         """Mark all layers as not yet written."""
-        self._newest: dict[str, object] = {}  # what stands in the file
-        self._stars: dict[int, FloatArray] = {}  # the same, of each view
+        self._newest: dict[str, object] = {}  # newest message in the file, by layer
+        self._stars: dict[int, FloatArray] = {}  # free space in the file, by view
         self._count = 0
 
     def _Write(self, everything: bool, context: Context) -> None:
@@ -129,7 +129,7 @@ class TimelineRecorder(LeafSystem):
             if message is None or message is before:
                 continue
             if isinstance(before, MapEstimate) and before.stage == message.stage == 0:
-                continue  # Until there is a view the map is made anew at every look.
+                continue  # Before the first view the map is a new object at every look.
             if everything or self._IsDue(name, now):
                 self._newest[name] = message
                 self._WriteMessage(name, message, now, context)

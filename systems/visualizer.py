@@ -32,24 +32,24 @@ from tfg_drake.world.world import World
 
 # Height of text and legend above Meshcat's grid, m.
 PLATE_HEIGHT = 0.05
-# Height of a stop's number, in symbols; number of standard deviations that are drawn.
+# NUMBER: height of a stop's number, in symbol sizes. SIGMAS: half axes of ellipses, in standard deviations.
 NUMBER, SIGMAS = 3.0, 3.0 * MAGNIFIED
-# An empty path by which Meshcat shows whether it records.
+# An empty Meshcat path, used to find out whether Meshcat records.
 PROBE = "/tfg/recorded"
-# Period of the scans and lines of text in a recording, s.
+# Least interval of scans and of the line of text in a recording, s.
 RECORDED = 2.0
-# Number and length, m, of the steps of a piece of the trail; period of the text, s.
+# A piece of the trail has TRAIL_STEPS steps of at least TRAIL_STEP, m. WORDS: least interval of the live text, s.
 TRAIL_STEPS, TRAIL_STEP, WORDS = 16, 0.25, 1.0
-# Greatest mean rate of a layer in a recording, bytes per simulated second, as a grid changes all the time.
+# Greatest mean rate of a layer in a recording, bytes per simulated second: a grid changes all the time.
 RECORDED_RATE = 50e3
-# The camera: vertical field of view, rad, elevation, rad, and the least aspect ratio of a window that shows the whole
-# building.
+# The camera: VIEW_ANGLE: vertical field of view, rad. ELEVATION: rad. ASPECT: least aspect ratio of a window that shows
+# the whole building.
 VIEW_ANGLE, ELEVATION, ASPECT = math.radians(35.0), math.radians(58.0), 1.5
 
 _log = logging.getLogger("tfg_drake.visualizer")
 
 
-# Layers that are tables; layers with one record at a time, and those shown while the robot drives.
+# TABLES: layers that are tables. RECORDS: those with one record at a time. DRIVING: those shown while the robot drives.
 TABLES = ("map", "wall_landmarks", "tfg", "frontiers", "gains")
 RECORDS, DRIVING = ("path", "goal", "grid"), ("path", "goal")
 
@@ -115,7 +115,7 @@ class TfgVisualizer(TimelineRecorder):
         self._scene.begin(context.get_time())
 
     def _WriteEnd(self, context: Context) -> None:
-        # A mission that is over ends the simulation sooner than everything is drawn again.
+        # A mission that is over ends the simulation before the next periodic drawing.
         mission = self._Get(context, "mission")
         if mission is not None and mission.outcome and mission is not self._newest.get("mission"):
             self._Write(True, context)
@@ -129,7 +129,7 @@ class MeshcatScene:
         self._meshcat, self._world, self._X_WM, self._radius = meshcat, world, X_WM, radius
         self._lost = False
         self._view = _view(world, X_WM)
-        # A symbol's size: visible when the whole building fills the window.
+        # A symbol's size, m: visible when the whole building fills the window.
         self._unit = max(0.06, (self._view[2] - self._view[0]) / 420.0)
         _, lines = legend_plate(())
         # Size of a pixel of the plates, m, and their extent in y, south of the building.
@@ -146,7 +146,7 @@ class MeshcatScene:
 
     def begin(self, time: float = 0.0) -> None:
         """Draw the scene before the mission begins, at a time, s."""
-        # The newest version of each object, and whether a recording has it.
+        # Number of each object's newest version, and whether a recording contains it.
         self._versions: dict[str, tuple[int, bool]] = {}
         self._old: list[str] = []
         self._recorded = False
@@ -214,7 +214,7 @@ class MeshcatScene:
         elif layer == "mission":
             recorded, over = self._IsRecorded(), bool(told["outcome"])
             self._Toggle("/tfg/map/driving", told["drives"], time, recorded)
-            for name in ("gains", "tour"):  # There is nowhere left to go.
+            for name in ("gains", "tour"):  # No goal is left.
                 self._Toggle(f"/tfg/map/{name}", not over, time, recorded)
             self._said["mission"] = f"stage {told['stage']}, {told['outcome'].replace('_', ' ') or told['phase']}"
             if over:
@@ -231,7 +231,7 @@ class MeshcatScene:
             shown = layers(layer, arrays, cell=told.get("resolution", 0.0))
             self._Show(f"driving/{layer}" if layer in DRIVING else layer, time, layer, shown)
             if layer == "goal" and "tour" in arrays:
-                # They stand upright, whatever the map is turned by.
+                # The numbers stand upright, whatever the map's rotation.
                 numbers = numerals(arrays["tour"], NUMBER * self._unit, -float(self._X_WM[2]))
                 self._Show("tour", time, "tour", [*layers("tour", arrays), Layer("number", numbers)])
                 self._said["goal"] = _words_of_goal(arrays, told, self._X_WM)
@@ -290,7 +290,7 @@ class MeshcatScene:
         path = self._NextVersion("scan", time)
         self._meshcat.SetObject(path, cloud, 2.0 * look.size * self._unit, Rgba(*look.colour))
 
-    # Meshcat: only transforms and properties have a time. So a thing that changes its shape has a path a version.
+    # In Meshcat only transforms and properties have a time, so each version of an object's shape gets its own path.
 
     def _Show(self, name: str, time: float, record: str, shown: Iterable[Layer]) -> None:
         size = self._ShowLayers(self._NextVersion(name, time), shown)
@@ -301,7 +301,7 @@ class MeshcatScene:
         """Return the Meshcat path of an object's version from a time on, s: a new path if a recording has the last."""
         recorded = self._IsRecorded()
         if recorded and not self._recorded:
-            for path in self._old:  # of a recording that there was before
+            for path in self._old:  # versions of an earlier recording
                 self._meshcat.Delete(path)
             self._old.clear()
             self._meshcat.get_mutable_recording().set_autoplay(False)  # It opens as it ends.
