@@ -18,10 +18,10 @@ from tfg_drake.slam import scan_matching
 from tfg_drake.slam.first_look import Message, held_against_odometry, off_by_way, remedies
 from tfg_drake.systems.ports import COMMAND_PERIOD, MessageInputs, MessageState, number
 
-# Turn, rad, after which scans and tags are compared with odometry: their faults are significant after a turn and a
-# half.
+# Accumulated turn, rad, after which scans and tags are compared with odometry: after a turn and a half their faults are
+# significant.
 FIRST_TURN = 3.0 * math.pi
-# Way, m, after which the scanner's yaw is compared.
+# Distance, m, driven after that turn until the scanner's yaw is compared with odometry.
 FIRST_WAY = 1.5
 CONTRADICT = (
     "scans and odometry contradict each other for a while, the map may not hold: see whether the wheels slip, the "
@@ -33,10 +33,10 @@ _log = logging.getLogger("tfg_drake.hardware")
 
 @message
 class _BaseState:
-    """hazards: the newest. tried: the last `enable` that was tried. enabled: it may move, for all its own device knows.
-    waiting: what it waits for, "" for nothing. begun: when it was first looked at, s, since: when it began to
-    wait. told: of what the operator is told. heard: what was said in the first turn so far, or after it on the first
-    way; turned, driven: whether these are over. scans: held against the odometry all along."""
+    """hazards: the newest. tried: the last `enable` that was tried. enabled: the base may move, as far as its device
+    allows. waiting: the message that is stale, "" for none. begun: time of the first update, s. since: last time at
+    which no message was stale, s. told: the conditions of the remarks. heard: messages during the first turn, then on
+    the first way; turned, driven: these are over. scans: the continuous comparison of scans with odometry."""
 
     hazards: Hazards
     tried: float = 0.0
@@ -52,8 +52,8 @@ class _BaseState:
 
 
 class HardwareBase(LeafSystem):
-    """Sends velocities to a device, and says what it says, stamped in the station's time; logs what the operator is to
-    know of base and sensors, see tfg_drake.hardware.remarks.
+    """Sends velocities to a device and outputs its messages, stamped in the station's time; logs remarks on base and
+    sensors, see tfg_drake.hardware.remarks.
 
     .. pydrake_system::
 
@@ -69,19 +69,18 @@ class HardwareBase(LeafSystem):
         - enabled
 
     velocity: forward speed (m/s) and turn rate (rad/s). enable: 0 (also unconnected): stand; every other number enables
-    the base once, until it stops by itself. detections, scan: messages, looked at for their age only. enabled: 1 while
-    the base may move and every sensor speaks.
+    the base once, until it stops by itself. detections, scan: messages, checked for their age and against odometry.
+    enabled: 1 while the base may move and no message is stale.
 
-    When the base has turned by FIRST_TURN, what tags and scans say of that is held against its odometry: where they
-    turn against it or by another measure, or the scanner's clock is wrong, it stands until it is enabled anew; and
-    again when it has driven FIRST_WAY, where the scanner looks elsewhere than was said. Scans are held against it all
-    along; where they contradict it for long a note is taken.
+    After FIRST_TURN the turns by tags and by scans are compared with odometry: if their sign or scale differs, or the
+    scanner's clock is wrong, the base stands until it is enabled anew; likewise after FIRST_WAY if the scanner's yaw is
+    not the stated one. Scans are compared with odometry all the time; a long contradiction is noted.
 
     Raises DeviceError in a simulation when the robot is lost for good.
     """
 
     def __init__(self, devices: RobotDevices) -> None:
-        """devices: the base among them has said where it is."""
+        """devices: their base has sent odometry."""
         super().__init__()
         self.devices = devices
         self._device, self._clock = devices.base, devices.clock
@@ -101,7 +100,7 @@ class HardwareBase(LeafSystem):
         if not heard:
             return before
         stamp = max(0.0, self._clock.station(heard[-1].stamp, now))
-        # At rest only if it was so all the time since the message before.
+        # At rest only if all messages since the previous update say so.
         return replace(heard[-1], stamp=stamp, at_rest=all(one.at_rest for one in heard))
 
     def _Drive(self, context: Context, before: _BaseState) -> _BaseState:
@@ -111,7 +110,7 @@ class HardwareBase(LeafSystem):
         if len(hazards) > 1:
             now = replace(now, hazards=replace(hazards[-1], stamp=self._clock.station(hazards[-1].stamp, time)))
         velocity = self._velocity.Eval(context) if now.enabled and not now.waiting else np.zeros(2)
-        # Due at this time of the host: where the station is late the base does not obey what is out of date.
+        # Stamped with the host's time at which it is due: if the station is late, the base ignores an old command.
         self._device.command(float(velocity[0]), float(velocity[1]), self._clock.host(time, time))
         now = self._Checked(now, context)
         scans, contradict = scan_matching.watched(now.scans, self._odometry(context), self._inputs(context, "scan"))
@@ -125,7 +124,7 @@ class HardwareBase(LeafSystem):
         return replace(now, told=told, scans=scans)
 
     def _Enabled(self, before: _BaseState, context: Context) -> _BaseState:
-        """Enables or stops the device where that is wanted, and notices where it stopped by itself."""
+        """Return the state after enabling or stopping the device as requested, and after stops of its own."""
         time = context.get_time()
         wanted = number(self._enable, context, 0.0)
         if wanted == 0.0:
@@ -146,8 +145,8 @@ class HardwareBase(LeafSystem):
         return before
 
     def _Checked(self, before: _BaseState, context: Context) -> _BaseState:
-        """Holds the sensors against the odometry when the first turn is over, and the first way, and locks the device
-        by what is wrong."""
+        """Return the state after comparing the sensors with odometry, once after the first turn and once after the
+        first way; a fault locks the device."""
         if before.driven or not before.enabled or not self.devices.checked:
             return before
         said: list[Message] = [self._odometry(context), *self._inputs.each(context, "scan", "detections")]
@@ -166,7 +165,7 @@ class HardwareBase(LeafSystem):
                 return replace(before, heard=())
         else:
             tags, scan = held_against_odometry(heard)
-            # The camera's clock is learnt with the map.
+            # The lag of the tags is no fault: the camera's clock offset is estimated with the map.
             wrong = remedies(replace(tags, lag=0.0), scan)
         if wrong:
             self._device.lock(wrong[0])
@@ -176,7 +175,7 @@ class HardwareBase(LeafSystem):
         return replace(before, heard=(), turned=True, driven=before.turned)
 
     def _Waiting(self, before: _BaseState, context: Context) -> _BaseState:
-        """Notes the stale message; raises DeviceError if it is so for too long."""
+        """Return the state with the name of the stale message. Raises DeviceError if one is stale for HOPELESS s."""
         now = context.get_time()
         if before.begun > now:
             before = replace(before, begun=now, since=now)

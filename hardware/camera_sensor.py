@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from tfg_drake.vision.camera_view import CameraView
     from tfg_drake.vision.frames import Frame
 
-# Image rate, 1/s, below which a remark is made, counted over COUNTED, s; tags are mapped nevertheless.
+# An image rate below LOW_RATE, 1/s, averaged over COUNTED, s, causes a remark; tags are mapped nevertheless.
 LOW_RATE, COUNTED = 4.0, 3.0
-# Mean grey levels of images that are too dark and too bright; every _SPARSE-th pixel is counted.
+# An image is too dark or too bright if its mean grey level, of every _SPARSE-th pixel, is below DARK or above BRIGHT.
 DARK, BRIGHT, _SPARSE = 25.0, 230.0, 16
-# Duration after which a remark is made, s: of light and rate; of no tag in sight.
+# A remark is made after LASTS, s, of bad light or a low rate, and after WITHOUT_TAG, s, without a tag in sight.
 LASTS, WITHOUT_TAG = 2.0, 30.0
 
 
@@ -33,7 +33,7 @@ class CameraDriver(SensorReader):
     """Finds tags in the newest image; see tfg_drake.hardware.device.Driver. A camera that was unplugged or a stream
     that ended is opened again.
 
-    refusals: of tags that were left out, and why.
+    refusals: rejected tags, with the reasons.
     """
 
     def __init__(self, source: str, camera: RobotCameraConfig) -> None:
@@ -54,8 +54,8 @@ class CameraDriver(SensorReader):
         except ValueError as error:
             raise DeviceError(f"{self.name}: {error}") from None
         self._spells: Spells = {}
-        # Whether any image was looked at, and when in the last COUNTED seconds, s; of the newest the mean grey level,
-        # and whether a tag was seen in it.
+        # Any image was processed; the times of those in the last COUNTED s, s; the newest one's mean grey level, and
+        # whether it shows a tag.
         self._seen = False
         self._looked: collections.deque[float] = collections.deque()
         self._light, self._tag_seen = DARK, False
@@ -91,7 +91,7 @@ class CameraDriver(SensorReader):
             self._remark(holds[name].line)
 
     def _lose(self, why: str) -> None:
-        """Raises DeviceError where there was no image yet that could be used."""
+        """Close the camera and connect again later. Raises DeviceError before the first usable image."""
         if not self._seen:
             self.close()
             raise DeviceError(f"{self.name}: {why}")
@@ -114,7 +114,7 @@ class CameraDriver(SensorReader):
 
     def _holding(self, now: float) -> dict[str, Remark]:
         rate = len(self._looked) / COUNTED
-        if not rate:  # that there are no images is told by who reads them
+        if not rate:  # the frame reader reports missing images
             return {}
         holds = {}
         if rate < LOW_RATE and now - self._opened > COUNTED:
@@ -131,9 +131,9 @@ class CameraDriver(SensorReader):
 
 
 def tell(refusals: Refusals, source: str, remarks: Sequence[str]) -> None:
-    """Has the operator told what was left out of an image, each kind once."""
+    """Report the tags rejected in an image to the operator, each kind of reason once."""
     for remark in remarks:
-        if "edge of the image" not in remark:  # as happens to every tag that is passed
+        if "edge of the image" not in remark:  # every passed tag crosses the edge
             refusals.add(source, "margin" if "margin" in remark else remark, remark)
 
 

@@ -1,7 +1,7 @@
 """Checks of a standing robot before its wheels may be enabled: a line a check, and how to mend what fails.
 
-What shows only while it turns (a mirrored scan, a wrong clock of the scanner's) `tfg_drake.hardware.base` looks at in
-the first turn; that the gyro turns with the wheels, `tfg_drake.hardware.watchdog` does always.
+Faults that show only in motion (a mirrored scan, a wrong clock of the scanner) are checked in the first turn by
+`tfg_drake.hardware.base`; that the gyro turns with the wheels, always by `tfg_drake.hardware.kobuki.odometry`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from tfg_drake.hardware.sensor_source import Source
 from tfg_drake.messages import FloatArray, Hazards, LaserScan, Odometry, TagDetections
 from tfg_drake.safety.scan_watch import LEAST_SHOWN, SHOWN_SHARE
 
-# A ray within this angle of a sighting's bearing, rad, has the range of its surface.
+# A sighting is compared with a ray less than BESIDE, rad, off its bearing: that ray meets the tag's surface.
 BESIDE = 0.02
-# Tag size or calibration is wrong if at least TAGS tags agree within the share AGREE on a range factor above GREAT; a
-# single one may hang above the surface that the scan meets.
+# Tag size or calibration is wrong if the ranges of at least TAGS tags differ from the scan's by one factor above GREAT,
+# or below its inverse, up to the share AGREE; a single tag may hang above the surface that the scan meets.
 TAGS, AGREE, GREAT = 2, 0.25, 1.5
-# Number of identical scans after which the scanner is frozen, as ranges are noisy.
+# The scanner is frozen if at least SAME_SCANS scans are identical: ranges are noisy.
 SAME_SCANS = 5
-# Greatest number of frames with tags that are not judged, as cameras that take turns see different tags.
+# Tag ids are judged by more than FEW_FRAMES frames with tags: cameras that take turns see different tags.
 FEW_FRAMES = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """name: of what was looked at. found: what there is. mend: how to mend it, "" where nothing is wrong."""
+    """name: of the checked part. found: the result. mend: how to mend a fault, "" for none."""
 
     name: str
     found: str
@@ -49,19 +49,19 @@ class Check:
 
 @dataclasses.dataclass(frozen=True)
 class Heard:
-    """The messages of a kind that came in SILENT, s, and the least age of any of them when it was there, s."""
+    """The messages of a kind that arrived within SILENT, s. age: their least age on arrival, s."""
 
     messages: Sequence[Any] = ()
     age: float = math.inf
 
 
 def check(devices: RobotDevices) -> list[Check]:
-    """Listens to open devices, and says what of them is as it should be."""
+    """Return the checks of open devices, after listening to them for SILENT, s."""
     sources: dict[Any, Device | Source] = {Odometry: devices.base, Hazards: devices.base, LaserScan: devices.scan}
     if devices.tags is not None:
         sources[TagDetections] = devices.tags
     for kind, source in sources.items():
-        source.take(kind, time.monotonic())  # What has been waiting.
+        source.take(kind, time.monotonic())  # Discard the queued messages.
     heard, end = dict.fromkeys(sources, Heard()), time.monotonic() + SILENT
     while (now := time.monotonic()) < end:
         for kind, source in sources.items():
@@ -73,8 +73,8 @@ def check(devices: RobotDevices) -> list[Check]:
 
 
 def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool) -> list[Check]:
-    """All checks, in the order in which they are told. heard: by kind, without tags of a robot that has no source of
-    them. state: what the base says of itself. on_ros: its bumper and cliff sensors may have no topic."""
+    """Return all checks, in the order of the report. heard: by kind of message, without tags if the robot has no source
+    of them. state: the base's own report. on_ros: its bumper and cliff sensors may have no topic."""
     scans = heard[LaserScan].messages
     checks = [
         _battery(state),
@@ -95,7 +95,7 @@ def judged(heard: Mapping[type, Heard], state: BaseState | None, *, on_ros: bool
 
 
 def refuse(checks: Sequence[Check]) -> None:
-    """Raises DeviceError where a check has failed."""
+    """Raise DeviceError if a check has failed."""
     if failed := [one.name for one in checks if one.mend]:
         raise DeviceError(f"checks that failed: {'; '.join(failed)}; mend that, or leave all out by --skip-checks")
 
@@ -116,7 +116,7 @@ def _hazards(said: Sequence[Hazards], on_ros: bool) -> Check:
 
 
 def _arrives(name: str, heard: Heard, mend: str) -> Check:
-    """How often messages of a kind come and how old even the fastest of them are."""
+    """Return the check of the rate of a kind of message and of the least age on arrival."""
     if not heard.messages:
         return Check(name, f"none in {SILENT:g} s", f"{mend}, and whether its clock is this computer's")
     late = "" if heard.age <= STALE[name] else f"its clock is behind this computer's, or it is slow: {mend}"
@@ -138,7 +138,7 @@ def _rays(scans: Sequence[LaserScan]) -> Check:
 
 
 def _ids(frames: Sequence[TagDetections]) -> Check:
-    """Checks that a robot at rest sees the same tags again and again."""
+    """Return the check that a robot at rest sees the same tags in several frames."""
     ids = [one.ids for one in frames if len(one.ids)]
     return Check(
         "tag ids", f"{len({*np.concatenate(ids)}) if ids else 0}", made_up(ids) if len(ids) > FEW_FRAMES else ""
@@ -146,7 +146,7 @@ def _ids(frames: Sequence[TagDetections]) -> Check:
 
 
 def _sizes(factors: FloatArray) -> Check:
-    """The tags' size and the calibration, by the factors of their ranges (t,), see tag_factors."""
+    """Return the check of tag size and calibration by the tags' range factors (t,), see tag_factors."""
     if not len(factors):
         return Check("tag size", "no tag in view where the scan meets something: not compared")
     factor = float(np.median(factors))
@@ -157,8 +157,7 @@ def _sizes(factors: FloatArray) -> Check:
 
 
 def tag_factors(scan: LaserScan, frames: Sequence[TagDetections]) -> FloatArray:
-    """By how much the ranges of each tag (t,) are longer than those of the scan at its bearing, by the median of all
-    frames."""
+    """Return the ratio (t,) of each tag's range to the scan's range at its bearing, the median over all frames."""
     columns = ([np.zeros(0), *(getattr(one, name) for one in frames)] for name in ("ids", "range", "bearing"))
     ids, ranges, bearings = map(np.concatenate, columns)
     ray = np.searchsorted(scan.angles, bearings - 0.5 * BESIDE).clip(max=len(scan.angles) - 1)

@@ -41,14 +41,13 @@ class Button(enum.IntFlag):
 
 @message
 class BaseState:
-    """How a base is, where it says so: about every second, and at once where anything lasting changes.
+    """State of a base that reports it: about every second, and at once when a lasting field changes.
 
-    stamp: s. battery: V. charge: share of the battery's charge that is left; both nan where they are not known.
-    battery_level: "good" (also where it is not known), "low" or "dangerous". charger: what it hangs on, "dock",
-    "adapter" or "charger", "" for nothing. charging: its battery is not full yet. overcurrent: wheels that draw too
-    much current, by the bits of Side. buttons: bits of Button of those that are pressed. firmware, hardware: versions
-    such as "1.1.4". unique_id: in hexadecimal. lost: share of its frames that were garbled or never came since the
-    state before.
+    stamp: s. battery: V. charge: remaining share of the battery's charge; both nan if unknown. battery_level: "good"
+    (also if unknown), "low" or "dangerous". charger: the connected charger, "dock", "adapter" or "charger", "" for
+    none. charging: its battery is not full yet. overcurrent: wheels with overcurrent, bits of Side. buttons: pressed
+    buttons, bits of Button. firmware, hardware: versions such as "1.1.4". unique_id: in hexadecimal. lost: share of its
+    frames since the previous state that were garbled or missing.
     """
 
     stamp: float
@@ -68,13 +67,13 @@ class BaseState:
 Message = Odometry | LaserScan | Sweep | Hazards | TagDetections | BaseState | SaidPose
 T = TypeVar("T", Odometry, LaserScan, Sweep, Hazards, TagDetections, BaseState, SaidPose)
 
-# Time to wait for an answer of the process, s.
+# Time to wait for the process's answer or a first message, s; an older request to enable is ignored.
 ANSWER_TIMEOUT = 5.0
-# A process that has not started, or a base that has been silent, for this time, s, is lost for good.
+# The robot is given up if its process does not start, or a message of it stays stale, for HOPELESS, s.
 HOPELESS = 60.0
-# Greatest number of queued and of remembered messages of a kind: half a minute of the fastest.
+# Greatest number of queued or remembered messages of a kind: half a minute of the fastest one. Then the oldest is lost.
 WAITING = 2000
-# Greatest number of kinds of faults reported of one source, and of characters of a line.
+# Of each source at most _KINDS kinds of faults are reported; a line is cut after _LONGEST characters.
 _KINDS, _LONGEST = 5, 300
 _NO_ANSWER = "the robot's process does not answer"
 
@@ -84,7 +83,7 @@ class DeviceError(BadInput, RuntimeError):
 
 
 def imported(name: str, package: str, extra: str) -> Any:
-    """A package that comes with an extra of ours; raises DeviceError without it. name: of what needs it."""
+    """Return a package of one of our extras. name: what needs it. Raises DeviceError if it is not installed."""
     try:
         return importlib.import_module(package)
     except ImportError:
@@ -92,14 +91,14 @@ def imported(name: str, package: str, extra: str) -> Any:
 
 
 class Refusals:
-    """Lines for the operator; counts refusals. counts: by source and kind of reason."""
+    """Lines for the operator, and counts of refusals by source and kind of reason."""
 
     def __init__(self) -> None:
         self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
         self._lines: collections.deque[str] = collections.deque()
 
     def add(self, source: str, kind: str, why: str) -> None:
-        """Counts what was refused of a source, and tells the first of its kind: why, in words."""
+        """Count a refusal of a source, and report the first of its kind. why: the reason in words."""
         known = (source, kind) in self.counts
         if not known and sum(name == source for name, _ in self.counts) >= _KINDS:
             kind = "other"
@@ -109,17 +108,17 @@ class Refusals:
             self.tell(" ".join(f"{source}: {why}".split())[:_LONGEST])
 
     def tell(self, line: str) -> None:
-        """Tells something else, every time; from any thread."""
+        """Add a line in any case; callable from any thread."""
         self._lines.append(line)
 
     def take(self) -> list[str]:
-        """The lines since the last call."""
+        """Return the lines since the last call."""
         return [self._lines.popleft() for _ in range(len(self._lines))]
 
 
 class Inbox:
-    """Messages, lines for the operator and a fault until they are taken. refusals: the lines, of what cannot be used,
-    too."""
+    """Holds messages, lines for the operator and a fault until they are taken. refusals: the lines, also on unusable
+    messages."""
 
     def __init__(self) -> None:
         self.refusals = Refusals()
@@ -127,22 +126,22 @@ class Inbox:
         self._fault: str | None = None
 
     def remarks(self) -> list[str]:
-        """Lines for the operator since the last call: what was refused, lost or found again."""
+        """Return the lines for the operator since the last call: on what was refused, lost or found again."""
         return self.refusals.take()
 
     def take(self) -> list[Message]:
-        """The messages since the last call, those of a kind in the order they arrived."""
+        """Return the messages since the last call, each kind in order of arrival."""
         taken, self._messages = self._messages, []
         return taken
 
     def fault(self) -> str | None:
-        """Why the robot must stop until it is enabled anew, once or as long as it is so; None when all is well."""
+        """Return why the robot must stop until it is enabled anew, once or as long as that holds; None for no fault."""
         fault, self._fault = self._fault, None
         return fault
 
 
 class Driver(Inbox):
-    """A robot's driver, used by one thread; a method that has nothing to do may be left out.
+    """A robot's driver, used by one thread; a method without a task may be left out.
 
     sources: name of each kind of message in a remark, such as "scan of /scan".
     """
@@ -157,10 +156,10 @@ class Driver(Inbox):
         """Sends a velocity, m/s and rad/s, to the base."""
 
     def show(self, enabled: bool) -> None:
-        """Shows on the robot, if it can, whether it may move; said every tick."""
+        """Show on the robot, if it has a display, whether it may move; called every tick."""
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Tells others what the explorer knows, as a dictionary of a message's fields, from a thread of its own; a
+        """Publish the explorer's knowledge as a dictionary of a message's fields; called from a thread of its own. A
         header's stamp is the host's time, s."""
 
     def close(self) -> None:
@@ -168,11 +167,11 @@ class Driver(Inbox):
 
 
 class Outbox:
-    """Sends pairs of a key and what it stands for from a thread of its own: whoever reads late holds nothing up."""
+    """Sends pairs of a key and its content from a thread of its own: a late reader holds nothing up."""
 
     def __init__(self, connection: Connection, most: int | None = None) -> None:
-        """most: how many pairs wait to be sent, at the most, the oldest of more being lost; None: of each key the
-        newest waits."""
+        """most: greatest number of queued pairs, beyond which the oldest is lost; None: the newest pair of each key is
+        queued."""
         self._connection, self._most = connection, most
         self._waiting: dict[object, tuple[str, Any]] = {}
         self._numbers = itertools.count()
@@ -182,7 +181,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, key: str, content: Any) -> None:
-        """Has a pair sent."""
+        """Queue a pair to be sent."""
         with self._changed:
             self._waiting[key if self._most is None else next(self._numbers)] = key, content
             if self._most is not None and len(self._waiting) > self._most:
@@ -190,7 +189,7 @@ class Outbox:
             self._changed.notify()
 
     def close(self) -> None:
-        """Sends nothing more; the other end must be reading, or gone."""
+        """Stop sending; the other end must be reading, or gone."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -211,18 +210,18 @@ class Outbox:
                 return  # the process has ended; Device says so
 
 
-# What the process is told, pickled, and calls: the driver, its robot found, odometry arriving; raises DeviceError.
+# Pickled and called in the process: returns a driver whose robot is found and sends odometry, or raises DeviceError.
 OpenDriver = Callable[[], Driver]
 
 
 class Device:
-    """A robot: its messages, and a velocity that lasts half a second.
+    """A robot: its messages, and velocity commands, each valid for half a second.
 
-    Nothing moves before `enable`. Without a new command the velocity is zero after SILENCE. After a clock's
-    jump or when odometry was silent the robot stands until `enable` is called again; `locked` says why.
+    Nothing moves before `enable`. Without a new command the velocity is zero after SILENCE. After a jump of the clock
+    or missing odometry the robot stands until `enable` is called again; `locked` says why.
 
-    heard: how often the process has said anything, which it does twice a second at least. ended: why there is no
-    process any more; None as long as there is one.
+    heard: number of items received from the process, at least two a second. ended: why the process has ended, None
+    while it runs.
     """
 
     def __init__(self, open_driver: OpenDriver) -> None:
@@ -237,16 +236,16 @@ class Device:
         self._open()
 
     def _open(self) -> None:
-        """Does so, anew where there was a process that has ended."""
+        """Start the process, also after an earlier one, and wait until it begins. Raises DeviceError."""
         self._locked: str | None = "not enabled yet"
-        # Whether the process takes no orders.
+        # The process takes no orders: its pipe is full.
         self._full = False
         self.ended: str | None = None
         before = self.heard
         self._reader = threading.Thread(target=self._read, daemon=True)
         try:
             self._start()
-        except (OSError, RuntimeError) as error:  # RuntimeError is what a thread raises that cannot be started
+        except (OSError, RuntimeError) as error:  # RuntimeError: a thread could not be started
             self.ended = f"no process for it can be started: {error.args[-1]}; end other programs"
             raise DeviceError(self.ended) from None
         self._put(self._open_driver)
@@ -258,10 +257,10 @@ class Device:
             raise DeviceError(line)
 
     def _start(self) -> None:
-        """Raises OSError, RuntimeError where the machine has too little left; nothing stays open then."""
+        """Start process and threads. Raises OSError, RuntimeError if resources are lacking; then nothing stays open."""
         with contextlib.ExitStack() as undo:
             self._connection, theirs = Pipe()
-            undo.callback(self._connection.close)  # The process ends then, if there is one.
+            undo.callback(self._connection.close)  # This ends the process, if it runs.
             announced, announcing = Pipe(duplex=False)
             with theirs, announced:
                 given = theirs.fileno(), announced.fileno()
@@ -272,12 +271,12 @@ class Device:
             undo.pop_all()
 
     def newest(self, kind: type[T]) -> T | None:
-        """The newest message of a kind, such as Odometry; None where none has arrived yet."""
+        """Return the newest message of a kind, such as Odometry; None before the first."""
         message = self._newest.get(kind)
         return message if isinstance(message, kind) else None
 
     def first(self, kind: type[T]) -> T:
-        """The newest message of a kind, waited for where none has arrived yet; raises DeviceError where none comes."""
+        """Return the newest message of a kind, or wait for the first. Raises DeviceError if none arrives."""
         with self._changed:
             self._changed.wait_for(lambda: kind in self._newest or self.ended is not None, ANSWER_TIMEOUT)
         message = self.newest(kind)
@@ -286,7 +285,7 @@ class Device:
         return message
 
     def take(self, kind: type[T], until: float) -> list[T]:
-        """The messages of a kind that are stamped `until` (s) or before and were not taken yet, in order."""
+        """Return the messages of a kind with stamps up to `until` (s) that were not taken yet, in order."""
         taken: list[T] = []
         with self._changed:
             waiting = self._waiting.get(kind, collections.deque())
@@ -297,40 +296,40 @@ class Device:
         return taken
 
     def odometry_near(self, stamp: float) -> Odometry | None:
-        """The odometry that was stamped nearest to `stamp`, s; None where there is none, or none within a second."""
+        """Return the odometry message with the stamp nearest to `stamp`, s; None if none is within a second of it."""
         with self._changed:
             nearest = min(self._odometry, key=lambda one: abs(one.stamp - stamp), default=None)
         return nearest if nearest is not None and abs(nearest.stamp - stamp) < 1.0 else None
 
     @property
     def locked(self) -> str | None:
-        """Why the robot may not move; None when it may."""
+        """Why the robot may not move; None if it may."""
         return self.ended or (_NO_ANSWER if self._full else self._locked)
 
     def take_remarks(self) -> list[str]:
-        """The process's lines for the operator since the last call, each line once."""
+        """Return the process's lines for the operator since the last call."""
         with self._changed:
             remarks, self._remarks = self._remarks, []
         return remarks
 
     def command(self, speed: float, turn_rate: float, due: float | None = None) -> None:
-        """The velocity from now on, m/s and rad/s; repeat it at 20 Hz or more.
+        """Command a velocity, m/s and rad/s; repeat it at 20 Hz or more.
 
-        due: when it was to be given, s, by default now: one that is late is not obeyed for longer. Where the process is
-        held up the command is lost: it stands by itself when it runs again. Raises DeviceError where it has ended.
+        due: time at which it was due, s, by default now: a late command is valid for less time. While the process is
+        held up commands are lost; it lets the robot stand when it runs again. Raises DeviceError if it has ended.
         """
         self._put(("command", time.monotonic() if due is None else due, float(speed), float(turn_rate)))
 
     def lock(self, reason: str) -> None:
-        """Stops the robot at once, until `enable`; raises DeviceError."""
+        """Stop the robot at once, until `enable`. Raises DeviceError."""
         self._put(("lock", reason))
 
     def publish(self, key: str, message: dict[str, Any]) -> None:
-        """Has the driver publish a message."""
+        """Let the driver publish a message."""
         self._announcements.put(key, message)
 
     def enable(self) -> None:
-        """Lets the commands that follow move the robot; raises DeviceError where it may not."""
+        """Let the following commands move the robot. Raises DeviceError if it may not move."""
         with self._changed:
             before = self._answers
             answered = self._put(("enable", time.monotonic())) and self._changed.wait_for(
@@ -340,7 +339,7 @@ class Device:
             raise DeviceError(f"the robot is not enabled: {self.locked if answered else _NO_ANSWER}")
 
     def close(self) -> None:
-        """Stops the robot and ends the process."""
+        """Stop the robot and end the process."""
         with contextlib.suppress(DeviceError):
             self._put(("close",))
         self.ended = self.ended or "closed"
@@ -349,7 +348,7 @@ class Device:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        if self._reader.is_alive():  # else it has ended, or could not be started
+        if self._reader.is_alive():  # otherwise it has ended, or could not be started
             self._reader.join()
         self._announcements.close()
         self._connection.close()
@@ -361,11 +360,11 @@ class Device:
         self.close()
 
     def _put(self, order: Any) -> bool:
-        """Returns True if the order went out: a held-up process has a full pipe."""
+        """Send an order; returns False if the pipe is full because the process is held up. Raises DeviceError."""
         if self.ended is not None:
             raise DeviceError(self.ended)
         try:
-            # Unlike select, which fails where the process has more than 1024 descriptors.
+            # select would fail with more than 1024 file descriptors.
             room = select.poll()
             room.register(self._connection, select.POLLOUT)
             self._full = not room.poll(0)
@@ -384,7 +383,7 @@ class Device:
             with self._changed:
                 self.heard += 1
                 if kind == "message":
-                    for value in vars(content).values():  # pickling loses that arrays are read-only
+                    for value in vars(content).values():  # unpickled arrays are no longer read-only
                         if isinstance(value, np.ndarray):
                             value.setflags(write=False)
                     self._newest[type(content)] = content

@@ -1,12 +1,11 @@
 """The process that drives a robot, started by tfg_drake.hardware.device.Device: `python -m ... ORDERS ANNOUNCEMENTS`.
 
-ORDERS and ANNOUNCEMENTS are file descriptors of pipes. By the first arrive what opens the driver,
-("command", sent, speed, turn_rate), ("enable", sent), ("lock", reason) and ("close",).
-What it says: ("message", message) of those that are plausible, ("locked", reason or None), ("answer", reason or None)
-to an enable, ("remark", line) for the operator, ("alive", None) twice a second from its beginning, and ("ended", line).
-When the other end is gone the robot stands and the process ends.
-What comes by the second is published: a pipe of its own, with a thread at either end, so a map of a large building
-holds up neither the planner nor the watchdog.
+ORDERS and ANNOUNCEMENTS are file descriptors of pipes. The first carries to the process the function that opens the
+driver, then ("command", sent, speed, turn_rate), ("enable", sent), ("lock", reason) and ("close",); and from it
+("message", message) if plausible, ("locked", reason or None), ("answer", reason or None) to an enable, ("remark", line)
+for the operator, ("alive", None) twice a second from its beginning, and ("ended", line). When the other end is gone the
+robot stands and the process ends. The second carries messages to publish: as a pipe of its own, with a thread at either
+end, a map of a large building holds up neither the planner nor the watchdog.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from tfg_drake.hardware.remarks import alarms
 from tfg_drake.hardware.watchdog import SILENCE, Watchdog
 from tfg_drake.messages import Hazards, Odometry
 
-# Greatest time for which orders are read before the robot is served again, s.
+# Greatest time for reading orders before the robot is served again, s.
 _ORDERS_WITHIN = TICK
 
 
 def serve(driver: Driver, connection: Connection) -> None:
-    """Drives until the other end of the connection is closed or its process gone."""
+    """Drive the robot until the other end of the connection is closed or its process has ended."""
     watchdog, outbox, parent = Watchdog(driver.limits), Outbox(connection, WAITING), os.getppid()
     judge = Judge(driver.sources)
     told, moved, said_alive = watchdog.locked, False, -math.inf
@@ -72,7 +71,7 @@ def serve(driver: Driver, connection: Connection) -> None:
                 else:
                     watchdog.command(*order[1:])
             velocity = watchdog.velocity(time.monotonic())
-            if moved:  # a robot that was never enabled is somebody else's
+            if moved:  # until it is first enabled, others may drive the robot
                 driver.send(*velocity)
             if watchdog.locked != told:
                 told = watchdog.locked
@@ -85,13 +84,13 @@ def serve(driver: Driver, connection: Connection) -> None:
         pass  # the other end is gone
     finally:
         for _ in range(LAST_WORDS if moved else 0):
-            with contextlib.suppress(Exception):  # whatever has happened, the next one may arrive
+            with contextlib.suppress(Exception):  # if one command is lost, the next may arrive
                 driver.send(0.0, 0.0)
                 driver.spin(TICK)
 
 
 def announce(driver: Driver, connection: Connection) -> None:
-    """The process's end: publishes what arrives, until the other end is closed."""
+    """Publish the arriving messages until the other end of the connection is closed."""
     while True:
         try:
             key, message = connection.recv()
@@ -101,7 +100,7 @@ def announce(driver: Driver, connection: Connection) -> None:
 
 
 def main() -> None:
-    """The process."""
+    """Run the process."""
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: sys.exit(0))
     connection = Connection(int(sys.argv[1]))

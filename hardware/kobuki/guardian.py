@@ -1,8 +1,8 @@
-"""Stops the base when the process that drives it cannot do so any more: it was killed, or it is frozen.
+"""Stops the base when the process that drives it no longer can, because it was killed or is frozen.
 
-A process of its own, `python -m tfg_drake.hardware.kobuki.guardian PORT_DESCRIPTOR`, which shares the open port. On its
-standard input it hears that the other lives, and answers each time on its standard output; it ends with it. Where both
-are killed nobody is left to stop the base.
+A process of its own, `python -m tfg_drake.hardware.kobuki.guardian PORT_DESCRIPTOR`, which shares the open port. The
+driver's process writes signs of life to its standard input; it answers each on its standard output, and ends when that
+process does. If both are killed, nothing stops the base.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import time
 from tfg_drake.hardware import process
 from tfg_drake.hardware.kobuki.codec import BaseControl, encode
 
-# The base is stopped after this time without a sign of life, s.
+# The base is stopped after SILENCE, s, without a sign of life from the driver.
 SILENCE = 0.3
-# Time within which the guardian answers, and within which its process starts, s.
+# The guardian is taken for dead if it does not answer within ANSWERS_WITHIN, s, or at first within STARTS_WITHIN, s.
 ANSWERS_WITHIN, STARTS_WITHIN = 0.4, 10.0
 
 
 class Guardian:
-    """The handle on the guardian of one open port. Who holds it calls trouble() oftener than every SILENCE."""
+    """The handle on the guardian of one open port. Its holder calls trouble() at intervals shorter than SILENCE."""
 
     def __init__(self, port: int) -> None:
         """port: its file descriptor."""
@@ -37,11 +37,11 @@ class Guardian:
         for end in (self._pipe, self._answers):
             os.set_blocking(end, False)
         self._patience = STARTS_WITHIN
-        # Since when an answer is due, s; None where nothing is.
+        # Time since which an answer is due, s; None if none is.
         self._asked: float | None = None
 
     def trouble(self, now: float) -> str | None:
-        """Says at `now`, s, that the caller lives; what is wrong with the guardian, None where it answers."""
+        """Give a sign of life at `now`, s; returns what is wrong with the guardian, None if it answers."""
         try:
             if not os.read(self._answers, 4096):
                 return "has ended"
@@ -61,13 +61,13 @@ class Guardian:
         return None
 
     def close(self) -> None:
-        """Ends the guardian, which then says nothing more."""
+        """End the guardian, which then writes nothing to the port."""
         self._process.kill()
         self._process.communicate()
 
 
 def guard(port: int) -> None:
-    """Until standard input ends. Whoever does not read the answers holds up nothing."""
+    """Guard the base at an open port until standard input ends. Unread answers hold nothing up."""
     os.set_blocking(sys.stdout.fileno(), False)
     stop, there = encode(BaseControl()), True
     while there:
@@ -89,5 +89,5 @@ def _write(descriptor: int, data: bytes) -> None:
 
 if __name__ == "__main__":
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # who ends the driver this way is answered by the driver
+        signal.signal(number, signal.SIG_IGN)  # the driver handles these signals and then ends the guardian
     guard(int(sys.argv[1]))

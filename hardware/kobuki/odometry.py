@@ -18,25 +18,25 @@ from tfg_drake.hardware.plausible import AHEAD, CLOCK_DRIFT
 from tfg_drake.messages import Hazards, Odometry
 from tfg_drake.mission.operation import Side
 
-# Distance between the wheels, m, and way of a wheel per encoder tick, m.
+# Track width, m, and travel of a wheel per encoder tick, m.
 WHEEL_BASE = 0.230
 METRES_PER_TICK = 8.5292090e-5
-# Unit of the gyro's angle, rad, and rate, rad/s.
+# Unit of the gyro's angle, rad, and of its rate, rad/s.
 GYRO_UNIT = math.radians(0.01)
 # Greatest speed of a wheel, m/s, and turn rate, rad/s: twice the base's limits, and more than its gyro measures.
 _FASTEST_WHEEL, _FASTEST_TURN = 1.4, 2.0 * math.pi
-# Longest time between two frames, s, over which odometry continues; beyond it the base was not connected. Also the
+# Longest gap between two frames, s, over which dead reckoning continues; beyond it the base was not connected. Also the
 # period of its state reports.
 LONGEST_GAP = 1.0
-# The base is at rest after this time without a tick, s, longer than the period at which its newest message is read.
+# The base is at rest after _REST, s, without a tick: longer than the period at which its newest message is read.
 _REST = 0.1
-# The gyro is stuck if its angle does not change while the wheels turn the base by this, rad.
+# The gyro is stuck if its angle does not change while the wheels turn the base by more than _UNNOTICED, rad.
 _UNNOTICED = 0.15
-# Gyro and wheels may differ by the share _SLIP of the wheels' turn, as wheels slip, and by the rate _UNLIKE, rad/s, as
-# they are not quite equal. The excess is summed; at _APART, rad, gyro or wheels are wrong. An excess that no slip
-# explains, as when the gyro turns more than the wheels, grows by at most _PUSHED, rad/s, as a push is strong but short.
+# CUSUM test of gyro against wheels. Allowed differences: the share _SLIP of the wheels' turn, as wheels slip, and the
+# rate _UNLIKE, rad/s, as they are not quite equal. The sum of the excess above _APART, rad, is a fault. An excess that
+# slip cannot explain, such as a larger turn by the gyro, grows by at most _PUSHED, rad/s: a push is strong but short.
 _SLIP, _UNLIKE, _APART, _PUSHED = 0.3, 0.05, 0.5, 0.15
-# The vendor's limits of a low and of a dangerously low battery, V.
+# The vendor's limits: a battery is low at LOW, V, or less, and dangerously low at DANGEROUS, V, or less.
 LOW, DANGEROUS = 14.0, 13.2
 # The reason given for a jump of the base's clock.
 _RESTARTED = "it was started anew, or frames arrive out of order"
@@ -46,11 +46,11 @@ _RESTARTED = "it was started anew, or frames arrive out of order"
 class Reckoning:
     """Dead reckoning up to one feedback frame.
 
-    core, inertia: that frame's. base_time: s, since the first frame, by the base's own clock. offset: host's clock less
-    base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s. stamp: s
-    of the host's clock, never decreasing. moved: stamp of the last tick, s. unnoticed: how far the wheels have turned
-    the base since the gyro's angle last changed, rad. apart: by how much gyro and wheels disagree, rad, see _apart.
-    fault: why the base must stand now, None where all is well.
+    core, inertia: that frame's. base_time: time since the first frame by the base's clock, s. offset: host's clock
+    minus base_time, s. X_OB: pose in the odometry frame, m and rad. V_B: forward speed, m/s, and turn rate, rad/s.
+    stamp: host's clock, s, never decreasing. moved: stamp of the last tick, s. unnoticed: turn by the wheels since the
+    gyro's angle last changed, rad. apart: accumulated disagreement of gyro and wheels, rad, see _apart. fault: why the
+    base must stand now, None without a fault.
     """
 
     core: CoreSensors
@@ -67,24 +67,24 @@ class Reckoning:
 
 
 def first(core: CoreSensors, inertia: Inertia, received: float, before: Reckoning | None = None) -> Reckoning:
-    """The start of dead reckoning, or its continuation after a gap of unknown length.
+    """Return the start of dead reckoning, or its continuation after a gap of unknown length.
 
-    received: when the frame came, s of the host's clock. The ticks, the gyro's angle and the base's clock count from
-    this frame on; the pose starts at 0, or stays what it was before: nobody knows how the base moved meanwhile.
+    received: time of the frame's arrival, s of the host's clock. Ticks, gyro angle and base time count from this frame
+    on; the pose starts at 0, or keeps its value: the motion during the gap is unknown.
     """
     pose, stamp = ((0.0, 0.0, 0.0), received) if before is None else (before.X_OB, max(before.stamp, received))
     return Reckoning(core, inertia, 0.0, received, pose, (0.0, 0.0), stamp, stamp)
 
 
 def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float, driven: bool = True) -> Reckoning:
-    """Dead reckoning one frame later; received: when it came, s of the host's clock. driven: the base was told to move.
+    """Return dead reckoning one frame later.
 
-    The encoders say how far, the gyro which way: the base drives an arc of mean distance of its wheels and of the
-    gyro's turn. The stamp is the base's own clock, moved to the host's by the least delay seen, so that a frame which
-    waited somewhere is not taken for a late one. A frame that repeats the time of the one before changes nothing.
-    After a second without one dead reckoning starts from there. So it does, with a fault, where the base's clock has
-    gone back, or is ahead of the host's, and where no base can have moved or turned so far since the frame before. It
-    is a fault, too, where a driven base's gyro does not turn with the wheels; one that stands may be turned by hand.
+    received: time of its arrival, s of the host's clock. driven: the base is commanded to move. The base drives an arc:
+    its length is the mean travel of the wheels, its angle the gyro's turn. The stamp is the base's clock shifted to the
+    host's by the least delay seen, so that a frame's time in queues does not count. A frame with an unchanged time
+    changes nothing. After a gap of LONGEST_GAP dead reckoning starts anew; likewise, with a fault, if the base's clock
+    went back or is ahead of the host's, or if the motion since the previous frame is impossible. It is a fault, too, if
+    a driven base's gyro does not turn with the wheels; a standing base may be turned by hand.
     """
     duration = 1e-3 * _signed(core.stamp - state.core.stamp)
     if duration < 0.0:
@@ -128,10 +128,10 @@ def advanced(state: Reckoning, core: CoreSensors, inertia: Inertia, received: fl
 
 
 def _apart(before: float, turn: float, by_wheels: float, duration: float) -> float:
-    """By how much gyro and wheels disagree, rad, `duration` s later, when they have told these turns, rad.
+    """Return the accumulated disagreement of gyro and wheels, rad, after `duration` s with their turns, rad.
 
-    It grows while they disagree and shrinks to 0 while they agree: a cumulative sum finds a change that lasts, soon
-    where it is large (Page, Continuous inspection schemes, 1954).
+    It grows while they disagree and falls to 0 while they agree: a cumulative sum detects a lasting change, a large one
+    soon (Page, Continuous inspection schemes, 1954).
     """
     more, slip = abs(turn - by_wheels) - _SLIP * abs(by_wheels), 0.0
     if turn * by_wheels < by_wheels**2:
@@ -140,31 +140,31 @@ def _apart(before: float, turn: float, by_wheels: float, duration: float) -> flo
 
 
 def _anew(state: Reckoning, core: CoreSensors, inertia: Inertia, received: float, what: str) -> Reckoning:
-    """The continuation from a frame that cannot be right: what of the base is wrong."""
+    """Return the continuation after an impossible frame, with a fault. what: is wrong with the base."""
     return dataclasses.replace(first(core, inertia, received, state), fault=f"the base's {what}; enable it again")
 
 
 def _signed(difference: int) -> int:
-    """The difference of two 16-bit counters that wrap, in [-32768, 32768)."""
+    """Return the difference of two 16-bit counters that wrap, in [-32768, 32768)."""
     return (difference + 32768) % 65536 - 32768
 
 
 def odometry_message(state: Reckoning) -> Odometry:
-    """Odometry message of dead reckoning. At rest: no tick of any wheel for 0.1 s."""
+    """Return the odometry message of dead reckoning. At rest: no tick of any wheel for 0.1 s."""
     at_rest = state.stamp - state.moved >= _REST
     return Odometry(state.stamp, np.array(state.X_OB), np.array(state.V_B), at_rest)
 
 
 def hazards_message(core: CoreSensors, stamp: float) -> Hazards:
-    """The base's alarms at stamp (s of the host's clock)."""
+    """Return the base's alarms at stamp (s of the host's clock)."""
     drop = _sides(core.wheel_drop & Wheel.RIGHT, core.wheel_drop & Wheel.LEFT)
     return Hazards(stamp, core.bumper & 7, core.cliff & 7, drop)
 
 
 def base_state(core: CoreSensors, stamp: float) -> BaseState:
-    """The state at stamp, s of the host's clock, as far as every frame tells it: battery, charger, wheels' current and
-    buttons."""
-    volts, level = 0.1 * core.battery, "good"  # also while it is charged, or where the base does not say its voltage
+    """Return the part of the state at stamp, s of the host's clock, that every frame carries: battery, charger, wheels'
+    current and buttons."""
+    volts, level = 0.1 * core.battery, "good"  # also while it is charging, or if the voltage is unknown
     if core.battery and not core.charger and volts <= LOW + 1e-9:
         level = "low" if volts > DANGEROUS + 1e-9 else "dangerous"
     return BaseState(
@@ -179,16 +179,16 @@ def base_state(core: CoreSensors, stamp: float) -> BaseState:
 
 
 def _sides(right: int, left: int) -> int:
-    """The bits of Side of what is not 0 there."""
+    """Return the bits of Side of the arguments that are not 0."""
     return (Side.RIGHT if right else 0) | (Side.LEFT if left else 0)
 
 
 def base_control(speed: float, turn_rate: float) -> BaseControl:
-    """The command for a finite forward speed (m/s) and turn rate (rad/s).
+    """Return the command for a finite forward speed (m/s) and turn rate (rad/s).
 
-    The base wants the speed of its outer wheel and the radius of its centre's arc. Straight ahead is radius 0, a turn
-    in place radius 1 with the direction in the speed. Fractions are cut off, and what exceeds 16 bits is saturated, as
-    the vendor's driver does.
+    It has the speed of the outer wheel and the radius of the centre's arc. Straight ahead is radius 0, a turn in place
+    radius 1 with the direction in the speed. Fractions are truncated and values saturate at 16 bits, as in the vendor's
+    driver.
     """
     half_base = 500.0 * WHEEL_BASE
     if abs(turn_rate) < 1e-4:
@@ -200,7 +200,7 @@ def base_control(speed: float, turn_rate: float) -> BaseControl:
 
 
 def velocity(command: BaseControl) -> tuple[float, float]:
-    """Forward speed (m/s) and turn rate (rad/s) that a command asks for: base_control backwards."""
+    """Return forward speed (m/s) and turn rate (rad/s) of a command: the inverse of base_control."""
     if command.radius == 0:
         return 1e-3 * command.speed, 0.0
     if abs(command.radius) == 1:
