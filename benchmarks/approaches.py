@@ -35,11 +35,11 @@ from tfg_drake.simulation import odometry
 from tfg_drake.simulation.laser_scanner import no_scan, ray_angles, scan
 
 PERIOD = 1.0 / 32.0
-# Steps between two scans, 10.7 Hz, and for how many the base stands before the approach is over.
+# A scan every SCAN_EVERY steps, 10.7 Hz; the approach is over once the base stands for more than STANDS steps.
 SCAN_EVERY, STANDS = 3, 64
 LOSSES = ("none", "at random", "one side")
 OBSTACLES = ("wall", "end", "post")
-# The rows of each other kind of approach.
+# The rows, obstacle and loss of rays, of each kind of approach that has its own.
 ROWS = {
     "edge": [(thing, loss) for thing in ("thin wall", "door leaf", "cross") for loss in ("none", "a fifth")],
     "behind": [("all round", "none"), ("124 degrees", "none")],
@@ -47,7 +47,7 @@ ROWS = {
 }
 NO_WALLS = np.zeros((0, 4))
 LOOK_ROUND = (5.5, 0.0, 1.2)
-# A robot that is told to stand, for ever.
+# Walls of the closed room around an approach, m.
 ROOM = np.array([[5, -5, 5, 5], [5, 5, -5, 5], [-5, 5, -5, -5], [-5, -5, 5, -5]], dtype=float)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from missions import run_seed
 
-# A robot that believes it is home is this far from it at most, m.
+# The robot is home if its true position is at most HOME, m, from its start.
 HOME = 0.5
 
 

@@ -26,8 +26,8 @@ from wall_errors import OFF, wall_errors
 
 from tfg_drake.io.files import write_atomic
 
-# Arguments, in which {seed} stands for the seed, row of reality.py, and how many seeds. All missions together take some
-# 40 minutes of CPU.
+# Of each row: arguments, where {seed} is replaced by the seed; the row of reality.py; number of seeds. All missions
+# together take some 40 minutes of CPU.
 Rows = dict[str, tuple[list[str], str, int]]
 ROWS: Rows = {
     "house": (["house"], reality.BELIEVED, 30),
@@ -37,9 +37,9 @@ ROWS: Rows = {
     "house, poor odometry": (["house"], "poor odometry", 10),
     "paper, correlated noise": (["paper"], "correlated noise", 10),
 }
-# The columns that are NEES.
+# Summary fields that are a NEES.
 GROUPS = ("online_pose_anees", "pose_anees", "landmark_nees")
-# Kept of a summary, under its own name.
+# Summary fields that are kept, under their own names.
 FIELDS = (*GROUPS, "landmark_rmse_m", "surface_coverage", "surface_phantom_m", "contacts", "cpu_time_s", "sim_time_s")
 
 

@@ -25,11 +25,11 @@ from tfg_drake.bad_input import BadInput
 from tfg_drake.io.files import write_atomic
 
 SEEDS = 30
-# Length of the pieces that a curve is drawn with, m.
+# Length of the segments that approximate a curve, m.
 PIECE = 0.08
-# Least distance between columns, and to walls, m.
+# Least clearance between columns, m.
 PASSAGE = 0.9
-# Normalised squared error, of the pose, that is five deviations.
+# The pose is wrong above this normalised squared error: five standard deviations.
 WRONG = 25.0
 
 

@@ -41,7 +41,7 @@ from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 
 SLIP, SLIP_ANGLE = 0.5, np.deg2rad(30.0)
 CARRIED, CARRIED_ANGLE = 3.0, np.deg2rad(90.0)
-# An error beyond this, m, and so many stated deviations is false, from so long after the robot was moved on, s.
+# An estimate is false if SOON, s, after the robot was moved it is off by FALSE, m, and by DEVIATIONS stated deviations.
 FALSE, DEVIATIONS, SOON = 0.3, 3.0, 10.0
 ROOM = 0.1
 FOUND, FOUND_WITHOUT_TAGS = (0.1, np.inf), (0.3, 0.1)

@@ -29,9 +29,9 @@ from tfg_drake.systems import laser_scanner, safety_filter
 
 SCANS = ("as they are", "noiseless", "20 % lost")
 LOST = 0.2
-# A base that is let drive so much faster, m/s, is slowed.
+# The base is slowed if, with all scans believed, the filter would let it drive more than SLOWER, m/s, faster.
 SLOWER = 0.05
-# Where there is nothing so near in its way, m, there is nothing to stop for.
+# A stop is false if the free distance ahead of the outline exceeds NEAR, m.
 NEAR = 0.15
 
 

@@ -21,7 +21,7 @@ from tfg_drake.diagrams.missions.paper_figures import GAIN_STAGE, write_figures
 
 BENCHMARKS = Path(__file__).resolve().parent
 METHODS = "tfg,tfg-nearest,grid-nearest"
-# When the page is shown, s: half of the building is known.
+# Simulated time of the page's screenshot, s: half of the building is known then.
 MOMENT = 200
 
 

@@ -22,7 +22,7 @@ import shapely
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import SavedMap, load_map
 
-# Cells at least as likely to be free as this are.
+# A cell is free if its occupancy probability is below FREE.
 FREE = 0.35
 
 

@@ -44,7 +44,7 @@ from tfg_drake.storage.trajectory import read_tum
 CELL, RANGE, RAYS = 0.1, 20.0, 2500
 STEP, MOST = 0.3, 300.0
 REGION, REACHED = 10, 1.0
-# Cells round a wall that cost as much as NEAR others, and the reach, in cells, of a smaller cost beyond them.
+# Path cost of a cell: NEAR up to DILATED cells from a wall, then below 2, falling to 1 at COSTLY cells from walls.
 DILATED, NEAR, COSTLY = 3, 100.0, 10
 SHARES = (0.5, 0.9, 0.95)
 METHODS = ("nearest", "exact", "ours", "tour")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 FILE = Path(__file__).parents[1] / "tfg_drake" / "mission_kernels.txt"
-# Method and whether the scenario keeps its tags, a metre apart; how long each goes on, s.
+# MISSIONS: method, and whether the scenario keeps its tags, a metre apart. UNTIL: duration of each mission, s.
 MISSIONS, UNTIL = (("tfg", True), ("tfg", False), ("weighted", False)), 120.0
 
 

@@ -22,9 +22,9 @@ from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
 from tfg_drake.planning.exact_gain import whitened
 from tfg_drake.planning.expected_view import Visibility, expected_tags
 
-# Surfaces farther from a point of the path than this are not looked at, m.
+# Surfaces more than REACH, m, from a point of the path are ignored there.
 REACH = 1.2
-# Length over which the follower's error forgets itself, m.
+# Correlation length of the follower's tracking error, m.
 TRACKING_LENGTH = 1.0
 
 

@@ -21,20 +21,20 @@ import reality
 import yaml
 
 PLANS = Path("runs/offices")
-# What half of the plans are told anew with: people, rays that meet nothing, errors of rays that are no white noise.
+# Settings of the harder missions, on half of the plans: people, rays without a return, correlated errors of rays.
 WORSE = ("reality.people=3", "reality.scan.dropout_probability=0.1", "reality.scan.correlation_angle=0.05")
 SEEDS = 20
-# Least width of a door, and of what is left of a wall beside it, m.
+# Least width of a door, and of the wall left on either side of it, m.
 DOOR, JAMB = 0.9, 0.15
-# Room for the robot to pass between furniture, m.
+# Least gap between pieces of furniture, or furniture and wall, m: the robot passes.
 PASSAGE = 0.8
-# Side of a table's leg, as a share of the table's. What stands in corners.
+# Side of a table's leg, as a share of the table's.
 LEG = 0.05
-# The share of the furniture that is moved.
+# MOVED: probability that a piece of furniture is moved. CORNERS: kinds of things that stand in corners.
 MOVED = 0.1
 CORNERS = ("bay", "round corner")
 
-# x0, y0, x1, y1, m: a room, or a wall.
+# A room or a wall: x0, y0, x1, y1, m.
 Box = tuple[float, float, float, float]
 
 

@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 HEADS = ("seed", "outcome", "mapped", "of", "contacts", "received", "phantom m", "time s", "alone s", "ratio")
-# What must hold of every seed: surface where nothing is, m, and time over that of the mission without people.
+# Bounds for every seed: length of phantom surface, m, and ratio of the time to that of the mission without people.
 MOST_PHANTOM, MOST_TIME = 1.0, 1.3
 
 

@@ -41,7 +41,7 @@ from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
 from tfg_drake.tfg.graph import resolve, update
 
-# Distance between two copies, m, and between their tags' ids; length of the path, m.
+# PITCH: distance between neighbouring copies, m. IDS: offset of their tags' ids. WAY: length of the path, m.
 PITCH = 80.0
 IDS = 10_000
 WAY = 6.0

@@ -26,7 +26,7 @@ from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenari
 from tfg_drake.planning import goal_choice, planner, revisit
 from tfg_drake.systems import info_gain_goal_selector, tfg_builder
 
-# What tells the stage among the arguments of each part.
+# Functions that return the stage from the arguments of each part.
 PARTS: dict[str, Callable[..., int]] = {
     "tfg": lambda _, estimate, *others: estimate.stage,
     "roadmap": lambda _, working, *others: working.stage,

@@ -41,7 +41,7 @@ from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.slam.turn import TurnFrame
 from tfg_drake.systems import info_gain_goal_selector, slam_estimator
 
-# What is foretold is a goal's turn: nothing is mapped on the way there.
+# The predicted gain is that of the turn at a goal, so nothing is mapped on the way there.
 ONLY_GOALS = ["explorer.path_keyframe_period=0", "explorer.glance_period=0"]
 IN_REACH = np.array([1e9, 1.0])
 

@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 METHODS = "tfg,tfg-nearest"
-# What a machine's speed and load may change.
+# Endings of summary fields that depend on a machine's speed and load.
 MACHINE = ("wall_time_s", "cpu_time_s", "real_time_factor", "_cpu_s", "peak_rss_bytes", "stage_ms")
 
 

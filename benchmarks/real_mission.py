@@ -40,9 +40,9 @@ CLI = [sys.executable, "-m", "tfg_drake.diagrams.cli"]
 FIELDS = {"outcome": "", "time": "s", "distance": "m", "mapped": "", "position": "m", "heading": "rad"}
 FIELDS |= {"landmarks": "m", "aligned": "m", "contacts": ""}
 
-# When an operator enables a base again that stands until he does, s.
+# Time after which the operator enables a base again that has stopped until it is enabled, s.
 ANEW = 2.0
-# What happens to the robot without ROS after it was enabled, s.
+# Events on the robot without ROS: time after it was enabled, s, and order to the emulator.
 INCIDENTS = ((60.0, "camera off"), (70.0, "camera on"), (110.0, "lidar unplug"), (115.0, "lidar plug"))
 
 

@@ -29,11 +29,11 @@ from tfg_drake.simulation import laser_scanner, odometry
 from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 from tfg_drake.world.world import bare_world
 
-# Of the way: seconds, and between odometry s. A robot's radius, and how far from walls it drives, m.
+# SECONDS: least duration of a drive, s. STEP: period of the odometry, s. RADIUS: distance kept from walls, m.
 SECONDS, STEP, RADIUS = 75.0, 0.05, 0.4
-# A scan is logged so long after it was taken, s, and a little more.
+# Least delay between a scan's measurement and its log entry, s.
 LOGGED = 0.03
-# The stamps of the first message, s.
+# Stamp of a drive's time 0, s.
 EPOCH = 1_700_000_000.0
 
 

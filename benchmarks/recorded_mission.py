@@ -24,7 +24,7 @@ from tfg_drake.io.files import write_atomic
 from tfg_drake.storage.timeline import MAGIC, encoded
 
 SCENARIO, SEED = "house", 3
-# Layers of which every so many records are kept; of others all are.
+# One of every n records of these layers is kept; of the others all are.
 KEPT = {"scan": 2, "pose": 2, "truth": 2}
 
 

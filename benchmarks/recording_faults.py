@@ -42,12 +42,12 @@ from tfg_drake.datasets.rows import find_file, read_text
 from tfg_drake.geometry import se2
 from tfg_drake.messages import FloatArray
 
-# The error that counts as found again, m, and for how long it must stay below, s.
+# The robot is found again once its position error stays below FOUND, m, for STAYS, s.
 FOUND, STAYS = 0.3, 10.0
-# A robot may need so many sightings to find itself. The bounds: ratio of the RMSE, and s until it has.
+# That time counts from the SIGHTINGS-th sighting after the fault. Bounds: on the ratio of RMSE, and on that time, s.
 SIGHTINGS, MOST_RATIO, MOST_BACK = 3, 1.3, 30.0
 
-# Rows (n, 3) of odometry and (m, 4) of measurements, and the fault's begin, s, to both with the fault.
+# Maps odometry (n, 3), measurements (m, 4) and the fault's begin, s, to odometry and measurements with the fault.
 Fault = Callable[[FloatArray, FloatArray, float], tuple[FloatArray, FloatArray]]
 
 
@@ -89,7 +89,7 @@ def lifted(odometry: FloatArray, seen: FloatArray, begin: float) -> tuple[FloatA
     return odometry, seen[~within(seen, begin, 20.0)]
 
 
-# What is done, and how long it lasts, s.
+# The faults by name, and the duration of each, s.
 FAULTS: dict[str, tuple[Fault, float]] = {
     "odometry lost": (odometry_lost, 10.0),
     "ids swapped": (ids_swapped, 60.0),

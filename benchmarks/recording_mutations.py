@@ -33,7 +33,7 @@ from tfg_drake.geometry.alignment import align
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.messages import FloatArray
 
-# RMSE of what is right, m, and s from a mutation within which its note lies.
+# A result is right up to an RMSE of RIGHT, m; a mutation is told by a note at most NEAR, s, from it.
 RIGHT, NEAR = 0.1, 5.0
 CLASSES = ("right", "told", "refused", "wrong", "error")
 
@@ -187,7 +187,7 @@ MUTATIONS: dict[str, Callable[[Drive, np.random.Generator], Mutated]] = {
         frozen,
     )
 }
-# This one is drawn with the drive.
+# The mutation that is drawn with the drive.
 MOUNT_YAW = "mount_yaw"
 
 

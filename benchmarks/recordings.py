@@ -37,9 +37,9 @@ from tfg_drake.messages import FloatArray, IntArray, replace
 
 ROOT = Path(__file__).parents[1]
 FIELDS = ("case", "version", "own_cpu_s", "start_error", "final_error", "robot_rmse_m", "landmark_rmse_m", "rejected")
-# The park: poses, the side of its square (m), trees, places on the way, m a step.
+# The park: number of POSES, SIDE of its square, m, number of TREES, number of PLACES on the way, length of a STEP, m.
 POSES, SIDE, TREES, PLACES, STEP = 2500, 300.0, 200, 12, 0.9
-# Deviations of a step in x, y (m) and heading (rad), and of a tree in x and y (m); how far (m) and often one is seen.
+# Deviations of a step in x, y, m, and heading, rad, and of a tree's x, y, m; range, m, and probability of a sighting.
 STEP_SIGMA, TREE_SIGMA = np.array([0.05, 0.05, 0.02]), 0.3
 REACH, SEEN = 25.0, 0.1
 WRONG = 0.03

@@ -31,7 +31,7 @@ from tfg_drake.diagrams.missions.errors import KnownWorld, path_length
 from tfg_drake.diagrams.scenario import LoadScenario, MakeWorld
 from tfg_drake.storage.trajectory import read_tum
 
-# Arguments, in which {seed} stands for the seed, and the seeds.
+# Of each row: arguments, where {seed} is replaced by the seed, and the seeds.
 OFFICE = str(offices.PLANS / "{seed}.yaml")
 ROWS: dict[str, tuple[list[str], range]] = {
     "house, no tags": (["house", "--tag-spacing", "none"], range(40, 43)),

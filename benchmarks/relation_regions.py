@@ -34,7 +34,7 @@ from tfg_drake.slam.surface_fit import poses_by_surfaces
 from tfg_drake.storage.trajectory import read_tum
 
 SHARE = 0.9
-# Deviation of an axis, m, of relations of which it is told.
+# Standard deviation of a log's relations along an axis, m, as its authors state it.
 TOLD = {"aces": 0.025 / math.sqrt(3.0)}
 
 

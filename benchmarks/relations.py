@@ -38,15 +38,15 @@ from tfg_drake.slam.shared import SCANNER_X, SCANNER_Y
 
 LOGS = ("aces", "intel", "fr079")
 METHODS = ("walls", "grid", "karto")
-# m and degrees, by Hess et al., ICRA 2016, and Kuemmerle et al., Autonomous Robots 2009.
+# Published errors, m and degrees: Hess et al., ICRA 2016, and Kuemmerle et al., Autonomous Robots 2009.
 PUBLISHED = {
     "Cartographer": {"aces": "0.0375 0.373", "intel": "0.0229 0.453", "fr079": "0.0452 0.538"},
     "Graph Mapping": {"aces": "0.044 0.4", "intel": "0.031 1.3", "fr079": "0.056 0.6"},
     "Graph FLIRT": {"intel": "0.02 0.3", "fr079": "0.06 0.8"},
     "GMapping": {"aces": "0.060", "intel": "0.070", "fr079": "0.061"},
 }
-# Karto: a node after so much way or turn, m and rad; scans that it matches with, m within which it looks for loops, the
-# least response of one; rays that are longer tell it nothing, m.
+# Karto: a node every NODE_STEP, m, or NODE_TURN, rad. BUFFER: number of scans to match with. LOOP_DISTANCE: radius of
+# the loop search, m. LOOP_RESPONSE: least response of a loop. KARTO_RANGE: longest ray used, m.
 NODE_STEP, NODE_TURN = 0.2, 0.1
 BUFFER, LOOP_DISTANCE, LOOP_RESPONSE = 30, 8.0, 0.6
 KARTO_RANGE = 12.0

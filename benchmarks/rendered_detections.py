@@ -33,7 +33,7 @@ from tfg_drake.world.world import World
 RANGES = np.arange(0.5, 5.01, 0.5)
 INCIDENCES = (0, 30, 45, 60)
 COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00")
-# The robot looks up to so far past the tag, rad.
+# Greatest bearing of the tag from the robot's heading, rad.
 ASIDE = 0.4
 TAG = np.array([3.0, 0.0])
 WORLD = World(np.array([[3.01, -9.0, 3.01, 9.0]]), np.array([7]), TAG[None], np.array([math.pi]), np.zeros(3))

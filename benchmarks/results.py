@@ -32,7 +32,7 @@ import reality
 BENCHMARKS = Path(__file__).parent
 DOCUMENT = BENCHMARKS.parent / "docs" / "results.md"
 TABLES = DOCUMENT.parent / "tables"
-# In arguments: --data, and what the seed draws, an office plan or how the world is not as believed.
+# Placeholders in arguments: the folder of --data, the office plan of a seed, and the seed's deviation from the model.
 DATA, PLAN, DEVIATION = "DATA", "PLAN", "DEVIATION"
 # Arguments of the benchmarks that print a table, several by " + ".
 PRINTED: dict[str, str] = {
@@ -68,7 +68,7 @@ class Row(NamedTuple):
 
 
 UNTAGGED = "--tag-spacing none --max-time 3600"
-# Ours, and what it is compared with.
+# Our method, and the one that it is compared with.
 METHOD, OTHER = "tfg", "grid-nearest"
 MISSIONS: dict[str, list[Row]] = {
     "explored": [

@@ -35,11 +35,11 @@ from tfg_drake.world.tag_advice import advise_tags
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.world import World
 
-# The rule for evenly spaced tags: apart, and how far from every place two of them are at most, m.
+# The rule for evenly spaced tags: at most APART, m, apart, and from every place two of them within WITHIN, m.
 APART, WITHIN = 4.0, 8.0
-# Places of the drive that count, and how many goals it has: the corners between them are places, too.
+# PLACES: number of the drive's places that count. GOALS: number of its goals; the corners between them are places, too.
 PLACES, GOALS = 50, 30
-# The drive keeps this far from walls, besides the robot's radius, m; a leg is no longer than this, m.
+# ROOM: clearance of the drive from walls beyond the robot's radius, m. LEG: greatest length of a leg, m.
 ROOM, LEG = 0.15, 3.0
 
 

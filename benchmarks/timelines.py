@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tfg_drake.io.files import most_unpacked, of_run, reading
 from tfg_drake.storage.timeline import FILE_NAME, LENGTH, MAGIC, NUMBERS, TimelineError
 
-# Bytes of a timeline's records at most, each with its table as it stands then: an hour in a large building has 0.2 GB.
+# Greatest size of a timeline's records, each with its whole table, bytes: an hour in a large building has 0.2 GB.
 _LARGEST = 2 * 2**30
 
 

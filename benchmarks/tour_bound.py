@@ -28,17 +28,17 @@ from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.geometry.visibility import cast_rays, line_of_sight
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
 
-# Side of the squares that the points of an outline are rounded to, m. With half of that between them nothing of the
-# outline is farther from one than ROUGH, m.
+# Points of an outline are sampled every half SQUARE and rounded to a grid of SQUARE, m: then every point of the outline
+# has one within ROUGH, m.
 SQUARE = 0.1
 ROUGH = SQUARE
-# A tag is looked at from this far off its wall, m.
+# A tag's point of view lies OFF_WALL, m, in front of its wall.
 OFF_WALL = 2e-3
-# Rays of an outline, beside those to the ends of the walls.
+# Number of rays of an outline, besides those to the ends of walls.
 RAYS = 360
-# Things that are tried, and those that the bound is of, at most.
+# Greatest number of things that are tried, and of those that enter the bound.
 TRIED, THINGS = 24, 11
-# Points of a region by which it is told that it lies within another one.
+# Approximate number of a region's points by which it is found to lie within another one.
 INSIDE = 20
 
 

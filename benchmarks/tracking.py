@@ -26,7 +26,7 @@ from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION
 from tfg_drake.planning.pure_pursuit import PathCommand, follow
 from tfg_drake.systems import pure_pursuit_follower
 
-# A path's first metre may begin beside the robot, which drove on while it was planned.
+# The first SETTLED, m, of a path counts apart: it may begin beside the robot, which drove on during planning.
 SETTLED = 1.0
 FULL_SPEED = 0.95
 

@@ -44,7 +44,7 @@ from tfg_drake.world.reachability import CELL, Grid, make_grid, reachable_cells
 
 PLANS = Path("runs/undiscovered")
 OFFICES, FITTED = "offices", "fitted"
-# Seeds of each row; those of offices are mostly small plans.
+# Seeds of each row; those of the offices are mostly small plans.
 ROWS: dict[str, list[int]] = {
     FITTED: [0, 26, 130, 124, 138, 35, 30, 36],
     OFFICES: [100, 122, 55, 11, 148, 103, 132],
@@ -52,7 +52,7 @@ ROWS: dict[str, list[int]] = {
     "paper": [50],
 }
 LEAST, MOST, CUTS = 0.3, 0.95, 14
-# More cuts near the end are kept, and fitted to, but counted apart.
+# LATE_CUTS more cuts, at shares from LATE to 1, are kept and fitted to, but counted apart.
 LATE, LATE_CUTS = 0.88, 10
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 DRAWN_ANEW = 1000

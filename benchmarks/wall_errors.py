@@ -15,8 +15,8 @@ from tfg_drake.geometry import se2
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.slam.walls import known_walls
 
-# A wall of the map is of a true one where both points are no farther off its line than this, m, and it looks the same
-# way, cosine, and reaches no farther beyond either end, m.
+# A wall of the map is assigned to a true one if both points lie within OFF, m, of its line, the cosine between them is
+# above ALIKE, and they overlap up to a gap of BEYOND, m, at the ends.
 OFF, ALIKE, BEYOND = 0.15, 0.9, 0.3
 
 
