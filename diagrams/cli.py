@@ -32,9 +32,9 @@ from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.commands.view import export, view
 from tfg_drake.mission.interruption import NAMES
 
-# Commands that write all files when a signal interrupts them; it ends others at once.
+# Commands that write all their files when a signal interrupts them; a signal ends the others at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")
-# Least address space of a command, bytes; libraries take two thirds of it.
+# Least address space for a command, bytes; the libraries take two thirds of it.
 LEAST_MEMORY = 2**30
 
 # The parser's exception for an invalid command line; typer does not export it.
@@ -92,7 +92,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = command.EXIT_CODES["interrupted"]
     except BrokenPipeError:
-        code = 141  # The reader of our output has gone.
+        code = 141  # The reader of the output has gone.
     except OSError as error:
         # Refused by the operating system: a deleted folder, too many processes or open files.
         where = "" if error.filename is None else f"{error.filename}: "

@@ -109,7 +109,7 @@ def _start(rows: int, done: int) -> subprocess.Popen[bytes]:
     """
     command = [sys.executable, "-P", "-m", MODULE, "rows"]
     places = [str(Path(kernels.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
-    # LLVM at its level 3 compiles a fifth longer, and missions take as long.
+    # LLVM's level 3 would take a fifth longer to compile, and missions would be no faster.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places), "NUMBA_OPT": "1"}
     try:
         return subprocess.Popen(

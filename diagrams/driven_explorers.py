@@ -17,7 +17,7 @@ from tfg_drake.systems.manual_driver import ManualDriver
 from tfg_drake.systems.mission_sequencer import MissionSequencer
 from tfg_drake.systems.scripted_driver import ScriptedDriver
 
-# Full speed by which the sequencer limits the time of a way, m/s: a driver's time is not limited.
+# Full speed, m/s, from which the sequencer computes the time limit of a way: tiny, as a driver has no time limit.
 NO_HURRY = 1e-9
 
 

@@ -23,9 +23,9 @@ from tfg_drake.world.world import World, WorldError
 # Image rate, 1/s; size, pixels; horizontal field of view, rad.
 RATE, SIZE, FIELD_OF_VIEW = 5.0, (640, 480), math.radians(65.0)
 MOUNT = CameraMount(x=0.05, z=0.35)
-# Age of an image when it is sent, s, as over a network, independent of the rendering time.
+# Latency: age of an image when it is sent, s, as over a network, independent of the rendering time.
 LATENCY = 0.15
-# Time for which the board keeps a pose, s.
+# Least time for which the board keeps a pose, s.
 _BOARD_EVERY = 0.6
 
 
@@ -73,7 +73,7 @@ class EmulatedCamera:
                 try:
                     self._connection.send((time.monotonic(), self._pose()))
                 except OSError:
-                    return  # it has ended
+                    return  # the process has ended
 
 
 def serve(connection: Connection) -> None:

@@ -23,7 +23,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     Whoever opened them closes them, when the simulation is over.
     """
     scenario, builder, clock = Bounded(scenario, devices), DiagramBuilder(), devices.clock
-    # The robot's own watchdog locks the base, and knows when it is enabled.
+    # The robot's own watchdog locks and enables the base.
     filtering = SafetyFilter(scenario.robot, scenario.safety, scenario.scan, MakeKeepOut(scenario), locks=False)
     safety_filter = builder.AddNamedSystem("safety_filter", filtering)
     wheels = builder.AddNamedSystem("base", HardwareBase(devices))
@@ -32,7 +32,7 @@ def MakeHardwareStation(scenario: Scenario, devices: RobotDevices) -> Diagram:
     ranges = HardwareSensor("ranges", devices.scan, no_scan(scenario.scan), clock)
     scanner = builder.AddNamedSystem("laser_scanner", ranges)
 
-    # A scan that is not believed is none: the base stands as where the scanner is silent.
+    # A rejected scan counts as missing: the base stands as if the scanner were silent.
     builder.Connect(safety_filter.GetOutputPort("scan_believed"), wheels.GetInputPort("scan"))
     builder.Connect(tag_sensor.GetOutputPort("detections"), wheels.GetInputPort("detections"))
 

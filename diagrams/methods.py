@@ -116,7 +116,7 @@ def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Di
     return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)
 
 
-# Sections that a method may fix; the others belong to the world and are the same for all methods.
+# Sections of the scenario that a method may fix; the others belong to the world and are the same for all methods.
 _OWN_SECTIONS = ("explorer.", "planner.", "grid.")
 # The first look determines the heading of a map of tags; scan matching gains nothing from it.
 _GRID_SETTINGS = ("explorer.first_look=0", "explorer.first_turns=1")
@@ -126,7 +126,7 @@ METHODS = {
     for method in (
         # The scenario's own rule on the TFG, by default a tour of what is open.
         Method("tfg", MakeTfgExplorer, has_candidates=True),
-        # Most information gain, as the paper has it, on the TFG; nothing is mapped on the way there.
+        # The goal of most information gain, as in the paper, on the TFG; nothing is mapped on the way there.
         Method(
             "tfg-argmax",
             MakeTfgExplorer,
@@ -149,11 +149,11 @@ METHODS = {
             knows_map=False,
             settings=_GRID_SETTINGS,
         ),
-        # Any place within reach, on the TFG.
+        # A random reachable place, on the TFG.
         Method("random", MakeTfgExplorer, has_candidates=True, settings=("explorer.goal=random",)),
-        # The scenario's drive, as a human operator would go, on the TFG.
+        # The scenario's drive, as of a human operator, on the TFG.
         Method("scripted", MakeScriptedExplorer, needs_drive=True, keeps_budget=False),
-        # Somebody at the keys, on the TFG.
+        # A person at the keys, on the TFG.
         Method("manual", MakeManualExplorer, keeps_budget=False, needs_keys=True),
     )
 }

@@ -14,10 +14,10 @@ from pydrake.systems.framework import PortDataType, System
 from tfg_drake.diagrams.scenario import Scenario, ScenarioError
 from tfg_drake.messages import FollowerStatus, GoalChoice, Hazards, MapEstimate, Path, PathStatus, PoseEstimate
 
-# A diagram needs a part of its own, and a scenario says of what: so a part is given as a function that makes one.
+# A function that makes a part for a scenario: every diagram needs its own instance.
 Factory = Callable[[Scenario], System]
 
-# Output ports of each role: the message that a port carries, or the size of its vector.
+# Output ports of each role, by name: the type of the message, or the size of the vector.
 OUTPUTS: dict[str, dict[str, type | int]] = {
     "estimator": {"pose": PoseEstimate, "map": MapEstimate},
     "goal_selector": {"goal": GoalChoice},

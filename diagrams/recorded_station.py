@@ -21,9 +21,9 @@ from tfg_drake.simulation.tag_sensor import no_detections
 from tfg_drake.storage.port_recording import PORTS, PortRecording, nanoseconds
 from tfg_drake.systems.port_player import PortPlayer
 
-# Greatest time after the recording, s, until its mission ends, which it does once all is mapped.
+# The mission ends once all is mapped, at the latest PATIENCE, s, after the end of the recording.
 PATIENCE = 10.0
-# Scans per metre of way for each look that a new wall needs, up to the number in a mission.
+# A new wall needs one look per SCANS_PER_LOOK scans per metre of way, at least one and at most as many as in a mission.
 SCANS_PER_LOOK = 3.0
 
 

@@ -20,9 +20,9 @@ from tfg_drake.vision.sighting import TagNoise, TagSizes
 from tfg_drake.world.scene import SceneConfig
 from tfg_drake.world.world import World
 
-# Width of a tag in the image, pixels, below which the renderer's mipmaps make it appear a per cent nearer.
+# Least width of a tag in the image, pixels: the renderer's mipmaps make a smaller one appear a per cent nearer.
 LEAST_SIDE = 18.0
-# Noise of the corners in rendered images, by benchmarks/rendered_detections.py.
+# Noise of tag corners in rendered images, from benchmarks/rendered_detections.py.
 TAG_NOISE = TagNoise(pixels=0.04, place=0.001, unlike=0.7)
 
 

@@ -16,7 +16,7 @@ from tfg_drake.mission.operation import Request
 RECORDED = "recording"
 
 
-# What a robot of a simulation does. They have names so that it can be sent to another process.
+# The functions of a simulated robot; named functions, unlike lambdas, can be sent to another process.
 
 
 def _never(_recalls: bool) -> str:

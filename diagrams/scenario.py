@@ -338,7 +338,7 @@ def MakeKeepOut(scenario: Scenario) -> FloatArray:
                 "begins; check its unit and that number"
             )
     keep_out = HatchedKeepOut(scenario)
-    # In a map that it knows the robot may be anywhere.
+    # In a known map the robot's start is unknown.
     near = wall_distance(start[:2], keep_out) < scenario.robot.radius
     if near.any() and not scenario.explorer.known_map:
         where = f"at ({start[0]:g}, {start[1]:g}), or nearer to it than its radius, {scenario.robot.radius:g} m"
@@ -351,7 +351,7 @@ def MapFrame(scenario: Scenario, X_WS: FloatArray) -> FloatArray:
     Raises MapFileError."""
     if not scenario.explorer.known_map:
         return X_WS
-    # Few missions need what this imports.
+    # Imported here, as few missions need it.
     from tfg_drake.mapfile.saved_map import load_map
 
     return load_map(Path(scenario.explorer.known_map)).X_WM
@@ -423,7 +423,7 @@ def _Parse(text: str, source: str) -> object:
         raise ScenarioError(f"{source}: {error}") from None
 
 
-# Keys of the section reality that also hold for rendered sensors; the others are of ideal ones.
+# Keys of the section reality that also apply to rendered sensors; the others apply to ideal ones only.
 _RENDERED = ("yaw", "ahead", "left")
 # Greatest field of view of a camera without distortion, rad (150 degrees).
 _WIDEST = math.radians(150.0)
@@ -449,7 +449,7 @@ def _CheckEyes(scenario: Scenario, source: str) -> None:
             most = f"must be at most {_WIDEST:.6g} where station.eyes is camera"
             raise ScenarioError(f"{source}: {section}.field_of_view: {most}")
     try:
-        # OpenCV, which a robot without eyes of its own need not have.
+        # OpenCV is not installed with every robot: only a camera needs it.
         import robotpy_apriltag  # noqa: F401
 
         from tfg_drake.world.scene import check_drawn

@@ -8,8 +8,8 @@ import threading
 import time
 from typing import Any
 
-# Wall time between two lines without a terminal, s: at first and at most; in between the share SHARE of the time
-# passed. Work that takes longer than INTERVAL is shown with the time so far.
+# Without a terminal the interval between two lines, wall s, grows from INTERVAL to LONGEST_INTERVAL as the share SHARE
+# of the time passed. Work that takes longer than INTERVAL is shown with its duration.
 INTERVAL, LONGEST_INTERVAL, SHARE = 2.0, 60.0, 1.0 / 6.0
 
 
@@ -85,4 +85,4 @@ class Screen:
             try:
                 say(self.line())
             except OSError:
-                self._written = math.inf  # Nobody reads on, or the disk is full; what is done is still wanted.
+                self._written = math.inf  # The reader is gone or the disk is full; the work itself goes on.

@@ -26,11 +26,11 @@ from tfg_drake.world.world import World
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-# A period longer than any run, s, of random numbers that are drawn once.
+# Period of random numbers that are drawn once, s: longer than any run.
 _ONCE = 2.0**30
-# Keys of a scenario by the plant's input that they need.
+# Keys of a scenario that need an input of the plant, by input.
 _NEEDS = {"people": "reality.people", "world": "reality.changes", "pushes": "disturbances"}
-# Ground truth of the simulation.
+# Output ports with ground truth of the simulation.
 _TRUTH = ("pose", "contacts", "clearance", "contacts_received", "people", "world")
 
 
@@ -134,7 +134,7 @@ def MakeTurtlebotStation(
         pushes = builder.ExportInput(base.GetInputPort("pushes"), "truth.pushes")
         builder.ConnectInput(pushes, wheels.GetInputPort("pushes"))
 
-    # For metrics and pictures. A simulation knows the truth, a robot does not: never wire it into an explorer.
+    # The truth is for metrics and pictures. A robot has none: never wire it into an explorer.
     for system in (base, *around):
         for name in filter(system.HasOutputPort, _TRUTH):
             builder.ExportOutput(system.GetOutputPort(name), f"truth.{name}")
@@ -146,7 +146,7 @@ def MakeTurtlebotStation(
 def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple[System, System]:
     """Adds tag sensor and scanner: one system where both look through the same rendered camera."""
     if scenario.station.eyes == "camera":
-        # Few missions need what this imports.
+        # Imported here, as few missions need it.
         from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
 
         camera = builder.AddNamedSystem("eyes", MakeRenderedEyes(scenario, world))
@@ -176,7 +176,7 @@ def _AddSensorNoise(builder: DiagramBuilder, scenario: Scenario, tag_sensor: Sys
     _AddNoise(builder, "tag_noise", tag_sensor.GetInputPort("noise"), 1.0 / scenario.tags.rate)
     _AddNoise(builder, "scan_noise", scanner.GetInputPort("noise"), 1.0 / scenario.scan.rate)
 
-    # After those that every simulation has: what reality does besides leaves their numbers as they are.
+    # Added after the noise of every simulation, so that options of reality do not change its random numbers.
     if tag_sensor.has_tag_errors:
         _AddNoise(builder, "tag_errors", tag_sensor.GetInputPort("tag_errors"), _ONCE)
     if tag_sensor.has_frame_noise:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tfg_drake.vision.image import Image
     from tfg_drake.vision.mount import CameraMount
 
-# For a live source: sufficient views of the board, and the interval between searches, or pictures, s.
+# For a live source: number of views of the board that suffice; least interval between searches, or pictures, s.
 LIVE_VIEWS, LIVE_EVERY = 25, 0.5
 
 Source = Annotated[

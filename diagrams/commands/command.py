@@ -33,7 +33,7 @@ EXIT_CODES = {
     "fault": 3,
     "interrupted": 130,
 }
-# Least spacing of tags, m, below which they would overlap.
+# Least spacing of tags, m; closer tags would overlap.
 LEAST_SPACING = 0.05
 
 # The signals that end a command.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.robots import Robot
     from tfg_drake.diagrams.scenario import Scenario
 
-# The map or the summary could not be written.
+# Exit code if the map or the summary could not be written.
 NOT_WRITTEN = 4
 # Groups of options in the help; (): all remaining ones.
 GROUPS: dict[str, tuple[str, ...]] = {

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Standard deviation of a range of the emulated scanner, m.
 LIDAR_NOISE = 0.01
-# Distance of `check --drive`, m, its speed, m/s, its deceleration, m/s^2, and its time limit, s.
+# `check --drive`: distance, m, speed, m/s, deceleration, m/s^2, and time limit, s.
 DISTANCE, SPEED, DECELERATION, DRIVE_WITHIN = 0.2, 0.1, 0.2, 6.0
 
 kobuki_app = command.group("kobuki", "Check a Kobuki base, or emulate one.")

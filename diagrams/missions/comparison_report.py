@@ -30,7 +30,7 @@ from tfg_drake.messages import FloatArray
 from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.storage.trajectory import read_tum
 
-# Approximate number of intervals over which errors are averaged; spacing of the coverage, m of way.
+# Approximate number of time intervals over which errors are averaged; spacing of the coverage, m of way.
 _STRETCHES, _DISTANCE_STEP = 150, 0.5
 
 

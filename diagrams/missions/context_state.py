@@ -66,7 +66,7 @@ def _values(context: Context) -> tuple[list[FloatArray], list[Any]]:
 def _value(state: AbstractValue) -> Any:
     try:
         return state.get_value()
-    except RuntimeError:  # It is one of C++ alone.
+    except RuntimeError:  # A type of C++ alone.
         return state
 
 

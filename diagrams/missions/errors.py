@@ -26,9 +26,9 @@ from tfg_drake.world.reachability import (
 )
 from tfg_drake.world.world import World
 
-# Share of the reachable cells that counts as all, as a scan may miss corners.
+# The area counts as seen once the scanner has seen the share NEARLY_ALL of its reachable cells: scans may miss corners.
 NEARLY_ALL = 0.99
-# Scans within this distance, m, of a turn's or glance's start count; a robot within it of its start has not driven.
+# Scans less than IN_PLACE, m, from a turn's or glance's start count; a robot no farther from its start has not driven.
 IN_PLACE = 0.1
 
 

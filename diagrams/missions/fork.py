@@ -24,8 +24,8 @@ from tfg_drake.planning.requested_goal import goal_there
 from tfg_drake.storage.run import Run, load_run
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 
-# Greatest distance, m, of a requested goal from the nearest reachable node, which takes its place, and of the robot
-# from a goal that it has reached.
+# The nearest reachable node, at most NEXT_TO_GOAL, m, away, replaces a requested goal; the robot has reached a goal
+# that is nearer than that.
 NEXT_TO_GOAL = 0.5
 # Fields of a run's summary that a fork needs.
 _NEEDED = ("method", "contacts", "outcome", "sim_time_s", "scenario", "world", "version")
@@ -105,7 +105,7 @@ class Fork:
         estimate = mission.look("map", MapEstimate)
         status = mission.look("mission", MissionStatus)
         row = int(roadmap.nodes(np.array([self._node]))[0])
-        # Until it has looked round there, or cannot get there any more.
+        # Until the robot has looked round there, or can no longer get there.
         off = np.hypot(*(roadmap.points[row] - estimate.X_MA[-1, :2]))
         arrived = not first and not status.moving and off < NEXT_TO_GOAL
         if self._node < 0 or row < 0 or arrived or not roadmap.reachable[row]:
@@ -175,7 +175,7 @@ def forkable(run: Run | str | Path, stage: int) -> tuple[Run, MissionRequest]:
     last = len(run.stages)
     if not 1 <= stage <= last:
         raise ForkError(f"stage {stage}: {run.folder} has the stages 1 to {last}")
-    # A run that somebody or a limit of time ended ends there again.
+    # A run ended by its operator or its time limit ends at the same time again.
     limited = run.summary["outcome"] in ("time_limit", "interrupted")
     request = MissionRequest(
         scenario,

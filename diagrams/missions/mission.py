@@ -67,20 +67,20 @@ if TYPE_CHECKING:
     from tfg_drake.diagrams.missions.mission_runner import Progress
     from tfg_drake.systems.visualizer import TfgVisualizer
 
-# Systems whose CPU time is the estimator's, a stage's planning, and all planning.
+# Names of systems whose CPU time counts as the estimator's, as a stage's planning, and as all planning.
 ESTIMATOR = ("slam_estimator", "grid_mapper")
 STAGE = ("tfg", "roadmap", "goal", "path")
 PLANNER = (*STAGE, "prm_planner", "goal_selector", "grid_planner", "follower")
 
-# The fields of a line of stages.jsonl, null where a map does not tell them.
+# The fields of a line of stages.jsonl, null if the map does not provide them.
 STAGE_FIELDS: tuple[str, ...] = ("stage", "goal", "exploitation", "exploration", "pose_price", "predicted_gain")
 STAGE_FIELDS += ("realised_gain", "time_s", "entropy_nats", "landmarks")
-# Simulated time between two checks of the mission, s, a fraction of a stage. A mission farther behind the clock does
-# not keep real time.
+# Period of the checks of the mission, simulated s, a fraction of a stage. A mission more than STEP behind the wall
+# clock misses real time.
 STEP = 1.0
-# Greatest distance from its goal, m, of a robot that has reached it.
+# The robot has reached its goal if the turn began less than AT_GOAL, m, from it.
 AT_GOAL = 0.3
-# Greatest distance of a simulated robot from the world's start, m and rad.
+# Greatest deviation of a simulated robot's first pose from the world's start, m and rad.
 AT_START = 0.01
 
 T = TypeVar("T")
@@ -209,7 +209,7 @@ class Mission:
         self.wall_start, self._cpu_start, self.meter = time.monotonic(), time.process_time(), CpuMeter()
         self.world: World | None = MakeWorld(scenario.world) if robot.world_known else None
         self._context: Context | None = None  # until the diagram is built
-        self._final: EstimatorState | None = None  # what the estimator knows with the final map
+        self._final: EstimatorState | None = None  # the estimator's state with the final map
         self._X_WS = self.world.start if self.world is not None else np.zeros(3)
         self._X_WM = MapFrame(scenario, self._X_WS)
         self.request, self.scenario, self.method, self.robot = request, scenario, request.method, robot
@@ -258,7 +258,7 @@ class Mission:
         except (Exception, SystemExit) as error:
             if self._before is None or isinstance(error, CheckpointError):
                 raise
-            # Anything may come of values that are not what they should be.
+            # Damaged values may raise any exception.
             raise self._before.complaint(error) from error
 
     def _check_start(self) -> None:
@@ -589,7 +589,7 @@ class Mission:
             told["wheels"] = False
         if (
             self.robot.name == RECORDED or scenario.explorer.landmarks == "walls"
-        ):  # Its scans are all that is looked at.
+        ):  # Only its scans are used, not a camera.
             camera = None
         layer = scene.walls(self.world) if self.world is not None else {}
         timeline.write("world", 0.0, layer, **told, camera=camera)
@@ -602,7 +602,7 @@ class Mission:
 
     def observe(self) -> None:
         """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
-        if self._cockpit is None or self.robot.real:  # Else somebody may hold the clock, and sees how fast it goes.
+        if self._cockpit is None or self.robot.real:  # The page can hold the clock, and shows its rate.
             self._notice_delay()
         self.status = self.look("mission", MissionStatus)
         if self._cockpit is not None:
@@ -634,8 +634,8 @@ class Mission:
         self._choice = self.look_for("goal", GoalChoice)
         if self.truth is not None:
             self.truth.look(self._context)
-        # A stage is planned within a moment of its map, long before the next: what was charged since the last look
-        # belongs to the stage that the mission is in now.
+        # A stage is planned shortly after its map, long before the next one, so the CPU time charged since the last
+        # check belongs to the current stage.
         new = self._spent(STAGE) - sum(self.stage_cpu.values())
         self.stage_cpu[self.status.stage] = self.stage_cpu.get(self.status.stage, 0.0) + new
 
@@ -654,7 +654,7 @@ class Mission:
         when those that are new had only the explorer's prior.
         """
         choice = self._choice
-        # No prediction for the start, for a glance, nor where the robot looks round for it could not reach its goal.
+        # There is no prediction for the start, for a glance, or for a turn at a place short of an unreachable goal.
         arrived = choice is not None and np.hypot(*(choice.p_MG - estimate.X_MA[-1, :2])) < AT_GOAL
         if choice is not None and (not arrived or choice.node not in choice.candidates):
             choice = None

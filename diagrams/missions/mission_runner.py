@@ -24,10 +24,10 @@ from tfg_drake.storage.checkpoint import CheckpointError
 if TYPE_CHECKING:
     from tfg_drake.mission.clock import Clock
 
-# Simulated time between two checks of a real robot's mission, and of a page's requests, s; wall time while the clock is
-# held.
+# Period of the checks of a real robot's mission and of a page's requests, s: simulated time, wall time while the clock
+# is held.
 WATCHED_STEP = 0.125
-# Greatest share of the time spent on the seen area, which takes a tenth of a second in a large building.
+# Greatest share of the wall time spent on computing the seen area, which takes a tenth of a second in a large building.
 AREA_SHARE = 0.02
 
 _log = logging.getLogger("tfg_drake.run")
@@ -66,7 +66,7 @@ class MissionRunner:
     def __init__(self, mission: Mission, interrupted: threading.Event) -> None:
         """interrupted: ends the mission when set."""
         self._mission, self._request, self._interrupted = mission, mission.request, interrupted
-        self._clock_version = -1  # what the simulator knows of the page's clock
+        self._clock_version = -1  # version of the page's clock that the simulator has
         self._area, self._next_area = 0.0, 0.0
 
     def run(
@@ -88,8 +88,8 @@ class MissionRunner:
                 self._tell()
             if not mission.terminated:
                 keep(True)
-                # A mission that ends by itself has done all that was due at its last instant. One that is ended from
-                # outside does it here, so that a replay of its recording comes to the same.
+                # A mission that ends by itself has handled all events of its last instant. One that is ended from
+                # outside handles them here, so that a replay of its recording gives the same result.
                 mission.simulator.AdvancePendingEvents()
                 mission.observe()
             mission.say(f"{mission.outcome.replace('_', ' ')}: solving the whole map")

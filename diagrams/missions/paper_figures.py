@@ -29,13 +29,13 @@ from tfg_drake.planning.candidates import GoalParameters
 GAIN_STAGE = 60
 # Number of pictures of the map's growth.
 GROWTH = 4
-# Simulated time between two checks of the mission, s.
+# Period of the checks of the mission, simulated s.
 STEP = 0.5
 LONGEST = 3600.0
 # Number of missions per method for Table II, that of the paper's Fig. 8.
 RUNS = 4
-# The push of Sec. IV-C, whose size is not printed, and the methods that are pushed: active, driven by an expert, and
-# with a grid.
+# PUSH: the push of Sec. IV-C, whose size is not printed. DISTURBED: the methods that are pushed: active, driven by an
+# expert, and with a grid.
 PUSH = DisturbanceConfig(time=120.0, duration=1.0, ahead=-0.5, turn=0.5)
 DISTURBED = ("tfg", "scripted", "grid-nearest")
 # Each figure, its content, and the paper's statement.

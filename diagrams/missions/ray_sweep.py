@@ -61,7 +61,7 @@ def run_on_ray(tasks: Sequence[MissionRequest], out: Path, address: str, interru
 
 def connect(address: str) -> Any:
     """The module ray, connected to a cluster; raises SweepError."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Nobody else hears of a sweep.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray reports no usage.
     logging.getLogger("ray").setLevel(logging.ERROR)
     try:
         import ray
@@ -76,7 +76,7 @@ def connect(address: str) -> Any:
         reason = " ".join(str(error).split()).split(". ")[0]
         raise SweepError(f"--ray {address}: no cluster there ({reason}); start one with ray start --head") from None
     finally:
-        signal.signal(signal.SIGTERM, handler)  # Ray's would end this process without a report.
+        signal.signal(signal.SIGTERM, handler)  # Ray's handler would end this process without a report.
     return ray
 
 

@@ -26,7 +26,7 @@ from tfg_drake.hardware.ros.map_publisher import MapPublisher
 from tfg_drake.messages import SaidPose
 from tfg_drake.mission.operation import Request
 
-# Duration of the simulated rehearsal before a real mission, s, which covers some stages, as its first look is short.
+# Duration of the simulated rehearsal before a real mission, s: it covers some stages, as its first look is short.
 REHEARSAL = 30.0
 
 

@@ -49,8 +49,8 @@ CALIBRATED = (
     "scanner_clock_offset_s",
     "scanner_sweep_s_per_rad",
 )
-# And of what is learnt of the noise: random walks, m per root m and rad per root s; the tags' deviations over those of
-# the data sheet, the correlation of one's noise from frame to frame, and deviations of looks over those of their rays.
+# Names of the learnt noise parameters: random walks, m per root m and rad per root s; ratio of the tags' deviations to
+# the data sheet's; correlation of a tag's noise from frame to frame; ratio of the deviations of looks to their rays'.
 NOISE = ("odometry_distance_noise", "odometry_gyro_noise", "tag_noise", "tag_noise_correlation", "wall_look_noise")
 
 
@@ -144,7 +144,7 @@ def _known_to_any(
 ) -> dict[str, Any]:
     """Every field of the summary in its order, those that take the world or the truth null. before: as of
     `_left_open`."""
-    # Landmarks that are not doubtful, and tags that are not known to be at any one place; a grid has none.
+    # Mask of the landmarks that are not doubtful, and ids of the tags whose place is doubtful; a grid has none.
     none: Any = np.zeros(0, dtype=np.int64)
     sure, doubtful = (none, none) if estimate is None else (~estimate.is_doubtful, estimate.doubtful)
     return {

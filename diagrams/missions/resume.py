@@ -21,7 +21,7 @@ from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 
 # The map that a mission began with, in its folder.
 KNOWN_MAP = "known_map.npz"
-# Files that a resumed mission needs; without the last one it cannot be resumed.
+# Files that a resumed mission uses; without the last one it cannot be resumed.
 _FILES = ("scenario.yaml", KNOWN_MAP, PORTS, TIMELINE, "map.npz", "grid.npz", "log.txt", CHECKPOINT)
 
 

@@ -43,11 +43,11 @@ from tfg_drake.storage.timeline import FILE_NAME as TIMELINE
 from tfg_drake.storage.timeline import TimelineWriter
 from tfg_drake.world.world import odd_tags
 
-# Greatest share of the wall time spent on saving mission and map: a killed mission loses a few seconds of work, ten in
-# a large building.
+# Greatest share of the wall time spent on saving mission and map: a killed mission loses the work of a few seconds, of
+# ten in a large building.
 KEPT_SHARE = 0.03
 
-# Fields of the summary that are too long for the page's last card.
+# Fields of the summary too long for the page's last card.
 TOO_LONG = ("open_edges", "openings")
 
 _log, _of_world = logging.getLogger("tfg_drake.run"), logging.getLogger("tfg_drake.world")
@@ -94,8 +94,8 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
             for line in (*odd_tags(MakeWorld(scenario.world)), *AreasOutside(scenario)):
                 _of_world.warning(line)
         with contextlib.ExitStack() as stack:
-            # Existing objects are exempt from garbage collection; what is made from now on, such as a figure's
-            # megabytes, is collected at the end.
+            # Existing objects are exempt from garbage collection until the end; new ones, such as a figure's megabytes,
+            # are collected.
             gc.freeze()
             stack.callback(gc.unfreeze)
             stack.callback(gc.collect)
@@ -140,7 +140,7 @@ def run_mission(request: MissionRequest | Scenario, **given: Any) -> RunResult:
         for name, one in ((TIMELINE, timeline), (FILE_NAME, writer)):
             if one is not None and one.failure is not None:
                 folder.unwritten[name] = one.failure.strerror or str(one.failure)
-        folder.append("stages.jsonl", "")  # What could not be written before.
+        folder.append("stages.jsonl", "")  # Write the lines that could not be written before.
         _log.info("%s: %s", summary["outcome"], summary["reason"])
     return RunResult(summary, mission.stages, folder.path, folder.unwritten, mission.meter.spent, mission)
 
@@ -178,7 +178,7 @@ def _keeper(
         now["contacts"] = None if mission.truth is None else mission.truth.contacts
         try:
             folder.attempt(CHECKPOINT, lambda path: write_checkpoint(path, now, state))
-        except TypeError as error:  # A part of somebody's own may keep anything.
+        except TypeError as error:  # A user's own part may have state of any type.
             folder.lost(CHECKPOINT, OSError(f"the mission could not be gone on with: {error}"))
 
     def keep(now: bool) -> None:

@@ -34,11 +34,11 @@ RESULTS: tuple[str, ...] = (
     "known_map.npz",
 )
 RESULTS += ("trajectory.tum", "truth.tum", "online.tum")
-# Disk space reserved for the last map and the summary, bytes; the files that a run writes at its end take 2 MB after
-# ten minutes, 10 MB after an hour.
+# Disk space reserved for the last map and the summary, bytes; the files written at a run's end take 2 MB after ten
+# minutes, 10 MB after an hour.
 RESERVE = 16 * 2**20
 
-# Loggers whose remarks an operator sees at once.
+# Loggers whose remarks are shown to the operator at once.
 REMARKING = (
     "hardware",
     "notes",
@@ -127,7 +127,7 @@ def claimed(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             problem = "another run is at work in it; wait for its end, or name another folder"
             raise BlockingIOError(errno.EWOULDBLOCK, problem, str(folder)) from None
-        except OSError as error:  # Not every network's files know locks.
+        except OSError as error:  # Some network file systems have no locks.
             _log.info("%s: cannot be locked: %s", folder, error.strerror)
         yield
     finally:
@@ -146,7 +146,7 @@ def open_run_folder(out: Path | None, name: str, *, goes_on: bool = False) -> It
     path = make_run_folder(out, name)
     with claimed(path):
         if not goes_on:
-            if (path / "stages.jsonl").exists():  # Elsewhere it may be what somebody wrote.
+            if (path / "stages.jsonl").exists():  # Otherwise scenario.yaml may be a user's own.
                 (path / "scenario.yaml").unlink(missing_ok=True)
             for file in RESULTS:
                 (path / file).unlink(missing_ok=True)

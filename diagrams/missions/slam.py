@@ -46,7 +46,7 @@ _log = logging.getLogger("tfg_drake.slam_command")
 
 # Prefix of the settings of a recording's scanner.
 _SCANNER = "hardware.scanner."
-# Fields of the summary with a reference.
+# Fields of the summary if there is a ground truth.
 _AGAINST_TRUTH = ("relative_translation_m", "relative_rotation_rad", "robot_rmse_m", "online_rmse_m")
 
 
@@ -218,7 +218,7 @@ def map_recording(
     at, told = np.array([scan.stamp for scan in recording.scans]), None
     if relations is not None:
         told = read_relations(relations)
-        off_relations(at, np.zeros((len(at), 3)), told, recording.told_stamps)  # Rather now than when all is mapped.
+        off_relations(at, np.zeros((len(at), 3)), told, recording.told_stamps)  # Errors are raised before the mapping.
     way, start, end = WayKeeper(), start_of(recording), length_of(recording)
     ended = (interrupted or threading.Event()).is_set
 
@@ -261,7 +261,7 @@ def map_recording(
         of_online = poses_between(recording, online_stamps + start, online)
         figures = dict(zip(_AGAINST_TRUTH, (*off, _rmse(X_WB, X_MB), _rmse(X_WB, of_online)), strict=True))
     if told is not None:
-        # Where the scanner is estimated to sit, on what its log takes for its place.
+        # The scanner's pose by its estimated mount, times the mount that the log assumes.
         X_MS = se2.compose(se2.compose(X_MB, X_BS), recording.X_BS)
         figures["relations"] = relation_errors(at, X_MS, told, recording.told_stamps)
     met = hits(recording.scans, se2.compose(X_MB, X_BS))

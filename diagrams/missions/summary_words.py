@@ -8,8 +8,8 @@ from typing import Any
 from tfg_drake.percent import percent
 from tfg_drake.planning.openings import REACH
 
-# Number of openings named on a terminal and on the page, those with the most unknown behind them; all are counted. The
-# terminal has as many notes.
+# Greatest number of openings, or notes, on a terminal, and of openings on the page: those with the most unknown behind
+# them. All are counted.
 ON_SCREEN, ON_PAGE = 3, 20
 
 

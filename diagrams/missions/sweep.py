@@ -37,7 +37,7 @@ from tfg_drake.diagrams.screen import say
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
-# Period at which an interrupt is checked, s.
+# Period of the checks for an interrupt, s.
 POLL = 0.2
 
 
@@ -58,7 +58,7 @@ def run_of(task: MissionRequest, out: Path, summary: dict[str, Any] | None, fail
 def _receipt(task: MissionRequest) -> dict[str, Any]:
     """Tells a run of a sweep from any other."""
     method, digest = task.method, _digest(task.scenario)
-    # The seeds may have a world each, or begin at places of their own.
+    # The seeds may differ in world and start.
     settings = _digest(dataclasses.replace(task.scenario, seed=0, world=WorldConfig()))
     code = hashlib.sha256(Path(method.source).read_bytes()).hexdigest() if method.source else None
     named = {"version": __version__, "scenario": task.name, "world": task.world_name, "settings_sha256": settings}
@@ -112,7 +112,7 @@ def open_sweep(tasks: Sequence[MissionRequest], out: Path) -> list[Run]:
         if not (there := _read(path)):
             continue
         different = [key for key in named if there.get(key) != receipts[0][key]]
-        # A method whose file was edited is run again, whatever it fixes now.
+        # Runs of a method whose file was edited since do not count: it is run again.
         ours = [one for one in receipts if all(one[key] == there.get(key) for key in ("method", "method_sha256"))]
         same = [one for one in ours if one["seed"] == there.get("seed")]
         values = [(one, "settings_sha256") for one in ours[:1]] + [(one, "scenario_sha256") for one in same]
