@@ -19,41 +19,41 @@ from tfg_drake.mission.operation import Side
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 from tfg_drake.table import misfit, take
 
-# Greatest lead of a stamp over the host's clock, and greatest age on arrival, s. A stamp farther ahead, once the other
-# clock is known, is a jump of it.
+# A message is refused if its stamp is more than AHEAD, s, ahead of the host's clock, or more than OLD, s, old on
+# arrival. A larger lead, once the offset of the other clock is known, is a jump of that clock.
 AHEAD, OLD = 0.25, 30.0
-# Greatest relative drift of the robot's clock against the host's, s/s.
+# Greatest drift of the robot's clock against the host's, s/s.
 CLOCK_DRIFT = 2e-4
 # Greatest distance of a base from where it was switched on, m.
 FARTHEST = 1e5
-# Greatest number of sightings, and of rays, in a message.
+# Greatest number of tag sightings, and of rays, in a message.
 MOST_TAGS, MOST_RAYS = 2000, 50_000
-# Greatest range of a tag, m, and bound of its id.
+# Greatest range of a tag, m; its id is below IDS.
 TAG_RANGE, IDS = 100.0, 2**31
-# Detections are false if, in FRAMES frames with tags, at least LEAST_ONCE tags and the share ONCE_SHARE of all occur in
+# Detections are false if, of the tags in FRAMES frames, at least LEAST_ONCE and at least the share ONCE_SHARE occur in
 # one frame only: even a camera of two frames a second that turns at 1.2 rad/s sees most tags twice in that time.
 FRAMES, LEAST_ONCE, ONCE_SHARE = 20, 15, 0.8
-# Standard deviations that a sensor may state: m of a range to a tag, rad of its bearing, m of a ray's range.
+# Bounds of the standard deviations that a sensor states: of a tag's range, m, its bearing, rad, and a ray's range, m.
 SIGMA_RANGE, SIGMA_BEARING, SIGMA_RAY = (1e-4, 10.0), (1e-5, 1.0), (1e-4, 1.0)
-# Greatest range_max of a scanner, m; returns beyond it by more than BEYOND standard deviations are none.
+# Greatest range_max of a scanner, m; a return beyond range_max by more than BEYOND standard deviations is rejected.
 SCAN_RANGE, BEYOND = 1000.0, 6.0
-# Bound of an angle in (-pi, pi], rad, with rounding.
+# Bound of the magnitude of an angle in (-pi, pi], rad, with rounding.
 _HALF_TURN = math.pi + 1e-6
 _ALL_SIDES = int(Side.RIGHT | Side.CENTRE | Side.LEFT)
 
 
 class Judge:
-    """Judges what one driver takes in; sensors' messages must come in order, too."""
+    """Judges the messages of one driver; those of sensors must also be in order."""
 
     def __init__(self, sources: Mapping[type, str]) -> None:
-        """sources: what the messages of a kind are called in what is told, such as "tags of /detections"."""
+        """sources: names of the kinds of messages in remarks, such as "tags of /detections"."""
         self.refusals = Refusals()
         self._sources = sources
         self._newest: dict[type, float] = {}
         self._ids: collections.deque[IntArray] = collections.deque(maxlen=FRAMES)
 
     def judged(self, message: Message, now: float) -> Message | None:
-        """The plausible part of a message at `now`, s of the host's clock; None if it is refused."""
+        """Return the plausible part of a message at `now`, s of the host's clock; None if it is refused."""
         kind = type(message)
         believed, reasons = judged(message, now)
         for reason, why in reasons.items():
@@ -71,7 +71,7 @@ class Judge:
 
 
 def made_up(ids: Sequence[IntArray]) -> str:
-    """Why the tags of frames are none, in words, "" where they may be. ids: those of each frame."""
+    """Return why the tags of frames are false, in words, "" if they may be true. ids: those of each frame."""
     tags, times = np.unique(np.concatenate(ids), return_counts=True)
     once = int(np.count_nonzero(times == 1))
     if once < max(LEAST_ONCE, ONCE_SHARE * len(tags)):
@@ -83,8 +83,8 @@ def made_up(ids: Sequence[IntArray]) -> str:
 
 
 def judged(message: Message, now: float) -> tuple[Message | None, dict[str, str]]:
-    """The plausible part of a message at `now` (s of the host's clock), None for nothing; and why the rest is not, in
-    words by kind of reason."""
+    """Return the plausible part of a message at `now` (s of the host's clock), None for none, and why the rest is
+    refused, in words by kind of reason."""
     if not message.stamp <= now + AHEAD:
         return None, {
             "stamp": f"stamp {message.stamp:g} s is {message.stamp - now:.6g} s ahead of this machine's clock"
@@ -106,7 +106,7 @@ def _odometry(message: Odometry) -> tuple[Odometry | None, dict[str, str]]:
 
 
 def _hazards(message: Hazards) -> tuple[Hazards, dict[str, str]]:
-    """Bits that are none may be an alarm: they count as all."""
+    """Return the hazards; invalid bits may be an alarm and count as all bits."""
     reasons = {}
     for name in ("bumper", "cliff", "wheel_drop"):
         bits = getattr(message, name)
@@ -117,13 +117,13 @@ def _hazards(message: Hazards) -> tuple[Hazards, dict[str, str]]:
 
 
 def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str, str]]:
-    """A single bad sighting is left out."""
+    """Return the detections without implausible sightings."""
     n = len(message.ids)
     if misfit(message):
         return None, {"shape": "ids, ranges, bearings and deviations are not as many of each; check the detector"}
     if n > MOST_TAGS:
         return None, {"number": f"{n} sightings in one message are not plausible; check the detector"}
-    # By its column which sightings are plausible, and how what is wrong with one is told.
+    # By column: mask of the plausible sightings, and the words for a bad value.
     plausible = {
         "ids": ((message.ids >= 0) & (message.ids < IDS), "id {:d}"),
         "range": ((message.range > 0.0) & (message.range <= TAG_RANGE), "range {:g} m"),
@@ -143,7 +143,7 @@ def _detections(message: TagDetections) -> tuple[TagDetections | None, dict[str,
 
 
 def _scan(message: LaserScan) -> tuple[LaserScan | None, dict[str, str]]:
-    """A single range that is nonsense becomes nan, which says that nothing is known."""
+    """Return the scan; implausible ranges become nan, which means unknown."""
     angles, ranges, farthest, sigma = message.angles, message.ranges, message.range_max, message.sigma
     n = len(angles)
     if misfit(message):

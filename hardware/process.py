@@ -7,16 +7,16 @@ import sys
 
 # Period at which velocities are sent, s.
 TICK = 0.02
-# Number of times that the last command is sent, a tick apart, as one may be lost.
+# Number of times that the last command is sent, a tick apart: one may be lost.
 LAST_WORDS = 5
 
 
 def start(
     module: str, *descriptors: int, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL
 ) -> subprocess.Popen[bytes]:
-    """Starts a module with file descriptors, whose numbers are its arguments; its streams as Popen has them.
+    """Start a module as a process that inherits file descriptors, their numbers as arguments; streams: as for Popen.
 
-    Its session is its own: an interrupt from the keyboard is for who has started it, and ends it.
+    It has its own session: an interrupt from the keyboard goes to the process that started it, which ends it.
     """
     command = [sys.executable, "-m", module, *map(str, descriptors)]
     return subprocess.Popen(command, pass_fds=descriptors, start_new_session=True, stdin=stdin, stdout=stdout)

@@ -18,12 +18,12 @@ from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.depth_scan import DepthScanConfig, depth_rays, depth_scan
 from tfg_drake.vision.mount import CameraMount
 
-# Width and height, pixels, and rate, 1/s, in order of preference: modes of the D400 series and the L515.
+# Modes in order of preference, of the D400 series and the L515: width and height, pixels, and rate, 1/s.
 MODES = ((848, 480, 15), (640, 480, 15), (640, 480, 30))
 # Least and greatest depth along the axis, and standard deviation of a range, m.
 LEAST_DEPTH, MOST_DEPTH, SIGMA = 0.3, 5.0, 0.03
-# Standard deviation of a pixel's depth at 1 m, m: a D435 matches to 0.08 pixels, with 424 pixels of focal length and
-# 5 cm between its lenses.
+# Standard deviation of a pixel's depth at 1 m, m: a D435 has 0.08 pixels of disparity error, a focal length of 424
+# pixels and a baseline of 5 cm.
 NOISE = 0.004
 
 
@@ -106,6 +106,6 @@ class RealsenseDriver(SensorReader):
 
     def _hang_up(self) -> None:
         if self._device is not None:
-            with contextlib.suppress(RuntimeError):  # it is gone already
+            with contextlib.suppress(RuntimeError):  # the camera is gone already
                 self._device.stop()
         self._device = None

@@ -19,7 +19,7 @@ from tfg_drake.datasets.tagslam import load_tagslam
 from tfg_drake.hardware.ros.bag import load_bag
 from tfg_drake.hardware.ros.bag_files import is_bag
 
-# Suffixes of laser logs, perhaps packed (.gz, .bz2); the last is BreezySLAM's.
+# Suffixes of laser logs, which may be compressed (.gz, .bz2); _ROVER: of BreezySLAM's.
 _ROVER = ".dat"
 _LOGS = (".log", ".clf", _ROVER)
 # A hint for a file that may be a video.
@@ -36,8 +36,8 @@ def load_dataset(
     """A ROS bag, an MR.CLAM folder (robot 1 unless another is named), a TagSLAM folder, a g2o file, or a laser log of
     CARMEN or of BreezySLAM.
 
-    noise: errors of the odometry of a corrected CARMEN log, times those of OdometryConfig, 1 if not given; seed: of
-    their draws. scanner: fields of `RobotScannerConfig` that somebody has said of a bag's or a laser log's.
+    noise: factor of OdometryConfig's errors for the odometry of a corrected CARMEN log, 1 if not given; seed: of their
+    draws. scanner: stated fields of `RobotScannerConfig` for the scanner of a bag or a laser log.
 
     Raises:
         DatasetError: it is none of these, or cannot be used.

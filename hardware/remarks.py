@@ -1,5 +1,5 @@
-"""Remarks on a base for the operator: each once, when it begins, with what the robot does about it; and what the robot
-itself asks for, by its buttons and where its battery is low."""
+"""Remarks on a base for the operator, each once when its condition begins, with the robot's reaction; and the robot's
+own requests, by its buttons and its low battery."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import Command, Side
 from tfg_drake.percent import percent
 
-# Break after which a condition is reported again, s.
+# A condition is reported again after a break of more than QUIET, s.
 QUIET = 1.0
-# Duration after which a low, and a dangerously low, battery is reported, s, as its voltage sags while the wheels
-# accelerate.
+# A low battery is reported after LOW_LASTS, s, a dangerously low one after DANGEROUS_LASTS, s: the voltage sags while
+# the wheels accelerate.
 LOW_LASTS, DANGEROUS_LASTS = 5.0, 1.0
-# Lost frames are reported after LOSES, s, with at least the share SHARE lost.
+# Lost frames are reported once at least the share SHARE has been lost for LOSES, s.
 LOSES, SHARE = 1.5, 0.1
 BUTTONS: dict[int, Command] = {Button.B0: "stop", Button.B1: "pause", Button.B2: "enable"}
 _CHARGERS = {
@@ -31,7 +31,7 @@ _CHARGERS = {
 
 @dataclasses.dataclass(frozen=True)
 class Remark:
-    """A line for something that holds now, to be told once it has held for `after`, s."""
+    """A line on a condition that holds now, reported once it has held for `after`, s."""
 
     line: str
     after: float = 0.0
@@ -39,21 +39,21 @@ class Remark:
 
 @dataclasses.dataclass(frozen=True)
 class Spell:
-    """How long something has held: since when, when last, both s, and whether that was told."""
+    """Interval in which a condition has held, from begin to last, s. told: it was reported."""
 
     begin: float
     last: float
     told: bool
 
 
-# By the name of what holds.
+# Spells by the name of the condition.
 Spells = Mapping[str, Spell]
 
 
 def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spells, list[str]]:
-    """The spells at `now`, s, given those before and what holds now, by name; and what of it is to be told now.
+    """Return the spells at `now`, s, and the names of those to report now. holds: the conditions that hold, by name.
 
-    A spell that was told goes on over a break of up to QUIET; one that was not ends at once.
+    A reported spell goes on over a break of up to QUIET; an unreported one ends at once.
     """
     spells = {name: one for name, one in before.items() if name in holds or (one.told and now - one.last <= QUIET)}
     names = []
@@ -69,9 +69,9 @@ def begun(before: Spells, holds: Mapping[str, Remark], now: float) -> tuple[Spel
 def watched(
     before: Spells, hazards: Sequence[Hazards], state: BaseState | None, now: float
 ) -> tuple[Spells, list[str]]:
-    """A look at a base at `now`, s, and the lines to be told.
+    """Return the spells of a base at `now`, s, and the lines to report.
 
-    hazards: all since the last look. state: the newest, None of a base that says nothing of itself.
+    hazards: all since the last call. state: the newest, None if the base reports none.
     """
     holds = _hazards(hazards)
     if state is not None:
@@ -84,17 +84,17 @@ def watched(
 
 
 def where(bits: int) -> str:
-    """The sides that bits of Side stand for, "none" for 0."""
+    """Return the names of the sides in bits of Side, "none" for 0."""
     return ", ".join(str(side.name).lower() for side in (Side.LEFT, Side.CENTRE, Side.RIGHT) if bits & side) or "none"
 
 
 def charge_left(state: BaseState) -> str:
-    """A battery's rest, in words."""
+    """Return the remaining charge in words."""
     return f"{percent(state.charge, 0):.0f} %" if math.isfinite(state.charge) else f"{state.battery:.1f} V"
 
 
 def alarms(state: BaseState) -> dict[str, str]:
-    """Why a base must not drive, by what it says of itself: by the field that tells so."""
+    """Return why a base in this state must not drive, by field of the state."""
     reasons = {}
     if state.overcurrent:
         sides = where(state.overcurrent)
@@ -108,7 +108,7 @@ def alarms(state: BaseState) -> dict[str, str]:
 
 
 def battery(state: BaseState) -> dict[str, Remark]:
-    """The remark on a battery: "battery low", "battery dangerous" or none."""
+    """Return the remark on a battery by its name, "battery low" or "battery dangerous", or none."""
     left = charge_left(state)
     if state.battery_level == "low":
         line = f"the battery is low, {left}: the mission ends, at home if explorer.return_home is set"
@@ -133,8 +133,8 @@ def _hazards(hazards: Sequence[Hazards]) -> dict[str, Remark]:
 
 
 class RobotRequests:
-    """Requests of the robot itself: by its buttons, and where its battery is low; it knows when that is nearly empty. A
-    robot that reports neither has none."""
+    """Requests of the robot itself, by its buttons and its low battery; `empty` tells that the battery ends the
+    mission. A robot that reports neither has none."""
 
     def __init__(self, base: Device) -> None:
         self._base = base
@@ -144,12 +144,12 @@ class RobotRequests:
         self._told: dict[str, str] = {}
 
     def requests(self) -> list[Command]:
-        """The requests since the last call."""
+        """Return the requests since the last call."""
         requests: list[Command] = []
         for state in self._base.take(BaseState, math.inf):
             pressed, self._pressed = state.buttons & ~self._pressed, state.buttons
             requests += [request for bit, request in BUTTONS.items() if pressed & bit]
-            # Later than the operator is told: the reason stands in the log before what the robot does about it.
+            # QUIET later than the report to the operator, so that the log has the reason before the reaction.
             remarks = {name: Remark(one.line, one.after + QUIET) for name, one in battery(state).items()}
             self._spells, names = begun(self._spells, remarks, state.stamp)
             self._told |= {name: remarks[name].line for name in names}
@@ -157,7 +157,7 @@ class RobotRequests:
         return requests
 
     def empty(self, recalls: bool) -> str:
-        """Why the battery ends the mission, "" as long as it does not. recalls: the mission knows what a recall is, so
-        that it comes to its end by itself where the battery is but low."""
+        """Return why the battery ends the mission, "" if it does not. recalls: the mission supports recalls, so that a
+        low battery lets it end by itself."""
         line = self._told.get("battery dangerous") or ("" if recalls else self._told.get("battery low", ""))
         return line.partition(":")[0].replace("the", "The", 1)

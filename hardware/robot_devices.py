@@ -30,32 +30,32 @@ from tfg_drake.vision.camera_view import CameraView, joint_view
 
 # Default preset of mounts and topics.
 PRESET_OF = {"kobuki": "turtlebot2", "ros2": "turtlebot4", "rosbridge": "turtlebot4"}
-# Greatest age of the newest message, s. A slow computer detects tags in few frames, and safety does not depend on them.
+# The base stands if the newest message is older, s. A slow computer detects tags in few frames; safety needs none.
 STALE = {"odometry": 0.5, "scan": 0.4, "tags": 1.0}
-# Least range of our own scanners, m. A server of a socket states its own.
+# Least range of scanners connected to this machine, m; a socket's server states its own.
 NEAREST = {"rplidar": LEAST_RANGE, "realsense": LEAST_DEPTH}
-# The source of tags of a robot without any, whatever its preset says.
+# The source of tags that stands for no tags, whatever the preset says.
 NO_TAGS = "none"
-# Cameras of our own that tags come from: each as a source, and its configuration.
+# Cameras on this machine for tags: the source of each, and its configuration.
 _Cameras = list[tuple[str, RobotCameraConfig]]
 
 _log = logging.getLogger("tfg_drake.host_clock")
 
 
 class HostClock:
-    """The station's time against the host's: a simulator at real-time rate 1 keeps both in step.
+    """Converts between the station's time and the host's: a simulator at real-time rate 1 keeps both in step.
 
-    It starts when it is first asked; all systems of a station share one. Real time is nobody's state."""
+    It starts at its first use; all systems of a station share one. Real time is no system's state."""
 
     def __init__(self) -> None:
         self._origin: float | None = None
 
     def host(self, stamp: float, now: float) -> float:
-        """The host's monotonic time, s, at a time of the station, s; now: the station's, s."""
+        """Return the host's monotonic time, s, at the station's time `stamp`, s; now: the station's time, s."""
         return self._started(now) + stamp
 
     def station(self, stamp: float, now: float) -> float:
-        """The station's time, s, at a host's monotonic time; now: the station's, s."""
+        """Return the station's time, s, at the host's monotonic time `stamp`, s; now: the station's time, s."""
         return stamp - self._started(now)
 
     def _started(self, now: float) -> float:
@@ -67,12 +67,12 @@ class HostClock:
 
 @dataclasses.dataclass(frozen=True)
 class RobotDevices:
-    """base: a device. tags, scan: sources of TagDetections and LaserScan; tags None of a robot that has none.
-    processes: that were opened for them, the base's first.
+    """The devices of a robot. base: a device. tags, scan: sources of TagDetections and LaserScan; tags: None for a
+    robot without tags. processes: those opened for them, the base's first.
 
-    limits: what the base's driver bounds the velocity by. publisher, frames: of a base on ROS, what publishes there,
-    and the names of its frames; None of another one. least_range: nearer than this the scanner sees nothing, m. view:
-    of a camera of our own, None of another one. clock: of the station that is made of them. checked: its first turn is.
+    limits: of the velocity, in the base's driver. publisher, frames: publisher and frame names of a base on ROS, None
+    for others. least_range: the scanner's, m. view: of the cameras on this machine, None without any. clock: of the
+    station made from the devices. checked: the first turn is checked.
     """
 
     base: Device
@@ -88,24 +88,24 @@ class RobotDevices:
     checked: bool = True
 
     def take_remarks(self) -> list[str]:
-        """Lines for the operator that the processes of base and sensors had to say since the last call."""
+        """Return the lines for the operator from the processes of base and sensors since the last call."""
         return [line for process in self.processes for line in process.take_remarks()]
 
     def close(self) -> None:
-        """Stops the base, and closes all of them; once is enough."""
+        """Stop the base and close all processes; once is enough."""
         for process in self.processes:
             process.close()
 
 
 def check_devices(config: HardwareConfig) -> None:
-    """Raises DeviceError for what can be told before anything is opened: a preset, a source or a port that is none."""
+    """Raise DeviceError for faults that show before anything is opened: an invalid preset, source or port."""
     *_, graph = _plan(config)
     if graph is None:
         check_port(config.port, kobuki.KOBUKI)
 
 
 def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, str], _Cameras, SourceSpec | None]:
-    """The preset, the sources of tags and scan, our own cameras, and the graph that the base is on; raises
+    """Return the preset, the sources of tags and scan, the cameras on this machine, and the base's graph. Raises
     DeviceError."""
     preset = load_preset(config.preset or PRESET_OF[config.robot])
     cameras = _cameras(config)
@@ -124,9 +124,9 @@ def _plan(config: HardwareConfig) -> tuple[Preset, dict[str, str], _Cameras, Sou
 
 
 def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
-    """The devices of the robot that a configuration names; raises DeviceError, and leaves none open.
+    """Open the devices of a configuration's robot. Raises DeviceError, and then leaves none open.
 
-    robot: its limits bound what is sent to the base, as those of a preset do.
+    robot: its limits bound the velocities sent to the base, as those of a preset do.
     """
     preset, specs, cameras, graph = _plan(config)
     speed = min(robot.max_speed, config.max_speed)
@@ -139,7 +139,7 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
     base = _open_base(config, preset, limits, graph)
     opened: list[Device] = [base]
     try:
-        # A source on ROS needs the preset's mounts and its camera's calibration, whoever the base is.
+        # A source on ROS needs the preset's mounts and its camera's calibration, whatever the base is.
         sources = open_sources(specs, preset, graph, config)
         opened += dict.fromkeys(sources.values())
         tags: list[Source] = [sources["tags"]] if "tags" in sources else []
@@ -167,10 +167,10 @@ def open_devices(config: HardwareConfig, robot: RobotConfig) -> RobotDevices:
 
 
 def _cameras(config: HardwareConfig) -> _Cameras:
-    """The cameras of our own that tags come from, each as a source, and its configuration; raises DeviceError."""
+    """Return the cameras on this machine for tags, with their sources and configurations. Raises DeviceError."""
     if not config.tags.startswith("camera:"):
         return []
-    # Other commas stay part of an address.
+    # Only ",camera:" separates sources; other commas are part of an address.
     texts = config.tags.replace(",camera:", "\ncamera:").split("\n")
     known = [config.camera, *config.more_cameras]
     if len(texts) > len(known):
@@ -188,7 +188,7 @@ def _cameras(config: HardwareConfig) -> _Cameras:
 
 
 def _graph(config: HardwareConfig) -> SourceSpec | None:
-    """The ROS graph that the base is on; raises DeviceError."""
+    """Return the base's ROS graph, None for a Kobuki on a serial port. Raises DeviceError."""
     if config.robot == "kobuki":
         return None
     if config.robot == "ros2":

@@ -1,4 +1,4 @@
-"""Shared parts of the drivers of sensors: what they have to say, and a connection that is opened again after a loss."""
+"""Shared parts of the sensors' drivers: their remarks, and a connection that is opened again after a loss."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tfg_drake.hardware.process import TICK
 
 # Time to wait for a device's first message, s.
 PATIENCE = 10.0
-# Silence after which a device is opened, or connected, again, s.
+# A device that is silent for SILENT, s, is opened, or connected, again.
 SILENT = 2.0
-# First and longest time between two attempts to connect, s.
+# First and longest delay between two attempts to connect, s.
 BACK_OFF, LONGEST_BACK_OFF = 0.2, 2.0
-# Greatest age of a message on arrival, s; an older stamp is of another clock.
+# Greatest age of a message on arrival, s; an older stamp is taken to be of another clock.
 OLDEST = 1.0
 
 
 def delays() -> Iterator[float]:
-    """How long to wait before each attempt to connect again, s."""
+    """Yield the delay before each attempt to connect again, s: doubled each time, up to LONGEST_BACK_OFF."""
     delay = BACK_OFF
     while True:
         yield delay
@@ -30,28 +30,28 @@ def delays() -> Iterator[float]:
 
 
 def stamped(stamp: float, arrival: float, otherwise: float) -> float:
-    """A device's own stamp of what has just arrived, s, or another one where that cannot be of this clock."""
+    """Return a device's stamp of a message that has just arrived, s, or `otherwise` if it cannot be of this clock."""
     return stamp if arrival - OLDEST < stamp <= arrival else otherwise
 
 
 class SensorReader(Driver, abc.ABC):
-    """A driver that drives nothing. It opens a device and reads it, and opens it again where it was lost; a subclass
-    connects and receives.
+    """A driver of a sensor. It opens a device and reads it, and opens it again after a loss; a subclass connects and
+    receives.
 
-    name: of its source, such as "socket:127.0.0.1:5000". _device: what is open, such as a port; None while it is lost.
+    name: of its source, such as "socket:127.0.0.1:5000". _device: the open device, such as a port; None while lost.
     """
 
     def __init__(self, name: str, sources: Mapping[type, str]) -> None:
-        """sources: what the messages of a kind are called."""
+        """sources: names of the kinds of messages."""
         super().__init__()
         self.name, self.sources = name, sources
         self._device: Any = None
-        # Whether it is lost; when to connect again, s.
+        # Reason of the loss, "" without one; time of the next attempt to connect, s; the delays after that, s.
         self._lost, self._retry, self._delays = "", 0.0, delays()
 
     @abc.abstractmethod
     def _connect(self) -> None:
-        """Opens the device; raises OSError, DeviceError."""
+        """Open the device. Raises OSError, DeviceError."""
 
     @abc.abstractmethod
     def _receive(self, left: float) -> None:
@@ -59,10 +59,10 @@ class SensorReader(Driver, abc.ABC):
 
     @abc.abstractmethod
     def _missing(self) -> str:
-        """The complaint about what has not arrived in PATIENCE, "" where all has."""
+        """Return the complaint about what has not arrived within PATIENCE, "" if nothing is missing."""
 
     def _begin(self) -> None:
-        """Connects, and waits until nothing is missing; raises OSError, DeviceError."""
+        """Connect, and wait until nothing is missing. Raises OSError, DeviceError."""
         self._connect()
         end = time.monotonic() + PATIENCE
         while missing := self._missing():
@@ -85,7 +85,7 @@ class SensorReader(Driver, abc.ABC):
                 self._remark("connected again")
 
     def _connect_again(self, left: float) -> None:
-        """Connects where it is time to, for up to `left` s."""
+        """Connect if the next attempt is due, otherwise wait, for up to `left` s."""
         if (wait := self._retry - time.monotonic()) > 0.0:
             time.sleep(min(wait, left))
             return
@@ -95,7 +95,7 @@ class SensorReader(Driver, abc.ABC):
             self._wait()
 
     def _lose(self, why: str) -> None:
-        """The device is lost, and looked for; a reason is told once until something arrives again."""
+        """Close the lost device and schedule the next attempt; a reason is reported once until something arrives."""
         if why != self._lost:
             self._remark(why)
         self._lost = why
@@ -106,12 +106,12 @@ class SensorReader(Driver, abc.ABC):
         self._retry = time.monotonic() + next(self._delays)
 
     def close(self) -> None:
-        """Lets go of the device."""
+        """Close the device."""
         self._hang_up()
 
     def _hang_up(self) -> None:
         if self._device is not None:
-            with contextlib.suppress(OSError, RuntimeError):  # it is gone already
+            with contextlib.suppress(OSError, RuntimeError):  # the device is gone already
                 self._device.close()
         self._device = None
 

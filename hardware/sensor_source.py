@@ -1,7 +1,7 @@
 """Sources of tags and scans: ROS, a socket, or a camera and a scanner of this machine's own.
 
-Each connection has a process of its own: GTSAM holds the interpreter for seconds, and meanwhile nothing may be lost and
-no sender kept waiting; and what parses large messages must not share a process with the watchdog of the base.
+Each connection has a process of its own: GTSAM holds the interpreter for seconds, and meanwhile no message may be lost
+and no sender kept waiting; and the parsing of large messages must not share a process with the base's watchdog.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from tfg_drake.hardware.socket_sensors import SocketDriver
 from tfg_drake.messages import LaserScan, Odometry, TagDetections
 
 T = TypeVar("T", LaserScan, Sweep, TagDetections)
-# Period at which a process is polled, s, and number of silent polls after which it hangs: ten seconds.
+# A process is polled every _LOOK_EVERY, s; it hangs after more than _SILENT_LOOKS silent polls: ten seconds.
 _LOOK_EVERY, _SILENT_LOOKS = 0.1, 100
 _FORMS = "ros2:/TOPIC, rosbridge:HOST:PORT/TOPIC, socket:HOST:PORT, camera:SOURCE, rplidar:DEVICE or realsense:"
-# Sensors connected to this machine, the messages of each, and how its source is written.
+# OWN: sensors connected to this machine, with the messages of each. _OWN_FORMS: how their sources are written.
 OWN = {"camera": "tags", "rplidar": "scan", "realsense": "scan"}
 _OWN_FORMS = {
     "camera": "camera:/dev/video0, camera:http://HOST/STREAM or camera:FILE",
@@ -44,12 +44,12 @@ class Source(Protocol):
     """Source of messages, such as a SensorSource."""
 
     def take(self, kind: type[T], until: float) -> list[T]:
-        """The messages of a kind stamped `until` (s of the host's monotonic clock) or before, not taken yet."""
+        """Return the messages of a kind with stamps up to `until` (s of the host's monotonic clock), not taken yet."""
 
 
 class CamerasSource:
-    """Tags of several cameras as those of one: in order, one message a call, for what looks at them takes one at a
-    time. Where they say more than is taken the oldest are missed, of each camera alike."""
+    """Tags of several cameras as those of one: in order, one message a call, as its reader takes one at a time. If more
+    arrive than are taken, the oldest are dropped, of all cameras alike."""
 
     def __init__(self, cameras: Sequence[Source]) -> None:
         self._cameras = cameras
@@ -57,9 +57,9 @@ class CamerasSource:
         self._given = -math.inf
 
     def take(self, kind: type[Any], until: float) -> list[Any]:
-        """The oldest message stamped `until` (s) or before that was not taken yet, if there is one."""
+        """Return the oldest message with a stamp up to `until` (s) that was not taken yet, if there is one."""
         arrived = [one for camera in self._cameras for one in camera.take(TagDetections, until)]
-        # One that was longer on its way than another camera's next is of no use any more.
+        # A message older than the last one given, delayed by its camera, is dropped.
         waiting = [one for one in (*self._waiting, *arrived) if one.stamp > self._given]
         waiting.sort(key=lambda one: one.stamp)
         self._waiting = waiting[-len(self._cameras) :]
@@ -71,14 +71,14 @@ class CamerasSource:
 
 
 class SweepSource:
-    """Scans of a scanner that turns while the robot moves: its sweeps, undone by what the robot's odometry said."""
+    """Scans of a rotating scanner on a moving robot: its sweeps, corrected for the motion by the robot's odometry."""
 
     def __init__(self, sweeps: Source, odometry: Callable[[float], Odometry | None]) -> None:
-        """odometry: the message nearest to a time, s; None where there is none."""
+        """odometry: returns the message nearest to a time, s, or None."""
         self._sweeps, self._odometry = sweeps, odometry
 
     def take(self, kind: type[Any], until: float) -> list[Any]:
-        """The scans stamped `until` (s) or before that were not taken yet, in order."""
+        """Return the scans with stamps up to `until` (s) that were not taken yet, in order."""
         scans = []
         for sweep in self._sweeps.take(Sweep, until):
             odometry = self._odometry(sweep.stamp)
@@ -105,8 +105,8 @@ class SourceSpec:
 
 
 def parse_source(text: str) -> SourceSpec:
-    """Parses `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC`, `socket:HOST:PORT` or, of a sensor of our own, its kind and
-    where it is; raises DeviceError.
+    """Parse `ros2:/TOPIC`, `rosbridge:HOST:PORT/TOPIC`, `socket:HOST:PORT` or, for a sensor on this machine, its kind
+    and device. Raises DeviceError.
 
     Of rosbridge the port (9090) and the host (localhost) may be left out: `rosbridge:HOST/TOPIC`, `rosbridge:/TOPIC`.
     """
@@ -142,11 +142,11 @@ def _topic(text: str, topic: str) -> str:
 class SensorSource(Device):
     """Tags or scans, or both, of one connection. Stamps are the host's monotonic clock, s.
 
-    Its process is started again where it ends or hangs; meanwhile nothing arrives.
+    Its process is started again if it ends or hangs; meanwhile nothing arrives.
     """
 
     def __init__(self, name: str, open_driver: OpenDriver) -> None:
-        """Waits until what is wanted arrives; raises DeviceError. name: of the connection, in remarks."""
+        """Wait until the wanted messages arrive. name: of the connection, in remarks. Raises DeviceError."""
         super().__init__(open_driver)
         self._name = name
         self._published: dict[str, dict[str, Any]] = {}
@@ -160,17 +160,17 @@ class SensorSource(Device):
         super().publish(key, message)
 
     def close(self) -> None:
-        """Ends the connection; once is enough."""
+        """End the connection; once is enough."""
         self._closed.set()
-        # One that is being started may take long to find out that nothing is there; it is ended all the same.
+        # A process that is being started may take long to report a missing device; it is ended all the same.
         self._keeper.join(ANSWER_TIMEOUT)
         super().close()
 
     def _keep(self) -> None:
-        """Looks after the process until `close`."""
+        """Start the process again if it ends or hangs, until `close`."""
         heard, silent = -1, 0
         while not self._closed.wait(_LOOK_EVERY):
-            # Looks are counted, not seconds: the reading of what was said may be held up as this is.
+            # Polls are counted, not seconds: if this thread is held up, so may be the one that reads the messages.
             heard, silent = self.heard, silent + 1 if self.heard == heard else 0
             if self.ended is not None or silent > _SILENT_LOOKS:
                 self._remark("has ended" if self.ended is not None else "hangs", "; it is started again")
@@ -203,12 +203,12 @@ class SensorSource(Device):
 def open_sources(
     specs: Mapping[str, str], preset: Preset, base: SourceSpec | None = None, hardware: HardwareConfig | None = None
 ) -> dict[str, SensorSource]:
-    """The sources of "tags" and "scan", each as `parse_source` reads it; raises DeviceError, and leaves none open.
+    """Open the sources of "tags" and "scan", see `parse_source`. Raises DeviceError, and then leaves none open.
 
-    preset: of the robot, for the mounts of scanner and camera on ROS; hardware: for those of our own. An rplidar says
-    Sweep instead of LaserScan. base: the ROS graph that the robot's base is on. What
-    specs do not name comes from the preset's topics there, and what the explorer knows is published there, by the
-    source of "base". What has the same server, or ROS 2's graph, shares one source.
+    preset: of the robot, for the mounts of scanner and camera on ROS; hardware: for those on this machine. An rplidar
+    gives Sweep instead of LaserScan. base: the base's ROS graph; what specs do not name comes from the preset's topics
+    there, and the source of "base" publishes the explorer's knowledge there. Sources on one server, or on ROS 2's
+    graph, are one.
     """
     wanted: dict[SourceSpec, list[tuple[str, str | Topic]]] = {} if base is None else {base: []}
     place: dict[str, SourceSpec] = {} if base is None else {"base": base}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class SerialDevice:
-    """Device on a serial port. name: as a sentence names it. usb: vendor and product of its converter."""
+    """Device on a serial port. name: as used in a sentence. usb: vendor and product id of its USB converter."""
 
     name: str
     usb: str
@@ -34,22 +34,22 @@ _MENDS = {
 
 
 def check_port(path: str, device: SerialDevice) -> None:
-    """Raises DeviceError where there is no such port. It may have come or gone when it is opened."""
+    """Raise DeviceError if the port does not exist now; that may change until it is opened."""
     if not Path(path).exists():
         raise DeviceError(f"{path}: {_MENDS[errno.ENOENT].format_map(dataclasses.asdict(device))}")
 
 
 def open_port(path: str, baud_rate: int, device: SerialDevice) -> serial.Serial:
-    """The port, raw and ours alone. Reading it gives what is there and raises OSError where the line is cut; writing to
-    its file descriptor never blocks.
+    """Open the port in raw mode for exclusive use. Reading returns the received bytes and raises OSError if the line is
+    cut; writing to its file descriptor never blocks.
 
-    What it had received before is thrown away. Raises DeviceError.
+    Bytes received before are discarded. Raises DeviceError.
     """
     pyserial = imported(path, "serial", "serial")
     try:
         port: serial.Serial = pyserial.Serial(path, baud_rate, timeout=0.0, exclusive=True)
         return port
     except (OSError, ValueError, termios.error) as error:
-        # ValueError of a path that is none; the last where the device goes away while it is being opened.
+        # ValueError: the path is invalid; the last: the device disappears while it is being opened.
         mend = _MENDS.get(getattr(error, "errno", 0), "is no serial port that can be used; name that of {name}")
         raise DeviceError(f"{path}: {mend.format_map(dataclasses.asdict(device))}") from None

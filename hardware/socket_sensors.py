@@ -18,10 +18,10 @@ from tfg_drake.hardware.sensor_reader import PATIENCE, SensorReader
 from tfg_drake.messages import LaserScan, TagDetections
 from tfg_drake.table import dtype_of
 
-# Time to wait for a server's answer, s, shorter than the silence after which the process hangs.
+# Time to wait for a server's answer, s: shorter than the silence after which the process counts as hanging.
 CONNECT_WITHIN = 2.0
 
-# Greatest length of a line, bytes.
+# Greatest length of a line, bytes; a longer one is refused.
 LONGEST_LINE = 1_000_000
 _TOO_LONG = f"a line of more than {LONGEST_LINE} bytes"
 
@@ -30,9 +30,9 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
 def message_of(line: bytes) -> TagDetections | LaserScan | None:
-    """The message that a line says, None of a type that is not known. Raises ValueError where it says none rightly.
+    """Return the message of a line, None if its type is unknown. Raises ValueError if it is malformed.
 
-    Whether it is plausible, and its lists are of one length, is not judged here, see tfg_drake.hardware.plausible.
+    Plausibility and equal lengths of lists are judged elsewhere, see tfg_drake.hardware.plausible.
     """
     try:
         fields = json.loads(line)
@@ -42,7 +42,7 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
         raise ValueError("no object with a type")
     if (kind := _KINDS.get(fields["type"])) is None:
         return None
-    # JSON has no infinity and no NaN: null is free, 0 is unknown.
+    # JSON has no infinity and no NaN: null stands for free (inf), 0 for unknown (nan).
     free: list[bool] = []
     if kind is LaserScan and isinstance(ranges := fields.get("ranges"), list):
         free = [one is None for one in ranges]
@@ -60,17 +60,17 @@ def message_of(line: bytes) -> TagDetections | LaserScan | None:
 
 
 def sensor_line(message: TagDetections | LaserScan) -> bytes:
-    """The line that says a message, with its newline."""
+    """Return a message as a line, with its newline."""
     fields = {name: np.asarray(value).tolist() for name, value in vars(message).items()}
     if isinstance(message, LaserScan):
-        # JSON has neither inf, nothing was met, nor nan, nothing is known.
+        # JSON has neither inf, no return, nor nan, unknown.
         told = {math.inf: None, -math.inf: 0.0}
         fields["ranges"] = [0.0 if math.isnan(one) else told.get(one, one) for one in fields["ranges"]]
     return json.dumps({"type": _NAMES[type(message)], **fields}, allow_nan=False).encode() + b"\n"
 
 
 def _value(value: Any, name: str, hint: Any) -> Any:
-    """A field of a message, of the type of its annotation."""
+    """Return a field of a message in the type of its annotation."""
     dtype = dtype_of(hint)
     if dtype is None:
         if type(value) not in (int, float) or not math.isfinite(value):
@@ -88,16 +88,16 @@ def _value(value: Any, name: str, hint: Any) -> Any:
 class SocketDriver(SensorReader):
     """Reads lines; see tfg_drake.hardware.device.Driver. Lost connections are opened again.
 
-    refusals: of lines that say no message.
+    refusals: lines without a valid message.
     """
 
     def __init__(self, host: str, port: int, kinds: tuple[type[LaserScan] | type[TagDetections], ...]) -> None:
-        """Waits for a message of each kind that is plausible; raises DeviceError. kinds: of those that are wanted."""
+        """Wait for a plausible message of each kind. kinds: the wanted ones. Raises DeviceError."""
         name = f"socket:{host}:{port}"
         super().__init__(name, {kind: f"{_NAMES[kind]} of {name}" for kind in kinds})
         self._address, self._kinds = (host, port), kinds
         self._pending = bytearray()
-        # The kinds that have arrived, and why what else arrived was of no use.
+        # The kinds that have arrived, and why other lines were refused.
         self._arrived: set[type] = set()
         self._doubt = ""
         try:
@@ -116,7 +116,7 @@ class SocketDriver(SensorReader):
     def _connect(self) -> None:
         self._device = socket.create_connection(self._address, CONNECT_WITHIN)
         self._device.setblocking(False)
-        self._pending.clear()  # of a line that the old connection began
+        self._pending.clear()  # the beginning of a line from the old connection
 
     def _receive(self, left: float) -> None:
         if not wait([self._device], left):
@@ -136,17 +136,17 @@ class SocketDriver(SensorReader):
         for line in lines:
             self.read(bytes(line))
         if len(self._pending) > LONGEST_LINE:
-            self._pending.clear()  # what is left of it will be malformed, too
+            self._pending.clear()  # the rest of the line will be malformed, too
             self._refuse(_TOO_LONG)
 
     def read(self, line: bytes) -> None:
-        """Takes in a line; one that says no message is refused, whatever it holds."""
+        """Take in a line; one without a valid message is refused, whatever it contains."""
         if len(line) > LONGEST_LINE:
             self._refuse(_TOO_LONG)
             return
         try:
             message = message_of(line)
-        except Exception as error:  # whatever a line holds, the next one may be good
+        except Exception as error:  # the next line may be good
             self._refuse(str(error))
             return
         if message is None or not isinstance(message, self._kinds):

@@ -1,6 +1,6 @@
-"""Guards the wheels: limits every command, and sends zero velocity when anything is not as it should be.
+"""Guards the wheels: limits every command, and sends zero velocity on any fault.
 
-It runs where the commands leave the machine, in a process of its own, by the host's monotonic clock (s).
+It runs in the process that sends the commands, by the host's monotonic clock (s).
 """
 
 import dataclasses
@@ -14,12 +14,12 @@ from tfg_drake.messages import Hazards
 from tfg_drake.mission.operation import stopped_by
 from tfg_drake.slam.odometry_rules import FASTEST, FASTEST_TURN
 
-# Without a command younger than this, s, the velocity is zero; without odometry, too, until it is enabled again. With a
-# tick and transmission the robot stops within 0.6 s.
+# The velocity is zero if the newest command is older than SILENCE, s; likewise if odometry is, then until the robot is
+# enabled again. With a tick and transmission the robot stops within 0.6 s.
 SILENCE = 0.5
-# Duration of a base's own alarm before it is stopped, s, as a starting wheel or a garbled frame is none.
+# A base's own alarm stops it after LASTING, s: a starting wheel or a garbled frame is no alarm.
 LASTING = 0.2
-# Reasons that yield to any other.
+# Reasons to be locked that any other reason replaces.
 _NOT_ENABLED = "not enabled yet"
 _NO_ODOMETRY = f"no odometry for more than {SILENCE} s"
 
@@ -35,11 +35,11 @@ class Limits:
 
 
 class Watchdog:
-    """Holds the newest command and says what velocity to send; locked until enabled.
+    """Holds the newest command and determines the velocity to send; locked until enabled.
 
-    It stops at once, and goes on by itself, where there is no fresh command, or one that is not finite. A wheel that
-    hangs and a cliff lock it, and so does what the base says of charger, battery and current, once it has lasted. While
-    the bumper is pressed it turns and backs, but does not go forward.
+    Without a fresh, finite command it stops at once, and goes on with the next one. A wheel drop and a cliff lock it,
+    and so do lasting alarms of charger, battery and current. While the bumper is pressed it turns and backs, but does
+    not go forward.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -48,55 +48,55 @@ class Watchdog:
         self._command, self._sent = (0.0, 0.0), -math.inf
         self._heard = -math.inf
         self._hazard: str | None = None
-        # By its kind why the base must not drive, and since when; None before it has said anything of itself.
+        # Reason and begin, s, of each alarm, by kind; None before the base's first state.
         self._alarms: dict[str, tuple[str, float]] | None = None
         self._blocked = False
         self._velocity, self._when = (0.0, 0.0), -math.inf
 
     @property
     def locked(self) -> str | None:
-        """Why the robot may not move; None when it may."""
+        """Why the robot may not move; None if it may."""
         return self._locked
 
     def hear(self, when: float) -> None:
-        """Odometry tells how the robot was at `when`."""
+        """Take note of odometry stamped `when`."""
         self._heard = when
 
     def hear_hazards(self, hazards: Hazards) -> None:
-        """The base's alarms, which hold until it says otherwise."""
+        """Take in the base's hazards, which hold until its next message."""
         self._hazard, self._blocked = stopped_by(hazards), hazards.bumper != 0
         if self._hazard is not None:
             self.lock(self._hazard)
 
     def hear_alarms(self, alarms: Mapping[str, str], now: float) -> None:
-        """Why the base must not drive by what it said of itself at `now`, s, by kind of reason."""
-        # Alarms of the first message have lasted before it.
+        """Take in why the base must not drive by its state at `now`, s, by kind of reason."""
+        # Alarms of the first state count as lasting.
         since, before = (-math.inf, {}) if self._alarms is None else (now, self._alarms)
         self._alarms = {kind: (why, before[kind][1] if kind in before else since) for kind, why in alarms.items()}
 
     def lock(self, reason: str) -> None:
-        """Zero velocity from now on, until `enable`. The first reason counts that says more than "no odometry"."""
+        """Send zero velocity from now on, until `enable`. The first reason counts that says more than "no odometry"."""
         if self._locked in (None, _NOT_ENABLED, _NO_ODOMETRY):
             self._locked = reason
 
     def enable(self, now: float) -> None:
-        """Lets the next command through, unless odometry is stale, a wheel hangs or there is a cliff; commands given
-        before are forgotten."""
+        """Let the following commands through, unless odometry is stale, a wheel hangs or there is a cliff; earlier
+        commands are discarded."""
         self._sent = -math.inf
         self._locked = self._hazard
         self._check(now)
 
     def command(self, sent: float, speed: float, turn_rate: float) -> None:
-        """A command, m/s and rad/s, given at `sent`. One that is not finite is zero."""
+        """Take in a command, m/s and rad/s, given at `sent`. One that is not finite counts as zero."""
         finite = math.isfinite(speed) and math.isfinite(turn_rate)
         self._command, self._sent = (speed, turn_rate) if finite else (0.0, 0.0), sent if finite else -math.inf
 
     def velocity(self, now: float) -> tuple[float, float]:
-        """Velocity to send, m/s and rad/s: within limits of speed and of speeding up, or zero at once.
+        """Return the velocity to send, m/s and rad/s: within the limits of speed and acceleration, or zero at once.
 
-        How hard the base brakes is for the command to say: whoever wants it to stop may have a reason to hurry.
+        Braking is not limited: a command to stop may be urgent.
         """
-        # After such a delay the robot's motion in between is unknown.
+        # After a gap of more than SILENCE between calls the robot's motion in between is unknown.
         if SILENCE < now - self._when < math.inf:
             self._heard = -math.inf
         self._check(now)
@@ -119,7 +119,7 @@ class Watchdog:
 
 
 def _towards(target: float, value: float, change: float) -> float:
-    """The target, or what is nearest to it without speeding up by more than a change."""
+    """Return the target, or the value nearest to it that speeds up by at most `change`."""
     slower = min(abs(target), abs(value)) if target * value > 0.0 else 0.0
     begin = math.copysign(slower, target)
     return begin + _bounded(target - begin, change)
