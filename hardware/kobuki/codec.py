@@ -4,8 +4,8 @@ A frame is `AA 55 | length | payload | xor`, the xor over length and payload. A 
 `id | length | data`, little-endian. An id means one thing in COMMANDS (host to base) and another in FEEDBACK (base to
 host). Source: the vendor's driver kobuki_core 1.4.0 (packets/*.hpp, command.cpp) and the protocol appendix of its
 developer guide; where they disagree, the driver's code. "0.1 V" and so on is the unit of a number;
-tfg_drake.hardware.kobuki.odometry makes SI units of them. What else a base says, of its dock, its motors' currents or
-its expansion port, nobody here reads.
+tfg_drake.hardware.kobuki.odometry converts them to SI units. Other data of the base, on its dock, its motors' currents
+or its expansion port, are not read.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ BAUD_RATE = 115200
 # Time between two frames of feedback, s.
 PERIOD = 0.02
 HEADER = b"\xaa\x55"
-# Least and greatest length of a payload: one sub-payload with a byte of data; the greatest value of the length's byte.
+# Least and greatest length of a payload, bytes: one sub-payload with a byte of data; the greatest value of the length.
 MIN_PAYLOAD, MAX_PAYLOAD = 3, 255
 
 
 @dataclasses.dataclass(frozen=True)
 class SubPayload:
-    """Sub-payload of a frame; each kind is a frozen dataclass. ID: its number. DATA: how its fields stand in bytes."""
+    """Sub-payload of a frame; each kind is a frozen dataclass. ID: its number. DATA: the layout of its fields."""
 
     ID: ClassVar[int]
     DATA: ClassVar[struct.Struct]
@@ -36,7 +36,7 @@ class SubPayload:
 
 @dataclasses.dataclass(frozen=True)
 class Other(SubPayload):
-    """One that nobody here reads. number: its id. content: its bytes."""
+    """A sub-payload that is not read. number: its id. content: its bytes."""
 
     number: int
     content: bytes
@@ -208,7 +208,7 @@ Kinds = Mapping[int, type[SubPayload]]
 COMMANDS: Kinds = {kind.ID: kind for kind in (BaseControl, SoundSequence, RequestExtra, GeneralOutput)}
 FEEDBACK: Kinds = {kind.ID: kind for kind in (CoreSensors, Inertia, HardwareVersion, FirmwareVersion, UniqueId)}
 
-# Versions that old firmware writes in two bytes, as (patch, minor, major).
+# Versions that old firmware writes in two bytes: by their number, (patch, minor, major).
 _OLD_VERSIONS: dict[type[SubPayload], dict[int, tuple[int, int, int]]] = {
     HardwareVersion: {104: (4, 0, 1)},
     FirmwareVersion: {123: (0, 0, 1), 110: (0, 1, 1), 10100: (0, 1, 1), 111: (1, 1, 1), 10101: (1, 1, 1)},
@@ -216,12 +216,12 @@ _OLD_VERSIONS: dict[type[SubPayload], dict[int, tuple[int, int, int]]] = {
 
 
 def checksum(body: bytes) -> int:
-    """The xor of all bytes; body: length and payload."""
+    """Return the xor of all bytes; body: length and payload."""
     return functools.reduce(operator.xor, body, 0)
 
 
 def encode(*parts: SubPayload) -> bytes:
-    """The frame that carries some sub-payloads. Raises ValueError where a number or the whole does not fit."""
+    """Return the frame with some sub-payloads. Raises ValueError if a number or the whole does not fit."""
     payload = b"".join(bytes([number, len(data)]) + data for number, data in map(_numbered, parts))
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload of {len(payload)} bytes; a frame carries {MIN_PAYLOAD} to {MAX_PAYLOAD}")
@@ -239,9 +239,9 @@ def _numbered(part: SubPayload) -> tuple[int, bytes]:
 
 
 def decode(payload: bytes, kinds: Kinds) -> tuple[SubPayload, ...]:
-    """The sub-payloads of one payload, in order.
+    """Return the sub-payloads of one payload, in order.
 
-    Unknown ids are skipped, and so is a known one of a length it cannot have, or one cut off by the payload's end.
+    Those with an unknown id or an impossible length, or cut off by the payload's end, are skipped.
     """
     whole = [(number, data) for number, data, end in _split(payload) if end <= len(payload)]
     parts = [_part(kinds[number], data) for number, data in whole if number in kinds]
@@ -249,7 +249,7 @@ def decode(payload: bytes, kinds: Kinds) -> tuple[SubPayload, ...]:
 
 
 def _split(payload: bytes) -> Iterator[tuple[int, bytes, int]]:
-    """Ids and data of sub-payloads, known or not, and where each ends: the last perhaps beyond the payload."""
+    """Return ids and data of sub-payloads, known or not, and their ends: the last may lie beyond the payload."""
     at = 0
     while at + 2 <= len(payload):
         number, begin, at = payload[at], at + 2, at + 2 + payload[at + 1]
@@ -265,7 +265,7 @@ def _part(kind: type[SubPayload], data: bytes) -> SubPayload | None:
 
 
 def _tiled(payload: bytes) -> bool:
-    """Returns True if whole sub-payloads, known or not, fill it."""
+    """Return True if whole sub-payloads, known or not, fill the payload."""
     return max((end for *_, end in _split(payload)), default=0) == len(payload)
 
 
@@ -273,8 +273,7 @@ class Deframer:
     """Finds the payloads in a stream of bytes that may begin, break off and be garbled anywhere.
 
     A checksum of one byte is right by chance once in 256 times, so a payload must consist of whole sub-payloads, too.
-    bad: beginnings of a frame that turned out to be none. A true frame may hide behind such a one: the search goes on
-    at its next byte.
+    bad: number of false beginnings of a frame. A true frame may follow within one: the search goes on at its next byte.
     """
 
     def __init__(self) -> None:
@@ -282,7 +281,7 @@ class Deframer:
         self.bad = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The payloads that are complete with these bytes, whose checksums are right."""
+        """Return the payloads with a right checksum that these bytes complete."""
         buffer, found, at = self._buffer, [], 0
         buffer += data
         while (start := buffer.find(HEADER, at)) >= 0:
@@ -301,7 +300,7 @@ class Deframer:
                 self.bad += 1
                 at += 1
         else:
-            # Half a header may be the last byte.
+            # The last byte may be half a header.
             at = len(buffer) - (buffer[-1:] == HEADER[:1])
         del buffer[:at]
         return found

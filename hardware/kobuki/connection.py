@@ -1,4 +1,4 @@
-"""One open port to a base: what was heard there, what is wrong with it, and how to say something."""
+"""One open port to a base: reads and writes frames, and reports faults."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _MAJOR = "1"
 class Connection(Inbox):
     """Reads the base's frames from an open port.
 
-    core: the newest frame's, None before the first. reckoning: dead reckoning, going on from an earlier connection's.
-    driven: the base was last told to move.
+    core: the newest frame's, None before the first. reckoning: dead reckoning, continued from an earlier connection.
+    driven: the last command moves the base.
     firmware, hardware, unique_id: as in tfg_drake.hardware.device.BaseState.
     """
 
     def __init__(self, port: serial.Serial, now: float, before: odometry.Reckoning | None) -> None:
-        """before: dead reckoning up to the end of the connection before, if there was one."""
+        """before: dead reckoning up to the end of the previous connection, if there was one."""
         super().__init__()
         self._port, self._deframer = port, p.Deframer()
         self._opened = self._heard = now
         self._said_anything = False
         self._state: BaseState | None = None
-        # Frames since the state was last said.
+        # Number of frames since the last state report.
         self._frames = 0
         self.core: p.CoreSensors | None = None
         self.reckoning, self.driven = before, False
@@ -46,11 +46,11 @@ class Connection(Inbox):
 
     @property
     def ready(self) -> bool:
-        """True if this base can be driven."""
+        """True if the base has sent frames and a supported firmware version."""
         return self.core is not None and self.firmware.split(".")[0] == _MAJOR
 
     def trouble(self, now: float) -> str | None:
-        """Why this connection is none (any longer), and what to do about it; None as long as nothing is wrong."""
+        """Return why this connection is unusable, and the remedy; None without a fault."""
         if now - self._heard > odometry.LONGEST_GAP:
             if self.core is not None:
                 return "the base fell silent; switch it on and check the cable"
@@ -64,7 +64,7 @@ class Connection(Inbox):
         return None
 
     def read(self, now: float) -> bool:
-        """Takes in what has come by now, s; False where the port is gone."""
+        """Take in what has arrived by `now`, s; returns False if the port is gone."""
         try:
             data = self._port.read(4096)
         except OSError:
@@ -75,7 +75,7 @@ class Connection(Inbox):
         return True
 
     def _take(self, parts: tuple[p.SubPayload, ...], now: float) -> None:
-        """One frame."""
+        """Take in one frame."""
         core = inertia = None
         for part in parts:
             match part:
@@ -100,7 +100,7 @@ class Connection(Inbox):
             self._fault = self.reckoning.fault or self._fault
         self._frames += 1
         self.core, self._heard = core, now
-        # A frame that changed nothing is not odometry: the watchdog would take it for a sign of life.
+        # A frame without progress gives no odometry: the watchdog would take it for a sign of life.
         if before is None or self.reckoning.stamp > before.stamp:
             self._messages.append(odometry.odometry_message(self.reckoning))
         self._messages.append(odometry.hazards_message(core, self.reckoning.stamp))
@@ -122,17 +122,17 @@ class Connection(Inbox):
             self._state, self._frames = state, 0
 
     def say(self, *parts: p.SubPayload) -> None:
-        """Writes a frame, unless the line is so full that it would wait, or gone, which the next read shows."""
+        """Write a frame, unless the line is full, where it would block, or gone, which the next read shows."""
         with contextlib.suppress(OSError):
             os.write(self.fileno(), p.encode(*parts))
 
     def close(self) -> None:
-        """Closes the port."""
+        """Close the port."""
         with contextlib.suppress(OSError):
             self._port.close()
 
 
 def _lasting(state: BaseState) -> tuple[object, ...]:
-    """Fields whose changes are sent at once."""
+    """Return the fields whose changes are reported at once."""
     power = state.charger, state.charging, state.overcurrent
     return state.buttons, power, state.firmware, state.hardware, state.unique_id

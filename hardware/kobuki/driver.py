@@ -20,43 +20,43 @@ from tfg_drake.messages import Hazards, Odometry
 
 KOBUKI = SerialDevice("the base", "0403:6001")
 _VERSIONS = p.RequestExtra(p.Extra.HARDWARE | p.Extra.FIRMWARE | p.Extra.UNIQUE_ID)
-# The first LED is orange while it may not move, green while it may.
+# Colours of the first LED: orange while the base may not move, green while it may.
 _ORANGE, _GREEN = p.Output.RED | p.Output.GREEN, p.Output.GREEN
 _TUNE_ON, _TUNE_OFF = p.SoundSequence(p.Tune.ON), p.SoundSequence(p.Tune.OFF)
-# The wheels are blocked or their encoders stuck if the base is commanded at least this speed, m/s or rad/s, for this
-# time, s, without a tick.
+# The wheels are blocked or their encoders stuck if the base, commanded to drive at _MOVES, m/s, or turn at _TURNS,
+# rad/s, or faster, has no tick for _WITHOUT_TICK, s.
 _MOVES, _TURNS, _WITHOUT_TICK = 0.05, 0.3, 0.4
 _STOP = p.BaseControl()
 
 
 def connect(port: str = "/dev/kobuki", limits: Limits | None = None) -> Device:
-    """The base on a serial port, driven within limits; raises DeviceError."""
+    """Return the base on a serial port, driven within limits. Raises DeviceError."""
     return Device(functools.partial(KobukiDriver, port, limits or Limits()))
 
 
 class KobukiDriver(Driver):
-    """Holds the port open, and opens it again where the connection is lost; see tfg_drake.hardware.device.Driver.
+    """Holds the port open, and opens it again after a loss of the connection; see tfg_drake.hardware.device.Driver.
 
-    Odometry goes on where it was after a loss. The base obeys its last command for ever, so a guardian stops it where
-    this process is killed.
+    After a loss odometry continues from its last pose. The base obeys its last command for ever, so a guardian stops it
+    if this process is killed.
     """
 
     def __init__(self, path: str, limits: Limits) -> None:
-        """Waits until the base answers; raises DeviceError. path: of the serial port."""
+        """Wait until the base answers. path: of the serial port. Raises DeviceError."""
         super().__init__()
         self.limits = limits
         self.sources = {Odometry: f"odometry of {path}", Hazards: f"alarms of {path}", BaseState: f"state of {path}"}
         self._path = path
         self._connection: Connection | None = None
-        # None as long as it is not certain that a base is connected.
+        # None until it is certain that a base is connected.
         self._guardian: Guardian | None = None
         self._reckoning: odometry.Reckoning | None = None
-        # Why no base is connected; "" when one is, or it is not known yet.
+        # Why no base is connected; "" if one is, or if that is not known yet.
         self._trouble = ""
         self._lights = _ORANGE
-        # When the versions were asked for last, when to connect again and after what delay after that, s.
+        # Time of the last request for the versions, and of the next attempt to connect, s.
         self._asked, self._retry_at = 0.0, 0.0
-        # Since when the base has been told to move, s; inf while it is not.
+        # Time since which the base has been commanded to move, s; inf while it is not.
         self._moves_since = math.inf
         while self._guardian is None:
             self.spin(TICK)
@@ -75,7 +75,7 @@ class KobukiDriver(Driver):
         self._tend(time.monotonic())
 
     def _tend(self, now: float) -> None:
-        """Connects, and sees whether the connection is one."""
+        """Connect if there is no connection, otherwise check it, and ask a new base for its versions."""
         if self._connection is None:
             if now >= self._retry_at:
                 self._connect(now)
@@ -84,7 +84,7 @@ class KobukiDriver(Driver):
         elif self._guardian is None and self._connection.ready:
             self._begin(self._connection)
         elif self._guardian is None and self._connection.core is not None and now - self._asked > BACK_OFF:
-            # Before its first frame nothing is said: who knows what is there.
+            # Nothing is sent before the first frame: the device may not be a base.
             self._asked = now
             self._connection.say(_VERSIONS)
 
@@ -108,7 +108,7 @@ class KobukiDriver(Driver):
         self._retry(f"{self._path}: {why}")
 
     def _retry(self, trouble: str) -> None:
-        """Later is soon enough to try again, but until then a base whose cable was pulled drives on."""
+        """Schedule the next attempt; until then a base whose cable was pulled drives on, so BACK_OFF is short."""
         self._trouble = trouble
         self._retry_at = time.monotonic() + BACK_OFF
 
@@ -123,12 +123,12 @@ class KobukiDriver(Driver):
         self._connection = self._guardian = None
 
     def take(self) -> list[Message]:
-        """The messages since the last call."""
+        """Return the messages since the last call."""
         return [] if self._connection is None or self._guardian is None else self._connection.take()
 
     def fault(self) -> str | None:
-        """Why there is no base, as long as there is none, that its stop button B0 is pressed, or what is wrong with its
-        clock, gyro or wheels."""
+        """Return why there is no base, that its stop button B0 is pressed, or a fault of its clock, gyro or wheels;
+        None without a fault."""
         connection = self._connection
         if self._trouble or connection is None or connection.core is None:
             return self._trouble or None
@@ -154,12 +154,12 @@ class KobukiDriver(Driver):
             self._lose(f"the process that would stop the base in an emergency {trouble}; enable the base again")
 
     def show(self, enabled: bool) -> None:
-        """The first LED: green while the base may move, orange while it may not."""
+        """Set the first LED: green while the base may move, orange while it may not."""
         lights = _GREEN if enabled else _ORANGE
         if lights != self._lights and self._connection is not None and self._guardian is not None:
             self._connection.say(p.GeneralOutput(p.Output.POWER | lights))
         self._lights = lights
 
     def close(self) -> None:
-        """Stops the base, says good-bye and closes the port."""
+        """Stop the base, play its off tune and close the port."""
         self._disconnect(_STOP, _TUNE_OFF, p.GeneralOutput(p.Output.POWER))

@@ -1,4 +1,4 @@
-"""The bytes on an RPLidar's serial line, both ways.
+"""The protocol on an RPLidar's serial line, both ways.
 
 A request is `A5 | command`, one with a payload `A5 | command | length | payload | xor` of all bytes before. An answer
 is a descriptor, `A5 5A | length and mode | type`, and that many bytes, again and again where the mode is 1. Numbers are
@@ -37,21 +37,21 @@ class Health(enum.IntEnum):
     FAILED = 2
 
 
-# Type and length of the answer to each command, and whether answers continue.
+# Of the answer to each command: type, length, bytes, and whether it repeats.
 ANSWERS = {Command.GET_INFO: (0x04, 20, False), Command.GET_HEALTH: (0x06, 3, False), Command.SCAN: (0x81, 5, True)}
-# The motor's duty, of 1023, at which an A2 or A3 turns ten times a second.
+# Motor duty, of 1023, at which an A2 or A3 turns ten times a second.
 DUTY = 660
 
 _NODE = struct.Struct("<BHH")
-# Number of consecutive plausible nodes before the first is passed on: after lost bytes, and otherwise, as a node whose
-# last bytes are lost looks plausible itself.
+# A node is passed on if it begins _RUN plausible nodes in a row after lost bytes, otherwise _NEXT: a node whose last
+# bytes are lost looks plausible itself.
 _RUN, _NEXT = 6, 2
 # Greatest increase and decrease of the angle from one node to the next, degrees.
 _AHEAD, _BACK = 20.0, 3.0
 
 
 def request(command: int, payload: bytes = b"") -> bytes:
-    """The bytes of a command."""
+    """Return the bytes of a command."""
     if not payload:
         return bytes((0xA5, command))
     body = bytes((0xA5, command, len(payload))) + payload
@@ -59,19 +59,19 @@ def request(command: int, payload: bytes = b"") -> bytes:
 
 
 def motor(duty: int) -> bytes:
-    """The request that sets the motor's duty, 0 to 1023."""
+    """Return the request that sets the motor's duty, 0 to 1023."""
     return request(Command.MOTOR, struct.pack("<H", duty))
 
 
 def descriptor(command: Command) -> bytes:
-    """The descriptor of a command's answer."""
+    """Return the descriptor of a command's answer."""
     kind, length, goes_on = ANSWERS[command]
     return b"\xa5\x5a" + struct.pack("<I", length | (int(goes_on) << 30)) + bytes((kind,))
 
 
 def answer(data: bytes, command: Command) -> bytes | None:
-    """The data after the descriptor of a command's answer; None while it is missing or not whole.
-    Of an answer that goes on: all that follows."""
+    """Return the data after the descriptor of a command's answer, of a repeating answer all that follow; None while
+    they are missing or incomplete."""
     _, length, goes_on = ANSWERS[command]
     _, found, rest = data.partition(descriptor(command))
     if not found or (len(rest) < length and not goes_on):
@@ -80,14 +80,14 @@ def answer(data: bytes, command: Command) -> bytes | None:
 
 
 def model(told: bytes) -> int:
-    """The model by a GET_INFO answer: 1 of an A1, 2 of an A2, 3 of an A3."""
+    """Return the model by a GET_INFO answer: 1 for an A1, 2 for an A2, 3 for an A3."""
     return told[0] >> 4
 
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """A ray. begins: it is the first of a revolution. angle: rad, clockwise as seen from above, from where the scanner
-    looks ahead. range: m, nan where there was no answer."""
+    """A ray. begins: it is the first of a revolution. angle: rad, clockwise as seen from above, from the scanner's x
+    axis. range: m, nan without a return."""
 
     begins: bool
     angle: float
@@ -95,7 +95,7 @@ class Node:
 
 
 def encode(node: Node) -> bytes:
-    """The five bytes of a ray."""
+    """Return the five bytes of a ray."""
     angle = round(math.degrees(node.angle) * 64.0) & 0x7FFF
     quarters = 0 if math.isnan(node.range) else round(node.range * 4000.0)
     quality = 15 if quarters else 0
@@ -103,8 +103,8 @@ def encode(node: Node) -> bytes:
 
 
 class NodeDecoder:
-    """Rays of the bytes that arrive. A ray bears three bits to check it by, and angles grow: after lost bytes rays are
-    believed again once several follow each other.
+    """Decodes rays from the arriving bytes. A ray has three check bits, and angles increase: after lost bytes rays are
+    accepted again once several are consistent in a row.
 
     lost: bytes that belonged to no ray.
     """
@@ -112,11 +112,11 @@ class NodeDecoder:
     def __init__(self) -> None:
         self.lost = 0
         self._pending = bytearray()
-        # Angle of the last ray, degrees; None if the next one must be found.
+        # Angle of the last ray, degrees; None while the next one is searched for.
         self._angle: float | None = None
 
     def feed(self, data: bytes) -> list[Node]:
-        """The rays that are whole."""
+        """Return the rays that these bytes complete."""
         self._pending += data
         nodes = []
         at = 0
@@ -129,7 +129,7 @@ class NodeDecoder:
                 nodes.append(Node(bool(first & 1), math.radians(angle), distance))
                 at += _NODE.size
             elif self._angle is not None:
-                self._angle = None  # the ray may be good, and what was before it lost
+                self._angle = None  # the ray may be good, and the ones before it lost
             else:
                 at += 1
                 self.lost += 1
@@ -146,7 +146,8 @@ class NodeDecoder:
 
 
 def _angle(data: bytearray, at: int, before: float | None) -> float | None:
-    """The angle of the ray that begins there, degrees; None where none does, or it does not follow the one before."""
+    """Return the angle of the ray that begins at a byte, degrees; None if none begins there or it does not follow
+    `before`."""
     first, second = data[at], data[at + 1]
     if (first & 1) == (first >> 1 & 1) or not second & 1:
         return None

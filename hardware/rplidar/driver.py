@@ -19,7 +19,7 @@ from tfg_drake.hardware.sensor_reader import PATIENCE, SILENT, SensorReader
 from tfg_drake.hardware.serial_port import SerialDevice, open_port
 
 RPLIDAR = SerialDevice("the scanner", "10c4:ea60")
-# Time to wait for an answer, and for a scanner after a reset, s.
+# Time to wait for an answer, and for the scanner after a reset, s.
 ANSWER_WITHIN, RESET_WITHIN = 0.5, 1.0
 
 
@@ -27,11 +27,11 @@ class RplidarDriver(SensorReader):
     """Starts the motor and reads two sweeps a turn; see tfg_drake.hardware.device.Driver. A scanner that was
     unplugged or is silent is started again.
 
-    refusals: what was wrong with its bytes.
+    refusals: lost bytes.
     """
 
     def __init__(self, path: str, mount: RobotScannerConfig) -> None:
-        """Waits for a whole revolution; raises DeviceError. path: of the serial port. mount: of the scanner."""
+        """Wait for a whole revolution. path: of the serial port. mount: of the scanner. Raises DeviceError."""
         name = f"rplidar:{path}"
         super().__init__(name, {Sweep: f"scan of {name}"})
         self._path, self._mount = path, mount
@@ -42,7 +42,7 @@ class RplidarDriver(SensorReader):
         return "" if self._messages else f"no whole revolution in {PATIENCE:.0f} s; does it turn freely?"
 
     def _connect(self) -> None:
-        """Raises DeviceError."""
+        """Open the port at the rate at which a scanner answers, and start it. Raises DeviceError."""
         for baud_rate in codec.BAUD_RATES:
             self._device = open_port(self._path, baud_rate, RPLIDAR)
             with contextlib.ExitStack() as undo:
@@ -61,7 +61,7 @@ class RplidarDriver(SensorReader):
         raise DeviceError(f"{self.name}: no RPLidar answers at {rates} baud; name the scanner's port")
 
     def _start(self, model: int) -> None:
-        """Starts the motor and the scan; raises DeviceError, OSError."""
+        """Start the motor and the scan. Raises DeviceError, OSError."""
         health = self._asked(Command.GET_HEALTH)
         if health is not None and health[0] == Health.FAILED:
             self._say(codec.request(Command.RESET))
@@ -73,22 +73,22 @@ class RplidarDriver(SensorReader):
             raise DeviceError(
                 f"{self.name}: the scanner says {code} of its health; unplug it, and see that it turns freely"
             )
-        with contextlib.suppress(OSError):  # a line that has no such wire
-            self._device.dtr = False  # the wire that lets the motor turn
+        with contextlib.suppress(OSError):  # the line has no DTR
+            self._device.dtr = False  # lets the motor turn
         if model >= 2:
             self._say(codec.motor(codec.DUTY))
         self._say(codec.request(Command.SCAN))
         self._model, self._decoder = model, NodeDecoder()
         self._maker = SweepMaker(self._mount, model)
         self._heard = time.monotonic()
-        # Bytes before the first rays, until their descriptor is found.
+        # Bytes received until the descriptor of the rays is found, None after that.
         self._preamble: bytes | None = b""
 
     def _say(self, data: bytes) -> None:
         os.write(self._device.fileno(), data)
 
     def _asked(self, command: Command) -> bytes | None:
-        """The answer to a command; raises OSError."""
+        """Return the answer to a command, None if there is none. Raises OSError."""
         self._say(codec.request(command))
         heard, end = b"", time.monotonic() + ANSWER_WITHIN
         while (told := codec.answer(heard, command)) is None and (left := end - time.monotonic()) > 0.0:
@@ -119,7 +119,7 @@ class RplidarDriver(SensorReader):
             self.refusals.add(self.name, "bytes", "bytes are lost on the way; the other rays are used, check the cable")
 
     def close(self) -> None:
-        """Stops the motor and lets go of the port."""
+        """Stop the motor and close the port."""
         if self._device is not None:
             with contextlib.suppress(OSError):
                 self._say(codec.request(Command.STOP))

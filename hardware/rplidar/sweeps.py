@@ -1,7 +1,7 @@
 """Sweeps of an RPLidar's rays.
 
-An A1 turns five times a second. So that no scan is old when the next one comes, there is one every half turn: of the
-rays of the last whole one.
+An A1 turns five times a second. A sweep is made every half turn, of the rays of the last whole turn, so that no scan is
+old when the next one comes.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from tfg_drake.config import RobotScannerConfig
 from tfg_drake.geometry.sweep import Sweep
 from tfg_drake.hardware.rplidar.codec import Node
 
-# Greatest range of each model, least range of all, and standard deviation of a range, m.
+# Greatest range by model, least range of all models, and standard deviation of a range, m.
 RANGES, LEAST_RANGE, SIGMA = {1: 12.0, 2: 12.0, 3: 25.0}, 0.15, 0.02
-# Least number of rays of a revolution.
+# A revolution has at least _FEWEST rays.
 _FEWEST = 30
-# Number of revolutions kept, four seconds of an A1.
+# Number of revolutions whose arrivals are kept: four seconds of an A1.
 _REMEMBERED = 24
-# If _IN_A_ROW revolutions in a row seem late by the share _LATE of one, an earlier one was lost.
+# An earlier revolution was lost if _IN_A_ROW in a row arrive late by more than the share _LATE of a revolution.
 _LATE, _IN_A_ROW = 0.5, 5
 
 
 class TurnClock:
-    """When turns began, from when their first rays arrived: the motor turns evenly, but bytes wait for us.
+    """Estimates the begin of turns from the arrival of their first rays: the motor turns evenly, but bytes are delayed.
 
-    It lays a line under the arrivals, as near to them as it goes (Moon, Skelly, Towsley 1999): it goes by those that
-    came at once, however late the others were. Times are s."""
+    It fits the highest line below the arrivals (Moon, Skelly, Towsley 1999): those without a delay determine it,
+    however late the others are. Times are s."""
 
     def __init__(self) -> None:
         self._arrivals: collections.deque[float] = collections.deque(maxlen=_REMEMBERED)
         self._late = 0
 
     def mark(self, arrival: float) -> tuple[float, float] | None:
-        """A turn begins, as seen at `arrival`; when it began and how long one takes, None where that is not known yet.
+        """Return begin and period of the turn whose first ray has arrived at `arrival`, None if not known yet.
 
         Arrivals do not decrease.
         """
@@ -46,7 +46,7 @@ class TurnClock:
         arrivals = np.array(self._arrivals)
         if len(arrivals) < 2:
             return None
-        # Of the lines through two arrivals that pass none above it, the highest in the middle.
+        # Of the lines through two arrivals that lie above no arrival, the one with the highest mean.
         turn = np.arange(len(arrivals))
         one, other = np.triu_indices(len(arrivals), 1)
         periods = (arrivals[other] - arrivals[one]) / (other - one)
@@ -67,21 +67,21 @@ class SweepMaker:
     """Makes sweeps of rays as they arrive."""
 
     def __init__(self, mount: RobotScannerConfig, model: int) -> None:
-        """model: as tfg_drake.hardware.rplidar.codec.model has it."""
+        """model: as returned by tfg_drake.hardware.rplidar.codec.model."""
         self._mount, self._range_max = mount, RANGES.get(model, min(RANGES.values()))
         self._clock = TurnClock()
-        # When this turn began and how long one takes, s; None where that is not known.
+        # Begin and period of this turn, s; None if not known.
         self._turn: tuple[float, float] | None = None
         # Nodes of this revolution and of the previous one.
         self._nodes: list[Node] = []
         self._before: list[Node] = []
 
     def add(self, nodes: Sequence[Node], arrival: float) -> list[Sweep]:
-        """The sweeps that end with rays which arrived at `arrival`, s."""
+        """Return the sweeps that are complete with rays which arrived at `arrival`, s."""
         sweeps = []
         for node in nodes:
             over = node.begins or (self._nodes and node.angle < self._nodes[-1].angle - math.pi)
-            # Round the full turn angles waver, and the first ray of a turn may be lost.
+            # Angles waver near the full turn, and the first ray of a turn may be lost.
             if over and not 0 < len(self._nodes) < _FEWEST:
                 sweeps += self._turn_over(arrival)
             elif self._nodes and self._nodes[-1].angle < math.pi <= node.angle:
@@ -90,17 +90,18 @@ class SweepMaker:
         return sweeps
 
     def _turn_over(self, arrival: float) -> list[Sweep]:
-        """A turn ends and the next begins with the ray that arrived at `arrival`, s."""
+        """Return the sweep of the turn that ends with the ray that arrived at `arrival`, s, if it is complete."""
         before = self._turn
         self._before, self._nodes, self._turn = self._nodes, [], self._clock.mark(arrival)
         if before is None or self._turn is None:
-            self._before = []  # it was not seen from its beginning
+            self._before = []  # the turn was not seen from its beginning
             return []
         began, period = self._turn
         return [self._sweep(self._before, math.pi, began - 0.5 * period, period)]
 
     def _half_over(self) -> list[Sweep]:
-        """The half of a turn is over: with the last half of the one before it is a whole one."""
+        """Return the sweep of the first half of this turn and the second half of the previous one, if they are
+        known."""
         if self._turn is None or not self._before:
             return []
         last = [one for one in self._before if one.angle >= math.pi]
@@ -108,7 +109,8 @@ class SweepMaker:
         return [self._sweep(nodes, 0.0, *self._turn)]
 
     def _sweep(self, nodes: list[Node], middle: float, stamp: float, period: float) -> Sweep:
-        """Sweep of the rays of a turn that took `period` and was at `middle` (rad) at `stamp`, both s."""
+        """Return the sweep of a turn's rays; period: of the turn, s. The scanner was at angle middle, rad, at stamp,
+        s."""
         angles = np.array([node.angle for node in nodes])
         ranges = np.array([node.range for node in nodes])
         ranges[ranges < LEAST_RANGE] = math.nan
