@@ -68,7 +68,7 @@ class FrameReader:
             count = 0
             while capture.grab():
                 arrival = time.monotonic()
-                # Video4Linux stamps by this clock; others count from the beginning.
+                # Video4Linux stamps by the monotonic clock; other sources count from their beginning.
                 own = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
                 found, image = capture.retrieve()
                 if found:
@@ -81,7 +81,7 @@ class FrameReader:
         """As if they came now, at the pace they were taken."""
         begin, first = time.monotonic(), None
         for count, frame in enumerate(frames(self._source)):
-            # A folder's images are stamped by their names, or not at all.
+            # Images of a folder are stamped by their names, or not at all.
             at = count / RATE if frame.name != str(count) else frame.stamp
             first = at if first is None else first
             self._closed.wait(max(0.0, begin + at - first - time.monotonic()))

@@ -23,7 +23,7 @@ KEYS: Mapping[str, Command] = {"e": "enable", " ": "stop", "s": "stop", "p": "pa
 HELP = "keys: e enable the wheels, space (or s) emergency stop, p pause or resume, q end"
 
 
-# A key: an arrow sends three characters.
+# The characters of a key: an arrow sends three.
 _KEY = re.compile(r"\x1b.{0,2}|.", re.DOTALL)
 
 _open: weakref.WeakSet[Keyboard[Any]] = weakref.WeakSet()

@@ -9,17 +9,17 @@ from scipy.spatial.transform import Rotation
 from tfg_drake.vision.calibration import CameraCalibration
 from tfg_drake.vision.image import Image
 
-# Inner corners in a row and in a column, side of a square, m.
+# Number of inner corners in a row and in a column, side of a square, m.
 COLUMNS, ROWS, SQUARE = 9, 6, 0.025
-# Pixels of a square's side in the board's texture, oversampling of the drawn image, and grey level of the background.
+# Side of a square in the board's texture, pixels; oversampling of the drawn image; grey level of the background.
 _CELL, _FINER, _BESIDE = 40, 3, 128
-# Greatest tilt and turn, rad, least and greatest distance, m, and greatest offset from the middle, as a share of the
-# distance.
+# Of the board's pose: greatest tilt and turn, rad; least and greatest distance, m; greatest offset from the optical
+# axis, as a share of the distance.
 _TILT, _TURN, _NEAR, _FAR, _ASIDE = 0.5, 0.3, 0.32, 0.45, 0.22
 
 
 def board_view(calibration: CameraCalibration, number: int) -> Image:
-    """The image (h, w) of the board held in one of many ways, by a camera without distortion."""
+    """Return the image (h, w) of the board in the pose drawn by a number, by a camera without distortion."""
     chance = np.random.default_rng(number)
     R = Rotation.from_euler("xyz", [*chance.uniform(-_TILT, _TILT, 2), chance.uniform(-_TURN, _TURN)]).as_matrix()
     z = chance.uniform(_NEAR, _FAR)

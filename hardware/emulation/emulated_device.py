@@ -18,8 +18,8 @@ class PseudoTerminal:
 
     def __init__(self, path: Path) -> None:
         """path: a link to the device is made there."""
-        # Both ends raw, or the line discipline would eat bytes; the slave stays open, or the master would see the
-        # other's absence as an error.
+        # Both ends are raw, or the line discipline would change bytes; the slave stays open, or reading the master
+        # would fail without a client.
         self._master, self._slave = os.openpty()
         tty.setraw(self._master)
         tty.setraw(self._slave)
@@ -57,7 +57,7 @@ class EmulatedDevice(ABC):
         self._folder = tempfile.TemporaryDirectory(prefix=f"{name}-")
         self.device = str(Path(self._folder.name) / name)
         self._line: PseudoTerminal | None = None
-        # Held while the line is used.
+        # Held during use of the line.
         self._lock = threading.Lock()
         self.plug()
         self._stop = threading.Event()

@@ -27,7 +27,7 @@ from tfg_drake.simulation import odometry
 from tfg_drake.systems.ports import COMMAND_PERIOD
 from tfg_drake.world.world import World
 
-# Odometry comes with every step, tags and a scan with every third.
+# Odometry comes with every step, tags and a scan with every SENSE_EVERY-th.
 SENSE_EVERY = 3
 
 
@@ -63,7 +63,7 @@ class EmulatedTurtlebot(EmulatedRobot):
         self.commands: collections.deque[tuple[float, float, float]] = collections.deque(maxlen=WAITING)
         self.poses: collections.deque[tuple[float, FloatArray]] = collections.deque(maxlen=WAITING)
         for _ in range(SENSE_EVERY):
-            self.step()  # compiles what is to be compiled, before anybody waits for it
+            self.step()  # compiles the kernels before real time begins
 
     def drive(self, command: Any) -> None:
         """Takes a geometry_msgs/TwistStamped in, of either transport."""
@@ -102,7 +102,7 @@ class EmulatedTurtlebot(EmulatedRobot):
         """Steps in real time while go_on(): publish(key, message), and spin(duration, s), which calls `drive`."""
         due = time.monotonic()
         while go_on():
-            # On a loaded machine it is late, but not for ever.
+            # On a loaded machine a step may be late, but the delay does not add up.
             due = max(due + COMMAND_PERIOD, time.monotonic() - 5.0 * COMMAND_PERIOD)
             for key, message in self.step().items():
                 publish(key, message)
@@ -124,7 +124,7 @@ def _odometry(header: Fields, base: str, message: Odometry) -> Fields:
 
 
 def _scan(header: Fields, scan: LaserScan) -> Fields:
-    # The definition has no word for a scan without rays but a list without ranges.
+    # A scan without rays is a message with an empty list of ranges.
     angles = scan.angles if len(scan.angles) > 1 else np.array([0.0, 1.0])
     return {
         "header": header,

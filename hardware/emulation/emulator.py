@@ -29,12 +29,12 @@ from tfg_drake.world.world import World, bare_world
 
 # The base's own limits of speed, m/s, and turn rate, rad/s.
 MAX_SPEED, MAX_TURN_RATE = 0.70, math.pi
-# A full battery, 0.1 V.
+# Voltage of a full battery, 0.1 V.
 FULL = 165
 # Other sub-payloads of every frame by id and length: dock, voltages of the cliff sensors, currents, samples of the
 # gyro, expansion port.
 _BESIDES = [p.Other(number, bytes(length)) for number, length in ((3, 3), (5, 6), (6, 2), (13, 14), (16, 16))]
-# Delay of a late frame, s.
+# Delay of frames that are sent late on purpose, s.
 DELAY = 0.2
 
 
@@ -42,10 +42,10 @@ class EmulatedBase(EmulatedRobot):
     """The base among walls. It obeys its last command for ever: the firmware stops neither by itself nor at a bumper.
 
     outputs: the newest GeneralOutput's bits. sounds: numbers of the tunes it was told to play. bumper, wheel_drop,
-    cliff, buttons, charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper
-    besides. clock: s that its stamps are ahead of the time since it was switched on. turned: what the gyro has turned,
-    rad. stuck: which of "gyro" and "encoders" say what they said when they got stuck, whatever it does; what they miss
-    meanwhile is never said. firmware: the version that it says, (major, minor, patch).
+    cliff, buttons, charger, battery, overcurrent: as in CoreSensors, to be set from outside; walls press the bumper,
+    too. clock: lead of its stamps over the time since it was switched on, s. turned: angle of the gyro, rad. stuck:
+    those of "gyro" and "encoders" whose values stay; the motion meanwhile is never reported. firmware: the reported
+    version, (major, minor, patch).
     """
 
     def __init__(self, world: World, robot: RobotConfig | None = None, *sensors: Any) -> None:
@@ -62,7 +62,7 @@ class EmulatedBase(EmulatedRobot):
         self.firmware = (1, 1, 4)
         self._command = (0.0, 0.0)
         self.turned = 0.0
-        # Ways of the left and the right wheel, m, and the gyro's rate, rad/s.
+        # Travel of the left and the right wheel, m, and the gyro's rate, rad/s.
         self._wheels = [0.0, 0.0]
         self._turn_rate = 0.0
         self._answers: list[p.SubPayload] = []
@@ -159,7 +159,7 @@ class Emulator(EmulatedDevice):
         self.commands: collections.deque[tuple[float, p.BaseControl]] = collections.deque(maxlen=WAITING)
         self.corrupt = self.lost = self.late = 0.0
         self.silent = False
-        # Late frames, and when they are due, s of the base's time.
+        # Late frames, each with the time at which it is due, s of the base's time.
         self._late: collections.deque[tuple[float, bytearray]] = collections.deque()
         self._deframer = p.Deframer()
         self._begin = 0.0

@@ -23,7 +23,7 @@ from tfg_drake.simulation.laser_scanner import scan
 RAYS, TURNS = 2000.0, 5.5
 
 
-# A request: a command, or one with a payload of two bytes, as the motor's.
+# A request: a command, or one with a payload of two bytes, such as the motor's.
 _REQUEST = re.compile(rb"\xa5(?:([\x00-\x7f])|([\x80-\xff])\x02(..).)", re.DOTALL)
 
 
@@ -52,9 +52,9 @@ class RplidarEmulator(EmulatedDevice):
         self.stuck, self.scanning, self.lost, self.duty = False, False, 0.0, 0
         self.health = "good"
         self._noise, self._chance = np.random.default_rng(0), random.Random(0)
-        # Rays so far.
+        # Number of rays measured.
         self._rays = 0
-        # Where the robot was with the last of them.
+        # The robot's pose X_WB at the last of them.
         self._last = pose()
         super().__init__("rplidar")
 
@@ -104,16 +104,16 @@ class RplidarEmulator(EmulatedDevice):
         return b""
 
     def _turned(self, count: int) -> bytes:
-        """The next rays."""
+        """Return the bytes of the next rays."""
         per_turn = RAYS / TURNS
         turns = (self._rays + np.arange(count)) / per_turn
         self._rays += count
-        # However long ago the last rays were: the robot moved on evenly.
+        # Since the last rays, whenever they were, the robot is taken to have moved evenly.
         begin, end = self._last, self._pose()
         self._last, moved = end, end - begin
         moved[2] = wrap_angle(moved[2])
         ranges = np.empty(count)
-        # Half a tick's rays are cast from one place.
+        # The rays of half a tick are cast from one pose.
         for block in np.array_split(np.arange(count), math.ceil(count / (0.5 * RAYS * TICK))):
             angles = -2.0 * math.pi * (turns[block] % 1.0)
             ranges[block] = self._measured(angles, begin + moved * ((block.mean() + 1.0) / count))
@@ -124,8 +124,8 @@ class RplidarEmulator(EmulatedDevice):
         return data if not self.lost else bytes(byte for byte in data if self._chance.random() >= self.lost)
 
     def _measured(self, angles: FloatArray, X_WB: FloatArray) -> FloatArray:
-        """Ranges (n,) m of rays at angles (n,) rad counter-clockwise from where the scanner looks; nan without an
-        answer. X_WB: (3,) of the robot."""
+        """Return ranges (n,), m, of rays at angles (n,), rad, counter-clockwise from the scanner's x axis; nan without
+        a return. X_WB: (3,) of the robot."""
         angles.setflags(write=False)
         normal = self._noise.normal(size=len(angles))
         met = scan(self._walls, compose(X_WB, self._X_BS), 0.0, angles, normal, self._config).ranges

@@ -10,7 +10,7 @@ import numpy as np
 
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, TagDetections, replace
 
-# What is sent instead of a message; None for nothing.
+# A function that returns what is sent instead of a message, None for nothing.
 Fault = Callable[[Any], Any]
 
 
@@ -47,14 +47,14 @@ def _first(values: FloatArray | IntArray, value: float) -> Any:
 
 
 def _thin(number: float = 100.0) -> Fault:
-    """One ray in so many."""
+    """A fault that keeps one ray in every `number`."""
     if number < 1.0:
         raise ValueError(f"no number of rays: {number}")
     return lambda scan: _some(scan, slice(None, None, int(number)))
 
 
 def _missing(share: float) -> Fault:
-    """This share of the rays, another one every time, says nothing."""
+    """A fault that makes a share of the rays, drawn anew for every scan, unknown."""
     if not 0.0 <= share <= 1.0:
         raise ValueError(f"no share of rays: {share}")
     chance = np.random.default_rng(0)
@@ -62,7 +62,7 @@ def _missing(share: float) -> Fault:
 
 
 def _frozen() -> Fault:
-    """The first message for ever, with new stamps."""
+    """A fault that repeats the first message for ever, with new stamps."""
     said: list[LaserScan] = []
 
     def say(scan: LaserScan) -> LaserScan:

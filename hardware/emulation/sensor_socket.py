@@ -17,7 +17,7 @@ class SensorSocket:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
         self.address: tuple[str, int] = self._listener.getsockname()
-        # Bytes that each client has yet to receive.
+        # Bytes still to be sent to each client.
         self._clients: dict[socket.socket, bytearray] = {}
 
     def send(self, line: bytes) -> None:

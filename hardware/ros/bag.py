@@ -26,29 +26,29 @@ from tfg_drake.notes import Note
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "tf2_msgs/TFMessage"
 KINDS = (SCAN, ODOMETRY, TRANSFORMS, "tf/tfMessage")
 STATIC = "tf_static"
-# Frame of the body if odometry does not name it (REP 105).
+# Frames of the body, by preference, if odometry does not name one (REP 105).
 BODIES = ("base_footprint", "base_link")
-# Least cosine of the tilt of an upright sensor, of 8 degrees.
+# Least cosine of the tilt of a level scanner: 8 degrees.
 UPRIGHT = 0.99
-# A transform that changes by at most this, m and components of a quaternion, is constant.
+# A transform is constant if no entry of its matrix, m or of the rotation, changes by more than _FIXED.
 _FIXED = 1e-3
-# Deviations of a scanner's mount if the bag states it, and if not, m and rad.
+# Standard deviations of the scanner's mount, m and rad: TOLD if it is stated, UNTOLD if not.
 TOLD, UNTOLD = ScanConfig(mount_deviation=0.02, yaw_deviation=0.02), ScanConfig(mount_deviation=0.2, yaw_deviation=0.05)
-# Stamps that this many messages share on average are not used.
+# Stamps are not used if on average _SHARED or more messages have the same one.
 _SHARED = 3
-# By frame its parent, and its pose (4, 4) there.
+# Parent of each frame, and the frame's pose (4, 4) in it, by frame.
 Transforms = dict[str, tuple[str, FloatArray]]
 # The option that states a scanner's mount.
 SAID = "--set hardware.scanner.KEY=VALUE"
 
 
 def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
-    """The run in a bag, a file or a folder: its scans and its odometry, of several topics the one with most messages.
+    """Return the run in a bag, a file or a folder: its scans and odometry, each from the topic with the most messages.
 
-    scanner: fields of `Scanner` that somebody has said; they win over what the bag says. Where the scanner sits is read
-    from fixed transforms else; where these do not tell, it is taken to be at the body's origin, within some 0.2 m.
-    Stamps are those of the headers, or where these are not stamped the recorder's, from the odometry's first on. The
-    odometry is believed to be as good as a TurtleBot's. A message that cannot be used is left out.
+    scanner: stated fields of `Scanner`, which override the bag's. Otherwise the mount comes from fixed transforms;
+    without them the scanner is assumed at the body's origin, within some 0.2 m. Stamps are the headers', or, if these
+    are not set, the recorder's, relative to the odometry's first. The odometry's errors are assumed as a TurtleBot's. A
+    message that cannot be used is left out.
 
     Raises:
         DatasetError: no file can be read, there are no scans or no odometry in it that can be used, or the package that
@@ -75,7 +75,7 @@ def load_bag(path: Path, scanner: Mapping[str, Any] | None = None) -> Recording:
 
 @functools.cache
 def _decoder() -> Callable[[Logged], Any]:
-    """A function that decodes a message of a bag, or raises anything. Raises ImportError without the package for it."""
+    """Return a function that decodes a message of a bag, or raises any exception. Raises ImportError."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     ros2, ros1 = (get_typestore(store) for store in (Stores.ROS2_HUMBLE, Stores.ROS1_NOETIC))
@@ -105,22 +105,22 @@ class _Topic:
 
     @contextlib.contextmanager
     def leaving_out(self, arrival: float) -> Iterator[None]:
-        """While the message that was recorded then, s, is used: whatever is wrong with it, it is left out."""
+        """Leave out the message recorded at `arrival`, s, if its use in this context raises any exception."""
         try:
             with np.errstate(all="ignore"):
                 yield
-        except Exception as error:  # whatever its bytes may hold
+        except Exception as error:  # damaged bytes may raise any exception
             self._reasons.append((arrival, " ".join(str(error).split())[:200] or type(error).__name__))
 
     def check(self, used: int) -> None:
-        """Raises DatasetError where fewer than two messages can be used."""
+        """Raise DatasetError if fewer than two messages can be used."""
         if used < 2:
             why = f": {self._reasons[0][1]}" if self._reasons else ""
             told = f"{used} of {self.total} messages of {self.name} can be used{why}"
             raise DatasetError(f"{self._path}: {told}; record more")
 
     def notes(self, begin: float) -> list[Note]:
-        """A note on what was left out, if anything was. begin: s of the recorder's clock at time 0."""
+        """Return a note on the messages left out, if there are any. begin: the recorder's clock at time 0, s."""
         if not self._reasons:
             return []
         text = f"{len(self._reasons)} of {self.total} messages of {self.name} are not used: {self._reasons[0][1]}"
@@ -128,7 +128,7 @@ class _Topic:
 
 
 def _fullest(path: Path, topics: list[_Topic], kind: str, notes: list[Note]) -> _Topic:
-    """The topic of a kind that has most messages; a note names the others."""
+    """Return the topic of a kind with the most messages; a note names the others."""
     found = sorted((topic for topic in topics if topic.kind == kind), key=lambda topic: (-topic.total, topic.name))
     if not found:
         has = ", ".join(sorted({topic.kind for topic in topics}))
@@ -142,7 +142,7 @@ def _fullest(path: Path, topics: list[_Topic], kind: str, notes: list[Note]) -> 
 def _recording(
     path: Path, seen: _Topic, way: _Topic, parents: Transforms, said: Mapping[str, Any], notes: list[Note]
 ) -> Recording:
-    """The recording of the scans seen and the odometry's way."""
+    """Return the recording of the scans `seen` and the odometry `way`."""
     for topic in (way, seen):
         topic.check(len(topic.read))
     stamps, recorded = ([np.array([one[k] for one in topic.read]) for topic in (way, seen)] for k in (0, 1))
@@ -164,7 +164,7 @@ def _recording(
             odometry_messages.append(odometry(way.read[k][2], float(stamp), before))
             drove.append(k)
     way.check(len(drove))
-    # The velocity of a sweep: by stamps where they are in order, else by when it was recorded.
+    # A sweep's velocity is that of the odometry before it: by stamps if they are in order, else by recording time.
     in_order = all((np.diff(t) >= 0.0).all() for t in (told, looks))
     of_way, of_look = (told[drove], looks) if in_order else (recorded[0][drove], recorded[1])
     newest = np.searchsorted(np.maximum.accumulate(of_way), of_look, "right") - 1
@@ -204,12 +204,12 @@ def _stamp(message: Any) -> float:
 
 
 def _is_clock(stamps: FloatArray) -> bool:
-    """True if stamps (n,) tell messages apart: those never set, or cut to whole seconds, do not."""
+    """Return True if stamps (n,) distinguish messages: those never set, or cut to whole seconds, do not."""
     return len(np.unique(stamps)) * _SHARED > len(stamps)
 
 
 def _fixed(topics: Iterable[_Topic]) -> Transforms:
-    """The fixed transforms: those of /tf_static, and of /tf those that never change."""
+    """Return the fixed transforms: those of /tf_static, and those of /tf that never change."""
     parents: Transforms = {}
     static: Transforms = {}
     moving: set[str] = set()
@@ -227,12 +227,12 @@ def _fixed(topics: Iterable[_Topic]) -> Transforms:
 
 
 def _frame(name: str) -> str:
-    """A frame's or a topic's name, without the slash that ROS 1 may begin it with."""
+    """Return a frame's or topic's name without the leading slash of ROS 1."""
     return str(name).lstrip("/")
 
 
 def _pose(transform: Any) -> FloatArray:
-    """The pose (4, 4) of a geometry_msgs/TransformStamped."""
+    """Return the pose (4, 4) of a geometry_msgs/TransformStamped."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(unit_quaternion(transform, "transform.rotation")).as_matrix()
     pose[:3, 3] = [number(transform, f"transform.translation.{axis}") for axis in "xyz"]
@@ -240,7 +240,7 @@ def _pose(transform: Any) -> FloatArray:
 
 
 def _above(parents: Transforms, frame: str) -> dict[str, FloatArray]:
-    """The frame's pose (4, 4) in itself and in all frames above it."""
+    """Return the frame's poses (4, 4) in itself and in all frames above it, by frame."""
     pose, found = np.eye(4), {frame: np.eye(4)}
     while frame in parents and parents[frame][0] not in found:
         frame, step = parents[frame]
@@ -252,7 +252,7 @@ def _above(parents: Transforms, frame: str) -> dict[str, FloatArray]:
 def _scanner(
     path: Path, way: _Topic, seen: _Topic, parents: Transforms, said: Mapping[str, Any], notes: list[Note]
 ) -> tuple[Scanner, bool]:
-    """The scanner by fixed transforms and what somebody said, and whether those tell."""
+    """Return the scanner by fixed transforms and stated fields, and whether the transforms give its mount."""
     own = _above(parents, _frame(field(seen.read[0][2], "header.frame_id")))
     body = _frame(field(way.read[0][2], "child_frame_id"))
     bodies = [_above(parents, one) for one in ((body,) if body else BODIES)]

@@ -27,11 +27,11 @@ from tfg_drake.io.yaml_text import parse_yaml
 
 # First bytes of the file formats.
 _MCAP, _SQLITE, _ROS1, _ZSTD = b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n", b"\x28\xb5\x2f\xfd"
-# Suffixes of files of a bag; a recorder that packs whole files adds another to them.
+# Suffixes of files of a bag; a recorder that compresses whole files adds one of _PACKED.
 SUFFIXES = (".mcap", ".db3", ".bag", ".active")
 _PACKED = (".zstd", ".zst")
 METADATA = "metadata.yaml"
-# Greatest unpacked size, bytes, or as a multiple of the packed size, as scans without returns shrink much.
+# Greatest unpacked size, the larger one: bytes, or times the packed size, as scans without returns shrink much.
 LEAST_UNPACKED, MOST_SHRUNK = 64 * 2**20, 100
 # Greatest size of a record or message, bytes; images are skipped.
 _LARGEST = 256 * 2**20
@@ -46,8 +46,8 @@ class _Ros1(enum.IntEnum):
 
 
 class Logged(NamedTuple):
-    """A message as it stands in a bag. kind: its type, "sensor_msgs/LaserScan". time_ns: when it was recorded, by the
-    recorder's clock. ros1: how data is to be read."""
+    """A message in a bag. kind: its type, "sensor_msgs/LaserScan". time_ns: time of recording by the recorder's clock.
+    ros1: data is serialised as in ROS 1."""
 
     topic: str
     kind: str
@@ -57,15 +57,15 @@ class Logged(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """True if a file is named like a bag's, or a folder has such files or metadata.yaml in it."""
+    """Return True if a file is named like a bag's, or a folder contains such files or metadata.yaml."""
     if path.is_dir():
         return (path / METADATA).is_file() or bool(_in_folder(path))
     return _is_named(path)
 
 
 def bag_files(path: Path) -> tuple[list[Path], list[str]]:
-    """The files of a bag in the order in which they were recorded, and what of that is to be told: by metadata.yaml,
-    or where a recorder was killed before it wrote that, by the numbers in their names.
+    """Return the files of a bag in the order of recording, and remarks on that: by metadata.yaml, or, if the recorder
+    was killed before it wrote that, by the numbers in their names.
 
     Raises:
         DatasetError: there are none.
@@ -89,8 +89,8 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
 
 
 def read_messages(files: Collection[Path], kinds: Collection[str], tell: Callable[[str], None]) -> Iterator[Logged]:
-    """The messages of these kinds, file by file, each in the order of the file. tell: called with what of a file is
-    not read.
+    """Yield the messages of these kinds, file by file, in the order of each file. tell: called with a remark on the
+    part of a file that is not read.
 
     Raises:
         DatasetError: a file cannot be opened or is no file of a bag, or would be too large unpacked.
@@ -105,13 +105,13 @@ def read_messages(files: Collection[Path], kinds: Collection[str], tell: Callabl
 
 
 class _Unpacked:
-    """Unpacks chunks of a bag while there is room for them."""
+    """Unpacks chunks of a bag up to a total size, bytes."""
 
     def __init__(self, room: int) -> None:
         self._room, self._most = room, room
 
     def __call__(self, packing: str, data: bytes) -> bytes:
-        """The data unpacked. Raises DatasetError where that is too large, anything where it is damaged."""
+        """Return the unpacked data. Raises DatasetError if they are too large, any exception if they are damaged."""
         if packing == "zstd":
             result = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(self._room + 1)
         elif packing == "lz4":
@@ -144,20 +144,20 @@ def _of_file(
     count = 0
     try:
         for one in reader(stream, kinds, unpacked):
-            # ROS 2 may pack messages each for itself.
+            # ROS 2 may compress each message by itself.
             yield one._replace(data=unpacked("zstd", one.data)) if one.data.startswith(_ZSTD) else one
             count += 1
     except DatasetError as error:
         raise DatasetError(f"{file}: {error}") from None
     except EOFError:
         tell(f"{file.name} is cut off, as by a recorder that was killed: the {count} messages before that are read")
-    except Exception as error:  # whatever bytes may hold that are not what they should be
+    except Exception as error:  # damaged bytes may raise any exception
         why = " ".join(str(error).split())[:100] or type(error).__name__
         tell(f"{file.name} is damaged ({why}): the {count} messages before that are read")
 
 
 def _of_mcap(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> Iterator[Logged]:
-    """By the specification of MCAP: https://mcap.dev/spec."""
+    """Yield the messages of an MCAP file, see https://mcap.dev/spec."""
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str, bool]] = {}
     stream.seek(len(_MCAP))
@@ -176,10 +176,10 @@ def _of_mcap(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> 
 
 
 def _unchunked(stream: IO[bytes], unpacked: _Unpacked) -> Iterator[tuple[int, bytes]]:
-    """Opcodes and contents of the records of an MCAP's data section, those in chunks, too. Raises EOFError where it is
-    cut off; of a chunk that was, what is there comes before."""
+    """Yield opcodes and contents of the records of an MCAP's data section, also those in chunks. Raises EOFError where
+    the file is cut off, after the records that are there, also of a cut chunk."""
     while len(head := stream.read(9)) == 9:
-        if head.startswith(_MCAP):  # once more, as mcap of Python writes it where it makes no chunks
+        if head.startswith(_MCAP):  # Python's mcap writes it again if it makes no chunks
             stream.seek(-1, io.SEEK_CUR)
             continue
         opcode, length = struct.unpack("<BQ", head)
@@ -201,7 +201,7 @@ def _unchunked(stream: IO[bytes], unpacked: _Unpacked) -> Iterator[tuple[int, by
 
 
 def _of_ros1(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> Iterator[Logged]:
-    """By the format 2.0 of bags: http://wiki.ros.org/Bags/Format/2.0."""
+    """Yield the messages of a bag of format 2.0, see http://wiki.ros.org/Bags/Format/2.0."""
     topics: dict[int, tuple[str, str]] = {}
 
     def records(part: IO[bytes]) -> Iterator[Logged]:
@@ -228,7 +228,7 @@ def _of_ros1(stream: IO[bytes], kinds: Collection[str], unpacked: _Unpacked) -> 
 
 
 def _ros1_fields(header: bytes) -> dict[bytes, bytes]:
-    """The fields of a record's header, each its length, its name, "=" and its value."""
+    """Return the fields of a record's header; each is stored as length, name, "=" and value."""
     fields, at = {}, 0
     while at < len(header):
         end = at + 4 + _number("<I", header, at)
@@ -238,7 +238,7 @@ def _ros1_fields(header: bytes) -> dict[bytes, bytes]:
 
 
 def _of_sqlite(stream: IO[bytes], kinds: Collection[str], _: _Unpacked) -> Iterator[Logged]:
-    """rosbag2's tables topics (id, name, type, ..) and messages (id, topic_id, timestamp, data)."""
+    """Yield the messages of rosbag2's tables topics (id, name, type, ..), messages (id, topic_id, timestamp, data)."""
     path = Path(stream.name).absolute()
     # A killed recorder may have left messages in its write-ahead log.
     how = "mode=ro" if Path(f"{path}-wal").is_file() else "immutable=1"
@@ -253,14 +253,14 @@ def _of_sqlite(stream: IO[bytes], kinds: Collection[str], _: _Unpacked) -> Itera
 
 
 def _read(stream: IO[bytes], length: int) -> bytes:
-    """So many bytes, fewer at the end; ValueError where no record is so long."""
+    """Return `length` bytes, fewer at the end. Raises ValueError if no record is that long."""
     if length > _LARGEST:
         raise ValueError(f"a record of {length} bytes")
     return stream.read(length)
 
 
 def _whole(stream: IO[bytes], length: int) -> bytes:
-    """So many bytes; EOFError where there are fewer."""
+    """Return `length` bytes. Raises EOFError if there are fewer."""
     data = _read(stream, length)
     if len(data) < length:
         raise EOFError
@@ -272,15 +272,15 @@ def _number(layout: str, data: bytes, at: int = 0) -> int:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """The text that stands there after its length, and where it ends."""
+    """Return the text stored with its length at an offset, and the offset of its end."""
     end = at + 4 + _number("<I", data, at)
     return data[at + 4 : end].decode(), end
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """The files of a bag in a folder, in the order of the numbers in their names."""
+    """Return the files of a bag in a folder, in the order of the numbers in their names."""
     found = [one for one in folder.iterdir() if one.is_file() and _is_named(one)]
-    parts = {one: re.split(r"([0-9]+)", one.name) for one in found}  # every other one is a number
+    parts = {one: re.split(r"([0-9]+)", one.name) for one in found}  # every second part is a number
     return sorted(found, key=lambda one: [int(part) if k % 2 else part for k, part in enumerate(parts[one])])
 
 
@@ -290,5 +290,5 @@ def _is_named(path: Path) -> bool:
 
 
 def _there(path: Path) -> Path | None:
-    """A file, or what a recorder made of it that packs whole files."""
+    """Return a file or its compressed form, None if neither exists."""
     return next((one for one in (path, *(Path(f"{path}{end}") for end in _PACKED)) if one.is_file()), None)

@@ -30,22 +30,22 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import TagNoise, in_plane
 from tfg_drake.vision.tag_position import LEAST_RANGE, tag_positions
 
-# A robot is at rest if its odometry shows at most this motion: m or m/s, and rad/s.
+# A robot is at rest if its odometry shows less motion than REST, m, rad or m/s, and than REST_TURN_RATE, rad/s.
 REST, REST_TURN_RATE = 1e-5, 1e-3
-# Greatest error of a quaternion's length by rounding. A range within NO_RETURN, m, of range_max is no return, as
-# drivers write range_max for it.
+# OFF_UNIT: greatest error of a quaternion's length, by rounding. A range above range_max less NO_RETURN, m, is no
+# return: drivers write range_max for it.
 OFF_UNIT, NO_RETURN = 0.05, 1e-3
-# Least deviations of a pose that a person states, m and rad.
+# Least standard deviations of a pose stated by a person, m and rad.
 LEAST_SAID = 0.05
 # Columns of a plain detections message, see `plain_detections`.
 COLUMNS = ("id", "range", "bearing", "sigma_range", "sigma_bearing")
-# sensor_msgs/PointField: its datatypes 1 to 8 as numpy's.
+# Numpy's types for the datatypes 1 to 8 of sensor_msgs/PointField.
 _DATATYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-# Greatest number of fields and of bytes of a point in a PointCloud2.
+# Greatest number of fields, and of bytes of a point, in a PointCloud2.
 _MOST_FIELDS, _LONGEST_POINT = 100, 4096
-# Charge of a low and of a dangerously low battery, as a share. A value above the last one is in percent.
+# Share of charge up to which a battery is low, and dangerously low. A charge above GREATEST_SHARE is in per cent.
 LOW_CHARGE, DANGEROUS_CHARGE, GREATEST_SHARE = 0.15, 0.05, 1.5
-# sensor_msgs/BatteryState.power_supply_status.
+# Value of sensor_msgs/BatteryState.power_supply_status while charging.
 _CHARGING = 1
 # Upper bound of a ROS stamp (the year 2242), s, and of the time between two rays of a sweep, s.
 _LAST_STAMP, _RAY_TIME = 2**33, 1.0
@@ -123,8 +123,8 @@ def unit_quaternion(message: Any, path: str) -> tuple[float, float, float, float
 def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odometry:
     """nav_msgs/Odometry: the pose is that of child_frame_id in frame_id, the twist is in child_frame_id.
 
-    before: the message before this one, which tells whether the robot stands, and its velocity where the twist says
-    nothing: many drivers leave it at zero.
+    before: the previous message: by the difference of the poses the robot is at rest or, if the twist is zero as many
+    drivers leave it, has its velocity.
     """
     px, py, yaw = _planar(message)
     speed, turn_rate = _told(message, "twist.twist.linear.x"), _told(message, "twist.twist.angular.z")
@@ -137,7 +137,7 @@ def odometry(message: Any, stamp: float, before: Odometry | None = None) -> Odom
         if not stands and speed == turn_rate == 0.0 and dt > 0.0:
             middle = yaw - 0.5 * turn
             ahead, turning = (math.cos(middle) * dx + math.sin(middle) * dy) / dt, turn / dt
-            if abs(ahead) <= FASTEST and abs(turning) <= FASTEST_TURN:  # else it did not drive there
+            if abs(ahead) <= FASTEST and abs(turning) <= FASTEST_TURN:  # otherwise it is a jump
                 speed, turn_rate = ahead, turning
     return Odometry(stamp, np.array([px, py, yaw]), np.array([speed, turn_rate]), at_rest)
 
@@ -160,7 +160,7 @@ def _planar(message: Any) -> tuple[float, float, float]:
 
 
 def _told(message: Any, path: str, otherwise: float = 0.0, most: float = 1e9) -> float:
-    """A number, or another one where it is null or nan, which say nothing; of a twist no more than 0 does."""
+    """Return a number, or `otherwise` for null and nan, which mean unknown; in a twist so does 0, the default."""
     value = field(message, path)
     return otherwise if value is None or value != value else number(message, path, most)
 
@@ -168,12 +168,11 @@ def _told(message: Any, path: str, otherwise: float = 0.0, most: float = 1e9) ->
 def laser_scan(message: Any, stamp: float, scanner: Scanner, V_B: FloatArray) -> LaserScan:
     """sensor_msgs/LaserScan as seen from the body's origin at the middle of the sweep, angles increasing in (-pi, pi].
 
-    stamp: of the first ray, as the definition has it, by the scanner's clock; the result's is that of the middle, by
-    the odometry's. V_B: (2,) velocity of the body meanwhile, m/s and rad/s. REP 117: inf, or range_max (but for
-    NO_RETURN) and more, is nothing met within range_max; -inf is something nearer than range_min, told as range_min;
-    nan, and what is less than range_min, says nothing and is nan.
-    nan, 0 (what many drivers write for no answer) and null (what rosbridge's JSON makes of nan and inf) are inf where
-    the scanner's `unanswered` says that what gives no answer is free.
+    stamp: of the first ray, as defined, by the scanner's clock; the result's is that of the middle, by the odometry's.
+    V_B: (2,) velocity of the body during the sweep, m/s and rad/s. REP 117: inf, or a range above range_max less
+    NO_RETURN, is no return within range_max; -inf is an obstacle nearer than range_min and becomes range_min; nan, or
+    a range below range_min, is unknown and becomes nan. If the scanner's `unanswered` is "free", nan, 0 (which many
+    drivers write without a return) and null (rosbridge's JSON for nan and inf) become inf.
     """
     ranges = np.array(_sequence(message, "ranges", MOST_RAYS), dtype=float)  # None becomes nan
     if ranges.ndim != 1:
@@ -236,13 +235,13 @@ def families(message: Any) -> set[str]:
 
 
 def _tag_id(value: Any) -> int:
-    """An id as it is told, -1 for what is no whole number; who judges leaves out what is none of a tag."""
+    """Return an id within its bounds, -1 if it is no whole number; the plausibility check removes invalid ids."""
     return min(max(value, -IDS), IDS) if isinstance(value, int) else -1
 
 
 def _corners(detection: Any) -> list[float]:
-    """Eight numbers, of apriltag_msgs' float64[8] or of a list of points; nan where they cannot be corners of an image,
-    so that one bad sighting costs no other."""
+    """Return eight numbers from apriltag_msgs' float64[8] or a list of points; nan for impossible corners, so that one
+    bad sighting costs no other."""
     corners = []
     for one in _sequence(detection, "corners", 8):
         point = (field(one, "x"), field(one, "y")) if has(one, "x") else (one,)
@@ -284,7 +283,7 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
     columns = {name: points[name].astype(float) for name in COLUMNS}
     ids = columns.pop("id")
     bearing = columns["bearing"]
-    # Values that are no angle or no id are removed by the plausibility check.
+    # Invalid angles and ids are removed by the plausibility check.
     ids = np.where(np.isfinite(ids), np.clip(ids, -IDS, IDS), -1.0)
     turns = np.abs(bearing) <= 2.0 * math.pi
     columns["bearing"] = np.where(turns, wrap_angle(np.where(turns, bearing, 0.0)), bearing)
@@ -292,11 +291,11 @@ def plain_detections(message: Any, stamp: float) -> TagDetections:
 
 
 def hazards(kind: str, message: Any, stamp: float, before: Hazards) -> Hazards:
-    """The base's alarms after a message of the type `kind`, one of HAZARDS; before: those so far.
+    """Return the base's alarms after a message of the type `kind`, one of HAZARDS; before: those so far.
 
-    kobuki_ros_interfaces' events tell one sensor's change; turtlebot3_msgs/SensorState and irobot_create_msgs/
-    HazardDetectionVector tell all. Of the latter BUMP and STALL are the bumper, CLIFF and WHEEL_DROP themselves; the
-    side is in a detection's frame_id.
+    kobuki_ros_interfaces' events report one sensor's change; turtlebot3_msgs/SensorState and irobot_create_msgs/
+    HazardDetectionVector report all sensors. In the latter BUMP and STALL count as the bumper, CLIFF and WHEEL_DROP as
+    such; the side is in a detection's frame_id.
     """
     return HAZARDS[kind](message, replace(before, stamp=stamp))
 
@@ -322,8 +321,8 @@ def _create3(message: Any, before: Hazards) -> Hazards:
 
 
 _SIDES = (Side.LEFT, Side.CENTRE, Side.RIGHT)
-# By the type of the message. BumperEvent.bumper and CliffEvent.sensor: 0 left, 1 centre, 2 right; WheelDropEvent.wheel:
-# 0 left, 1 right.
+# Converters by type of message. BumperEvent.bumper and CliffEvent.sensor: 0 left, 1 centre, 2 right;
+# WheelDropEvent.wheel: 0 left, 1 right.
 HAZARDS: dict[str, Callable[[Any, Hazards], Hazards]] = {
     "kobuki_ros_interfaces/msg/BumperEvent": partial(_kobuki_event, "bumper", "bumper", _SIDES),
     "kobuki_ros_interfaces/msg/CliffEvent": partial(_kobuki_event, "cliff", "sensor", _SIDES),
@@ -334,9 +333,9 @@ HAZARDS: dict[str, Callable[[Any, Hazards], Hazards]] = {
 
 
 def battery(message: Any, stamp: float) -> BaseState:
-    """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100, as some drivers have it. Its voltage
-    says little where nobody knows the battery. nan, null and what is not above 0 say nothing: a driver that does not
-    know writes any."""
+    """sensor_msgs/BatteryState, by its percentage: a share from 0 to 1, or to 100 by some drivers. The voltage says
+    little about an unknown battery. nan, null and values not above 0 mean unknown: drivers write any of them for
+    that."""
     told = (_told(message, name, math.nan, 1e4) for name in ("voltage", "percentage"))
     volts, charge = (value if value > 0.0 else math.nan for value in told)
     charge = charge if charge <= GREATEST_SHARE else 0.01 * charge

@@ -21,7 +21,7 @@ from tfg_drake.messages import Hazards, LaserScan, Odometry, TagDetections
 
 Send = Callable[[dict[str, Any]], None]
 D = TypeVar("D", bound="GraphDriver")
-# The key in a preset's `topics`, and the kind of its messages, by the purpose of a topic.
+# Key in a preset's `topics`, and kind of the messages, by the use of a topic.
 KEYS = {"tags": ("detections", TagDetections), "scan": ("scan", LaserScan)}
 
 
@@ -62,8 +62,8 @@ class Graph(Protocol):
 
 
 def opened(kind: type[D], host: str, port: int, preset: Preset, *wanted: Any) -> D:
-    """A driver on a graph that it joins; raises DeviceError. host, port: of rosbridge, none for ROS 2. wanted: as the
-    kind of driver has it."""
+    """Return a driver on a graph, after joining that. host, port: of rosbridge, empty for ROS 2. wanted: further
+    arguments of the driver. Raises DeviceError."""
     if not host:
         from tfg_drake.hardware.ros.ros2 import Ros2Graph
 
@@ -74,7 +74,7 @@ def opened(kind: type[D], host: str, port: int, preset: Preset, *wanted: Any) ->
 
 
 def on_graph(kind: type[D], graph: Graph, preset: Preset, *wanted: Any) -> D:
-    """A driver on a graph, which is left where that fails; raises DeviceError."""
+    """Return a driver on a graph; if that fails, leave the graph. Raises DeviceError."""
     try:
         return kind(graph, preset, *wanted)
     except DeviceError:
@@ -88,7 +88,7 @@ def connect(preset: Preset, host: str = "", port: int = 0) -> Device:
 
 
 class GraphDriver(Intake, Driver):
-    """Takes in what a graph has to say; a subclass says what of it. node: its name on the graph."""
+    """Takes in messages of a graph; a subclass chooses the topics. node: its name on the graph."""
 
     node: str
 
@@ -98,14 +98,14 @@ class GraphDriver(Intake, Driver):
         self._graph = graph
 
     def _find(self, topic: Topic, listened: bool = False) -> None:
-        """Waits until somebody publishes a topic, or listens to it, as the preset has it; raises DeviceError, at once
-        where its type cannot be read here."""
+        """Wait until a topic has a publisher, or a listener, as in the preset. Raises DeviceError, at once if its type
+        cannot be read here."""
         graph = self._graph
         graph.require(topic)
         verb, ask = ("listens to", graph.listeners) if listened else ("publishes", graph.types)
         types = self._types(topic.name, ask, f"{verb} {topic.name} ({topic.type})", (topic.type,))
         if types is None:
-            return  # it will show when nothing arrives
+            return  # a missing topic shows later, when nothing arrives
         if topic.type not in types:
             raise DeviceError(f"{graph.label}: {topic.name} is {types[0]}, the preset has {topic.type}: set its type")
         if topic.qos == "reliable" and not listened and graph.best_effort(topic.name):
@@ -117,8 +117,8 @@ class GraphDriver(Intake, Driver):
     def _types(
         self, name: str, ask: Callable[[str], list[str] | None], what: str, kinds: tuple[str, ...]
     ) -> list[str] | None:
-        """The types that a topic of one of these kinds has, waited for; None where that cannot be told. Raises
-        DeviceError where nobody does `what`."""
+        """Wait for the types of a topic and return them, None if they cannot be found out. what, kinds: words and types
+        for the complaint. Raises DeviceError."""
         end = time.monotonic() + PATIENCE
         while not (types := ask(name)) and types is not None:
             if time.monotonic() > end:
@@ -127,7 +127,7 @@ class GraphDriver(Intake, Driver):
         return types
 
     def _instead(self, kinds: tuple[str, ...], name: str) -> str:
-        """Topics to name to who asked for one, `name`, that is not there: of its kinds if there are some."""
+        """Return words on the topics to use instead of a missing one, `name`: those of its kinds if there are any."""
         ours = {name, self._preset.topics.command.name, "/rosout", "/parameter_events"}
         others = [(other, kind) for other, kind in self._graph.names() or [] if other not in ours]
         alike = [other for other, kind in others if kind in kinds]
@@ -178,7 +178,7 @@ class GraphBaseDriver(GraphDriver):
         topics, command = preset.topics, preset.topics.command
         alarms = ", ".join(topic.name for topic in topics.hazards)
         self.sources = {Odometry: f"odometry of {topics.odometry.name}", Hazards: f"alarms of {alarms}"}
-        # It may be missing: a robot of the same kind whose battery nobody publishes can be driven all the same.
+        # The battery's topic is optional: a robot without a publisher of it can be driven all the same.
         battery = [("battery", topics.battery)] if topics.battery is not None else []
         heard = [("odometry", topics.odometry), *(("hazards", topic) for topic in topics.hazards)]
         for _, topic in heard:
@@ -223,7 +223,7 @@ class SensorDriver(GraphDriver):
         """
         super().__init__(graph, preset)
         self._senders: dict[str, Send | None] = {}
-        # Held by who publishes, and by who leaves the graph.
+        # Held while publishing, and while leaving the graph.
         self._lock, self._left = threading.Lock(), False
         self.sources: dict[type, str] = {}
         needed = []
@@ -244,7 +244,7 @@ class SensorDriver(GraphDriver):
             except DeviceError as error:
                 mend = "; or give --tags none" if key in ("detections", "camera_info") else ""
                 raise DeviceError(f"{error}{mend}") from None
-        said = [("initial_pose", preset.topics.initial_pose)] if base else []  # nobody need ever say it
+        said = [("initial_pose", preset.topics.initial_pose)] if base else []  # need not be published
         self._listen([*needed, *said])
         self._wait({topic.name for _, topic in needed})
 

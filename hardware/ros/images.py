@@ -16,7 +16,7 @@ from tfg_drake.vision.mount import CameraMount
 from tfg_drake.vision.sighting import Sighting, TagNoise
 from tfg_drake.vision.tag_eyes import TagEyes
 
-# Bytes per pixel and positions of red, green and blue in them, by encoding; one byte is grey.
+# Bytes per pixel, and the positions of red, green and blue in them, by encoding; a single position is grey.
 ENCODINGS = {
     "mono8": (1, (0,)),
     "8UC1": (1, (0,)),
@@ -26,7 +26,7 @@ ENCODINGS = {
     "rgba8": (4, (0, 1, 2)),
     "bgra8": (4, (2, 1, 0)),
 }
-# Fields of camera_info in ROS 2 and, in capitals, in ROS 1.
+# Fields of camera_info that are compared: in ROS 2 and, in capitals, in ROS 1.
 _LENS = ("width", "height", "distortion_model", "k", "K", "d", "D")
 
 

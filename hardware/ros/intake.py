@@ -1,8 +1,8 @@
 """Stamps and converts the messages that either transport receives.
 
-ROS stamps serve for order and age only. The robot's ROS clock is brought to the host's monotonic clock by the least of
-host's arrival minus stamp, of the newest odometry (the shortest way there is; two quartzes drift apart). Where only
-sensors are heard it is theirs: their stamps are then late by the least delay of any of them.
+ROS stamps serve for order and age only. The offset of the robot's ROS clock to the host's monotonic clock is the least
+arrival minus stamp of recent odometry messages (the least delayed ones; recent, as clocks drift apart). Without
+odometry it is that of the sensors: their stamps are then late by the least delay of any of them.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from tfg_drake.hardware.ros.images import ImageTags
 
 
-# Duration of odometry from which the clock's offset is learnt before any message is passed on, s.
+# Duration of odometry, s, from which the clock offset is estimated before any message is passed on.
 LEARN = SILENCE
-# The offset is the least delay over the newest one to two spans of SPAN, s, and changes by at most SLEW, s/s, so that
-# stamps keep their order.
+# The clock offset is the least delay over the last SPAN to 2 SPAN, s; it changes by at most SLEW, s/s, so that stamps
+# keep their order.
 SPAN = 10.0
 SLEW = 1e-3
-# Greatest difference of the robot's clock from the host's, s; an image may be OLDEST old on arrival. A stamp farther in
-# the future, or before the previous one, is a jump of the clock.
+# Greatest difference MAX_SKEW of the robot's clock from the host's, s; an image may be OLDEST old on arrival. A stamp
+# more than JUMP, s, in the future, or before the previous one, is a jump of the clock.
 JUMP = MAX_SKEW = AHEAD
 
 
@@ -48,10 +48,10 @@ class StampClock:
     """Brings ROS stamps to the host's monotonic clock."""
 
     def __init__(self, source: str | None = None) -> None:
-        """source: the topic that it is learned from, whose messages arrive at once; None where it is learned from them
-        all, which may be slow."""
+        """source: the topic to estimate the offset from, whose messages arrive at once; None to estimate it from all
+        topics, which may be slow."""
         self.source, self._offset = source, 0.0
-        # Silence, s, after which a connection is new and the clock is learnt again.
+        # Longest silence, s, after which a connection is new and the offset is estimated again.
         self._silence = SILENT if source is None else SILENCE
         self._reset()
 
@@ -68,7 +68,7 @@ class StampClock:
 
     def _learn(self, stamp: float, arrival: float) -> None:
         dt, delay = arrival - self._heard, arrival - stamp
-        if not dt <= self._silence:  # nor is it before anything was heard
+        if not dt <= self._silence:  # also before the first message, when dt is nan
             self._reset()
             self._began = self._span_began = arrival
         if arrival - self._span_began > SPAN:
@@ -126,7 +126,7 @@ class Intake(Inbox):
         self._V_B = np.zeros(2)
         self._watched = WatchedOdometry()
         self._hazards = Hazards(-math.inf, 0, 0, 0)
-        # The newest camera_info, and its part that apriltag_msgs need.
+        # The newest camera_info, and the calibration that apriltag_msgs need.
         self._camera_info: Any = None
         self._camera: CameraCalibration | None = None
         # The tag detector for images.
@@ -140,7 +140,7 @@ class Intake(Inbox):
         "detections", "camera_info" and "initial_pose". Sensors' clock and the robot's velocity are learned from the
         odometry where they have "clock", else the clock from them all."""
         self.clock = StampClock(next((topic.name for key, topic in topics if key in ("odometry", "clock")), None))
-        # Whether tags are looked for in images.
+        # Tags are detected in images.
         self._images = any(topic.type in (IMAGE, COMPRESSED_IMAGE) for _, topic in topics)
 
     def receive(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
@@ -155,7 +155,7 @@ class Intake(Inbox):
                 self._fault = str(jump)
             else:
                 self.refusals.add(topic.name, "clock", f"{jump}; the clock is learned anew")
-        except Exception as error:  # who drives a robot must not end because of what one message holds
+        except Exception as error:  # no message may end the driver of a robot
             self.refusals.add(topic.name, _kind(error), f"messages are not used: {error}")
 
     def _take_in(self, key: str, topic: Topic, message: Any, arrival: float) -> None:
@@ -163,12 +163,12 @@ class Intake(Inbox):
             self._camera_info = message
             self._camera = None if self._images else conversions.calibration(message)
         elif key == "battery":
-            # Stamped on arrival, as its stamp is not used.
+            # Stamped with its arrival; its own stamp is not used.
             self._messages.append(conversions.battery(message, arrival))
         elif key == "initial_pose":
             self._messages.append(conversions.said_pose(message, arrival, self._preset.frames.map))
         elif key == "detections" and not topic.type.endswith("PointCloud2") and self._camera_info is None:
-            pass  # the camera says its calibration with its first image
+            pass  # not usable before the calibration, which comes with the camera's first image
         elif (stamp := self._host_stamp(key, topic, message, arrival)) is None:
             pass
         elif key == "clock":
@@ -179,7 +179,7 @@ class Intake(Inbox):
     def _host_stamp(self, key: str, topic: Topic, message: Any, arrival: float) -> float | None:
         stamp = conversions.ros_stamp(message)
         if stamp is None:
-            # An alarm without a stamp is of now, and comes once: it must not be lost.
+            # An alarm without a stamp counts as of now; it comes once and must not be lost.
             return arrival if self.clock.ready or key == "hazards" else None
         return self.clock.host(topic.name, stamp, arrival)
 
@@ -214,11 +214,11 @@ class Intake(Inbox):
         return seen.detections
 
     def _continued(self, topic: Topic, told: Odometry) -> Odometry | None:
-        """The odometry, going on where it was when the base has begun to count anew."""
+        """Return the odometry, continued from the last pose if the base has restarted its count."""
         self._watched, believed, note = watch(self._watched, told)
         if note is not None and note.kind == "jump":
             self._fault = f"{topic.name} was reset, its base was started anew; see that the robot stands where it was"
-        return told if note is not None and note.kind == "speed" else believed  # the former is refused elsewhere
+        return told if note is not None and note.kind == "speed" else believed  # such speeds are refused elsewhere
 
     def _check_frame(self, topic: Topic, message: Any) -> None:
         """Remarks on odometry in another frame than the preset's: our map -> odom would join nothing."""
@@ -230,5 +230,5 @@ class Intake(Inbox):
 
 
 def _kind(error: Exception) -> str:
-    """Kind of an error: its words without what differs from message to message."""
+    """Return the kind of an error: its words without the parts that differ from message to message."""
     return re.sub(r"[^a-z_ ]+", "", str(error).partition(":")[0].partition("'")[0])

@@ -31,9 +31,9 @@ from tfg_drake.pictures.layers import LETTER, Layer, Look
 
 Fields = dict[str, Any]
 
-# nav_msgs/OccupancyGrid.
+# Cell values of nav_msgs/OccupancyGrid.
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
-# visualization_msgs/Marker: its types, and the action that clears a display.
+# Types of visualization_msgs/Marker, and the action that clears a display.
 LINE_LIST, SPHERE_LIST, TEXT, DELETE_ALL = 5, 7, 9, 3
 
 
@@ -83,7 +83,7 @@ def markers(stamp: float, frames: Frames, shown: Iterable[Layer]) -> Fields:
         if layer.kind == "points":
             size = dict.fromkeys("xyz", 2.0 * look.width)
             add(layer.name, SPHERE_LIST, look, size, points=_points(np.asarray(layer.shapes), look.high))
-        else:  # Lines have no height and no thickness but x.
+        else:  # Of lines only scale x, the width, is used.
             size = {"x": look.width, "y": 0.0, "z": 0.0}
             add(layer.name, LINE_LIST, look, size, points=_points(layer.segments.reshape(-1, 2), look.high))
         for words, place in layer.labels.items():

@@ -46,7 +46,7 @@ class MapPublisher(LeafSystem):
         self.set_name("map_publisher")
         self._device, self._frames, self._clock = device, frames, clock
         self._Get = MessageInputs(self, "pose", "odometry", *_SHOWN).optional
-        # Copying the context costs nothing, since a message's deep copy is itself.
+        # Copying the context costs nothing: a message's deep copy is the message itself.
         self._published = MessageState(self, dict.fromkeys(_SHOWN), lambda context, _: self._Now(context))
         self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._Publish)
 
@@ -82,7 +82,7 @@ class MapPublisher(LeafSystem):
         frames, publish = self._frames, self._device.publish
         if "tfg" in changed:
             publish("map", map_messages.tfg_grid(now["tfg"], stamp, frames))
-        # A grid changes with every scan: once a stage is enough.
+        # A grid changes with every scan; it is published once a stage.
         if "grid" in changed and (before["grid"] is None or before["grid"].stage != now["grid"].stage):
             publish("map", map_messages.grid_of_cells(now["grid"], stamp, frames))
         if changed & {"map", "landmarks", "tfg", "goal"}:

@@ -111,7 +111,7 @@ class Publish:
     tf: _Name = "/tf"
 
 
-# Type of each key in `publish`, and whether a late subscriber gets the newest message.
+# Type of the message of each key in `publish`, and whether a late subscriber gets the newest one (latched).
 PUBLISHED = {
     "map": ("nav_msgs/msg/OccupancyGrid", True),
     "markers": ("visualization_msgs/msg/MarkerArray", True),

@@ -18,7 +18,7 @@ from tfg_drake.hardware.ros.graph_driver import Graph
 from tfg_drake.hardware.ros.preset import Topic
 from tfg_drake.hardware.sensor_reader import LONGEST_BACK_OFF, PATIENCE
 
-# Types of which a slow connection delivers only the newest message.
+# Types of which a slow connection delivers the newest message only.
 STREAMS = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CameraInfo")
 
 Receive = Callable[[Any, float], None]
@@ -35,7 +35,7 @@ class RosbridgeGraph(Graph):
         self._rosapi = True
         self._arrived: queue.Queue[tuple[Receive, Any, float]] = queue.Queue(WAITING)
         self._ros = roslibpy.Ros(host, port, transport="asyncio")
-        # It would wait longer each time, for up to an hour.
+        # By default the delay would grow up to an hour.
         self._ros.factory.set_max_delay(LONGEST_BACK_OFF)
         try:
             self._ros.run(PATIENCE)
@@ -56,12 +56,12 @@ class RosbridgeGraph(Graph):
 
     def subscribe(self, topic: Topic, receive: Receive) -> None:
         """receive(message, arrival), by `spin`; arrival s of the host's clock."""
-        # The bridge keeps the newest messages for a client that is slow: one of what streams, more of what happens.
+        # Length of the bridge's queue for a slow client: one message of a stream, more of events.
         length = 1 if topic.type in STREAMS else 10
         subscriber = self._roslibpy.Topic(self._ros, topic.name, topic.type, queue_length=length)
 
         def arrived(message: Any) -> None:
-            with contextlib.suppress(queue.Full):  # of a flood that nobody could keep up with the rest is lost
+            with contextlib.suppress(queue.Full):  # messages beyond the queue's size are lost
                 self._arrived.put_nowait((receive, message, time.monotonic()))
 
         subscriber.subscribe(arrived)
@@ -72,7 +72,7 @@ class RosbridgeGraph(Graph):
         publisher.advertise()
 
         def publish(values: dict[str, Any]) -> None:
-            if self.connected:  # roslibpy would keep it, and send it when it is old
+            if self.connected:  # otherwise roslibpy would keep the message and send it late
                 publisher.publish(_in_json(values))
 
         return publish

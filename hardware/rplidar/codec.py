@@ -146,8 +146,7 @@ class NodeDecoder:
 
 
 def _angle(data: bytearray, at: int, before: float | None) -> float | None:
-    """Return the angle of the ray that begins at a byte, degrees; None if none begins there or it does not follow
-    `before`."""
+    """Return the angle of the ray that begins there, degrees; None if none does or it does not follow `before`."""
     first, second = data[at], data[at + 1]
     if (first & 1) == (first >> 1 & 1) or not second & 1:
         return None

@@ -100,8 +100,7 @@ class SweepMaker:
         return [self._sweep(self._before, math.pi, began - 0.5 * period, period)]
 
     def _half_over(self) -> list[Sweep]:
-        """Return the sweep of the first half of this turn and the second half of the previous one, if they are
-        known."""
+        """Return the sweep of this turn's first half and the previous one's second half, if they are known."""
         if self._turn is None or not self._before:
             return []
         last = [one for one in self._before if one.angle >= math.pi]
@@ -109,7 +108,7 @@ class SweepMaker:
         return [self._sweep(nodes, 0.0, *self._turn)]
 
     def _sweep(self, nodes: list[Node], middle: float, stamp: float, period: float) -> Sweep:
-        """Return the sweep of a turn's rays; period: of the turn, s. The scanner was at angle middle, rad, at stamp,
+        """Return the sweep of a turn's rays. period: of the turn, s. stamp: when it was at the angle middle (rad),
         s."""
         angles = np.array([node.angle for node in nodes])
         ranges = np.array([node.range for node in nodes])
