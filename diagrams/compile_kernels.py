@@ -43,7 +43,7 @@ class Listed(NamedTuple):
 
 @functools.cache
 def listed() -> list[Listed]:
-    """All that missions call, each after what it calls."""
+    """Return the kernels that missions call, each after those that it calls."""
     text = (kernels.PACKAGE / "mission_kernels.txt").read_text(encoding="utf-8")
     return [Listed(*line.split(maxsplit=2)) for line in text.splitlines()]
 
@@ -60,7 +60,7 @@ class WarmUp:
     """Processes that compile the list, as far as it is not; to be closed."""
 
     def __init__(self) -> None:
-        """Starts them. Raises ChildProcessError where one cannot be started, OSError where nothing can be kept."""
+        """Start the processes. Raises ChildProcessError if one cannot be started, OSError without a writable folder."""
         kernels.folder().mkdir(parents=True, exist_ok=True)
         self._count = 0
         (rows, all_rows), (self._done, done) = os.pipe(), os.pipe()
@@ -76,7 +76,7 @@ class WarmUp:
 
     @property
     def word(self) -> str:
-        """Progress in words; "" where nothing is compiled any more."""
+        """The progress in words, "" once nothing is being compiled."""
         with contextlib.suppress(BlockingIOError):
             self._count += len(os.read(self._done, len(listed())))
         done = percent(self._count / len(listed()), 0)
@@ -84,11 +84,11 @@ class WarmUp:
 
     @property
     def ended(self) -> bool:
-        """Whether all are there, or nobody compiles the others any more."""
+        """True if all kernels are compiled, or no process is left to compile the others."""
         return all(process.poll() is not None for process in self._processes)
 
     def close(self) -> None:
-        """Ends what is still at work; takes note that all kernels are there, if they are."""
+        """End the remaining processes, and note if all kernels are compiled."""
         if all(process.poll() == 0 for process in self._processes):
             with contextlib.suppress(OSError):
                 kernels.note_compiled()

@@ -151,13 +151,13 @@ class Wiring:
     """An explorer under construction: its systems, and what flows between them."""
 
     def __init__(self, planning_time: float = 0.0) -> None:
-        """planning_time: s, so much later come goal and path out, see RealityConfig."""
+        """planning_time: delay of goal and path, s, see RealityConfig."""
         self._builder = DiagramBuilder()
         self._delays = {"goal": planning_time, "path": planning_time}
         self._inputs: set[str] = set()
 
     def Add(self, name: str, system: System) -> System:
-        """Adds a system; the order in which they are added is that of their events."""
+        """Add a system; the order of additions is the order of events."""
         return self._builder.AddNamedSystem(name, system)
 
     def AddMapping(self, scenario: Scenario, estimator: Factory | None = None) -> tuple[System, System]:
@@ -171,7 +171,7 @@ class Wiring:
         return slam, self.Add("tfg_builder", building)
 
     def _Export(self, port: InputPort, name: str) -> None:
-        """Makes an input one of the explorer's, or of those that have this name already."""
+        """Export an input as the explorer's, or join it to an exported one of the same name."""
         if name in self._inputs:
             self._builder.ConnectInput(name, port)
         else:
@@ -179,7 +179,7 @@ class Wiring:
         self._inputs.add(name)
 
     def Feed(self, source: System, name: str, *listeners: System) -> None:
-        """Connects an output to the inputs of its name, as far as there are such, and makes it one of the explorer."""
+        """Connect an output to all inputs of its name, and export it as the explorer's."""
         output = source.GetOutputPort(name)
         if self._delays.get(name, 0.0) > 0.0:
             later = self.Add(f"{name}_delay", MessageDelay(name, self._delays[name]))
@@ -191,19 +191,19 @@ class Wiring:
         self._builder.ExportOutput(output, name)
 
     def FeedAll(self, *systems: System, others: Sequence[System] = ()) -> None:
-        """Feeds each output of these systems to the inputs of its name among them and others, but for the command."""
+        """Feed each output of these systems, except the command, to the inputs of its name among them and others."""
         for source in systems:
             for name in (source.get_output_port(i).get_name() for i in range(source.num_output_ports())):
                 if name != "velocity_commanded":
                     self.Feed(source, name, *systems, *others)
 
     def Join(self, output: OutputPort, port: InputPort) -> None:
-        """Connects two ports of different names, between systems alone."""
+        """Connect two ports of different names, without exporting them."""
         self._builder.Connect(output, port)
 
     def Build(self, follower: System, sequencer: System, selector: System) -> Diagram:
-        """The explorer: the follower commands the base; what an operator asks for goes to sequencer and selector. What
-        the station senses goes to the inputs of its names that nothing feeds."""
+        """Return the explorer: the follower commands the base, an operator's requests go to sequencer and selector, and
+        the station's signals to the unconnected inputs of their names."""
         for system in self._builder.GetSystems():
             for port in (system.get_input_port(i) for i in range(system.num_input_ports())):
                 name = HEARD_AS.get(port.get_name(), port.get_name())

@@ -57,16 +57,16 @@ class Method:
     settings: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
-        """Another process finds it by its name or its file."""
+        """Pickle the method as its name or file, by which another process finds it."""
         return FindMethod, (self.source or self.name,)
 
     @property
     def takes_parts(self) -> bool:
-        """True where the method reads explorer.parts; a method of one's own is taken to do so."""
+        """True if the method reads explorer.parts; a user's own method is assumed to."""
         return self.has_candidates or self.source.endswith(".py") or self.name == "own"
 
     def Fixed(self, scenario: Scenario) -> Scenario:
-        """The scenario with the settings that the method fixes: by it the explorer is made."""
+        """Return the scenario with the method's fixed settings, for its explorer."""
         return ApplySettings(scenario, self.settings) if self.settings else scenario
 
     def Check(self, scenario: Scenario, settings: Sequence[str] | str = ()) -> None:
@@ -96,7 +96,7 @@ class Method:
         MakeKeepOut(scenario)
 
     def Refused(self, scenario: Scenario, settings: Sequence[str]) -> str:
-        """Why a user's settings cannot be those that the method fixes, "" if they can."""
+        """Return why a user's settings contradict those that the method fixes, "" if they do not."""
         fixed = self.Fixed(scenario)
         for own in self.settings:
             key = own.partition("=")[0]

@@ -144,7 +144,7 @@ def MakeTurtlebotStation(
 
 
 def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple[System, System]:
-    """Adds tag sensor and scanner: one system where both look through the same rendered camera."""
+    """Add tag sensor and scanner, a single system if both use the same rendered camera."""
     if scenario.station.eyes == "camera":
         # Imported here, as few missions need it.
         from tfg_drake.diagrams.rendered_eyes import MakeRenderedEyes
@@ -157,7 +157,7 @@ def _AddEyes(builder: DiagramBuilder, scenario: Scenario, world: World) -> tuple
 
 
 def _AddSurroundings(builder: DiagramBuilder, scenario: Scenario, world: World) -> list[System]:
-    """Adds the people who walk about, and what changes the world, where the scenario has them."""
+    """Add the scenario's walking people and changes of the world, if it has any."""
     radius, reality, added = scenario.robot.radius, scenario.reality, list[System]()
     if reality.people:
         added.append(builder.AddNamedSystem("people", PeopleWalking(world, radius, reality.people)))
@@ -193,6 +193,6 @@ def _AddNoise(
     period: float,
     distribution: RandomDistribution = RandomDistribution.kGaussian,
 ) -> None:
-    """Connects numbers of a distribution, redrawn every period (s), to a port."""
+    """Connect random numbers of a distribution, redrawn every period (s), to a port."""
     source = RandomSource(distribution, port.size(), period)
     builder.Connect(builder.AddNamedSystem(name, source).get_output_port(), port)

@@ -69,7 +69,7 @@ def write_comparison(
 
 
 def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
-    """A line a method: outcomes, and the means of time and position error over the seeds that all methods have."""
+    """Return a line per method: outcomes, and the means of time and position error over the seeds common to all."""
     lines, shared = [], of_shared_seeds(runs, methods)
     for method in methods:
         outcomes = Counter(run.outcome for run in runs if run.method == method)
@@ -84,7 +84,7 @@ def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:
 def _pictures(
     methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario], out: Path
 ) -> Iterator[Picture]:
-    """The figures, each written as it is made; without runs that count there are none."""
+    """Write the figures, none if no run counts."""
     counted = [run for run in of_shared_seeds(runs, methods) if run.counts]
     if not counted:
         return
@@ -134,13 +134,13 @@ def _pictures(
 def _bands(
     methods: Sequence[str], runs: Sequence[Run], curve: Callable[[Run], Curve], step: float, *, hold: bool = False
 ) -> dict[str, Band]:
-    """The band of each method that has one."""
+    """Return the band of each method that has one."""
     bands = {m: band([curve(run) for run in runs if run.method == m], step, hold=hold) for m in methods}
     return {method: one for method, one in bands.items() if one is not None}
 
 
 def _round(step: float) -> float:
-    """The next greater 1, 2 or 5 times a power of ten; 0.1 for less than that, as of a run that ended at once."""
+    """Return the next greater 1, 2 or 5 times a power of ten, at least 0.1, as for a run that ended at once."""
     if step < 0.1:
         return 0.1
     power = 10.0 ** np.floor(np.log10(step))
@@ -158,7 +158,7 @@ def _coverage(run: Run, scenario: Scenario, p_WC: FloatArray) -> Curve:
 
 
 def _maps(methods: Sequence[str], runs: Sequence[Run], scenarios: dict[int, Scenario]) -> list[FinalMap]:
-    """One run's map of each method: of the first seed that all have, or else of its own first."""
+    """Return one map per method: of the first seed common to all methods, or else of the method's first."""
     seeds = [{run.seed for run in runs if run.method == method} for method in methods]
     common = min(set.intersection(*seeds), default=None)
     chosen = [next((run for run in runs if run.method == m and common in (run.seed, None)), None) for m in methods]

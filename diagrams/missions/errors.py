@@ -33,13 +33,13 @@ IN_PLACE = 0.1
 
 
 class KnownWorld:
-    """The world that a mission was in, as it was at its end, and what of it could be reached: figures of a map in it.
+    """The world of a mission at its end and its reachable parts, to judge a map.
 
-    reachable: (t,) of its tags.
+    reachable: (t,) mask of its tags.
     """
 
     def __init__(self, world: World, scenario: Scenario, X_WB: FloatArray | None = None) -> None:
-        """X_WB: (3,) where the robot was at the end, if that is known: a door may have shut behind it."""
+        """X_WB: (3,) the robot's last pose, if known: a door may have shut behind it."""
         self._world, self._scenario = world, scenario
         self._grid = make_grid(world)
         limits = scenario.robot.radius, HatchedKeepOut(scenario)
@@ -50,15 +50,15 @@ class KnownWorld:
         self.reachable = reachable_tags(world, self._grid, self._cells, tags.range, tags.max_incidence)
 
     def places(self) -> FloatArray:
-        """Centres (c, 2) in W of the cells of a grid where the robot can be."""
+        """Return the centres (c, 2) in W, m, of the reachable cells of a grid."""
         return self._grid.centers(self._cells)
 
     def counted_places(self) -> FloatArray:
-        """Centres (c, 2) of some of them: what the scanner sees on its way is counted on these."""
+        """Return the centres (c, 2) of a coarser set of them, on which the area seen by the scanner is counted."""
         return coarse(self._grid, self._cells)
 
     def map_figures(self, mission: Mission, estimate: MapEstimate | None, tfg: TfgMap | None) -> dict[str, Any]:
-        """How far a map is from the world: surfaces, and landmarks that are not doubtful."""
+        """Return the errors of a map: of surfaces, and of landmarks that are not doubtful."""
         world, walls = self._world, _mapped_surfaces(mission.X_WM, tfg, mission.grid)
         faces, normals = reachable_faces(world, self._grid, self._cells, self._scenario.scan.range)
         surface = faces[~second_faces(faces, normals)]
@@ -89,10 +89,10 @@ class KnownWorld:
         }
 
     def _area(self, mission: Mission, stamps: FloatArray, X_WB: FloatArray) -> dict[str, float]:
-        """The share of the reachable cells that was seen, and when the scanner had seen nearly all of them.
+        """Return the share of the reachable cells that was seen, and when the scanner had seen NEARLY_ALL of them, s.
 
-        Seen from where the turns and glances began, by a method that maps only there; by the scanner on the whole
-        way by one that maps all along.
+        For a method that maps only at turns and glances, the share is that seen from their starts; otherwise that seen
+        by the scanner on the whole way.
         """
         scan = self._scenario.scan
         seen = self.counted_places(), self._world.walls, scan.range, scan.field_of_view
@@ -186,7 +186,7 @@ def landmark_figures(
 
 
 def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None) -> FloatArray:
-    """Segments (n, 4) in W of what a map takes for obstacle surfaces; of a grid, a side of every occupied cell."""
+    """Return the obstacle surfaces of a map as segments (n, 4) in W, m; of a grid, the sides of occupied cells."""
     if tfg is not None:
         p_MS = tfg.segments
     elif grid is not None:
@@ -197,6 +197,6 @@ def _mapped_surfaces(X_WM: FloatArray, tfg: TfgMap | None, grid: GridMap | None)
 
 
 def _looked(one: Departure, stamps: FloatArray, X_WB: FloatArray) -> IntArray:
-    """Rows of the true poses X_WB (n, 3) at stamps (n,) from which one view's scans were kept."""
+    """Return the rows of the true poses X_WB (n, 3) at stamps (n,) at which one view's scans were kept."""
     rows = np.flatnonzero((stamps >= one.since) & (stamps <= one.stamp))
     return rows[np.hypot(*(X_WB[rows, :2] - X_WB[rows[:1], :2]).T) < IN_PLACE] if len(rows) else rows

@@ -317,9 +317,9 @@ class Mission:
         return [log.FindMutableLog(context) for log in self._logs if log is not None]
 
     def advance(self, until: float, stop: Callable[[], float] = lambda: math.inf) -> bool:
-        """Simulate up to a time, s, or the mission's end, observed every STEP; whether no monitor ended it before.
+        """Simulate up to a time, s, or the mission's end, observed every STEP; returns False if a monitor ended it.
 
-        stop: when it is to be called again, s; the mission goes on until then, and not at all where that is past.
+        stop: returns the time, s, up to which to simulate before it is called again; a past time ends the call.
         """
         while self.time < until and self.status.phase != "done" and (next_stop := stop()) > self.time:
             boundary = min(STEP * (math.floor(self.time / STEP) + 1.0), until)
@@ -334,26 +334,26 @@ class Mission:
         return True
 
     def forgive_delay(self) -> None:
-        """Paces real time from now on: a delay since the last advance is not made up for."""
+        """Restart the pacing by real time now: earlier delays are not made up for."""
         self.simulator.ResetStatistics()
         self._since = self.time
 
     def record_now(self) -> None:
-        """Writes the timeline as everything is now."""
+        """Write the current state to the timeline."""
         self._publish(self._recorder)
 
     def account(self) -> None:
-        """Takes down what the mission has cost so far."""
+        """Record wall and CPU time spent so far."""
         self.wall_time, self.cpu_time = time.monotonic() - self.wall_start, time.process_time() - self._cpu_start
         self.estimator_cpu, self.planner_cpu = self._spent(ESTIMATOR), self._spent(PLANNER)
 
     def say(self, word: str) -> None:
-        """From now on the page says what else is done, "" for nothing."""
+        """Show on the page what is being done, "" for nothing."""
         if self._cockpit is not None:
             self._cockpit.word = word
 
     def show(self) -> None:
-        """Draws everything as it is now."""
+        """Draw the current state in all pictures."""
         if self.outcome == "fault":
             return
         for picture in (self._recorder, self._visualizer):
@@ -369,7 +369,7 @@ class Mission:
         return self._context is not None
 
     def stage_now(self) -> int:
-        """The stage that the mission is in at this instant, which may be later than when it was last looked at."""
+        """Return the mission's stage at this instant, which may be later than at the last check."""
         return self.look("mission", MissionStatus).stage
 
     @property
@@ -384,27 +384,27 @@ class Mission:
 
     @property
     def explored_time(self) -> float:
-        """Since when nothing has been left to explore, s; nan where something is."""
+        """Time since which nothing is left to explore, s; nan if something is."""
         if self._choice is not None and self._choice.explored <= self.end_time:
             return self._choice.explored
         return self.end_time if self.outcome == "complete" else math.nan
 
     @property
     def shared(self) -> Shared:
-        """The shared parameters as the estimator knows them; of a method without an estimator all are zero."""
+        """The estimate of the shared parameters; all zero for a method without an estimator."""
         state = self.estimator_state()
         return exactly_known() if state is None else state.graph.shared
 
     @property
     def noise(self) -> LearntNoise:
-        """The noise as the estimator knows it; of a method without an estimator as the data sheet says."""
+        """The estimate of the noise; that of the data sheet for a method without an estimator."""
         state = self.estimator_state()
         return noise_by_data_sheet(random_walks(self.scenario.odometry)) if state is None else state.noise
 
     @property
     def placed_since(self) -> float:
-        """Since when the robot has known where it is in the map that it began with, s; -inf where it began with none,
-        nan where it has not found itself."""
+        """Time since which the robot is located in the map that it began with, s; -inf without such a map, nan while it
+        is not located."""
         state = self.estimator_state()
         if state is None:
             return -math.inf
@@ -412,7 +412,7 @@ class Mission:
 
     @property
     def adrift(self) -> bool:
-        """Whether the robot was carried and does not know where it is in what it mapped before."""
+        """True if the robot was carried and is not located in its own earlier map."""
         state = self.estimator_state()
         return state is not None and state.map is not None and state.map.is_adrift
 
@@ -597,11 +597,11 @@ class Mission:
         timeline.flush()
 
     def _spent(self, names: tuple[str, ...]) -> float:
-        """CPU seconds that the explorer has spent on some of what it does."""
+        """Return the explorer's CPU time for some components, s."""
         return sum(self.meter.spent.get(name, 0.0) for name in names)
 
     def observe(self) -> None:
-        """Take note of where the mission stands, and whether it keeps the pace that it is to keep."""
+        """Update the record of the mission's state, and check that it keeps real time."""
         if self._cockpit is None or self.robot.real:  # The page can hold the clock, and shows its rate.
             self._notice_delay()
         self.status = self.look("mission", MissionStatus)
@@ -640,7 +640,7 @@ class Mission:
         self.stage_cpu[self.status.stage] = self.stage_cpu.get(self.status.stage, 0.0) + new
 
     def _notice_delay(self) -> None:
-        """Says once that the mission is behind the clock on the wall."""
+        """Log once that the mission is behind the wall clock."""
         rate, now = self.simulator.get_target_realtime_rate(), self.simulator.get_actual_realtime_rate()
         late = (self.time - self._since) * (1.0 / now - 1.0 / rate) if rate and now else 0.0
         if late > STEP and not self._late:
@@ -648,10 +648,10 @@ class Mission:
             _pace_log.warning("%.0f s: real time is missed, by %.1f s: this machine is too slow", self.time, late)
 
     def _stage_record(self, estimate: MapEstimate) -> dict[str, Any]:
-        """A line of stages.jsonl; gains and entropies in nats, the goal (where the turn began) in W.
+        """Return a line of stages.jsonl; gains and entropies in nats, the goal (start of the turn) in W.
 
-        The realised gain compares the entropy of the landmarks, tags and walls, with what it was at the stage before,
-        when those that are new had only the explorer's prior.
+        The realised gain is the decrease of the landmarks' entropy, tags and walls, since the previous stage, where the
+        new ones had the explorer's prior.
         """
         choice = self._choice
         # There is no prediction for the start, for a glance, or for a turn at a place short of an unreachable goal.

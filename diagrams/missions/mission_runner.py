@@ -110,8 +110,8 @@ class MissionRunner:
             self._tell()
 
     def _stop(self) -> float:
-        """Until when to simulate before this is asked again, s: somebody at the page may hold the clock or change its
-        speed, or the mission is interrupted. These instants change nothing of it."""
+        """Return the time up to which to simulate before the next call, s, -inf after an interrupt; obeys the page's
+        clock, which may be held or change its rate. These instants do not change the mission."""
         page, time = self._request.cockpit, self._mission.time
         if page is not None and page.clock is not None:
             self._obey(page.clock)
@@ -121,7 +121,7 @@ class MissionRunner:
         return WATCHED_STEP * (math.floor(time / WATCHED_STEP) + 1.0) if is_watched else math.inf
 
     def _obey(self, clock: Clock) -> None:
-        """Sets the clock as the page wants it, and waits while it is held."""
+        """Set the simulator's rate to that of the page's clock, and wait while the clock is held."""
         mission = self._mission
         clock.at_stage(mission.stage_now())
         if clock.version == self._clock_version:

@@ -14,7 +14,7 @@ ON_SCREEN, ON_PAGE = 3, 20
 
 
 def told(value: float | None, form: str) -> str:
-    """A number by a format such as "{:.3f} m"; "-" where there is none."""
+    """Return a number in a format such as "{:.3f} m", "-" if it is unknown."""
     return "-" if value is None else form.format(value)
 
 
@@ -24,13 +24,13 @@ def _place(p: list[float]) -> str:
 
 
 def map_error(summary: dict[str, Any]) -> str:
-    """How far the tags are from the true ones."""
+    """Return words on the errors of the tags."""
     rmse, aligned = summary["landmark_rmse_m"], summary["landmark_rmse_aligned_m"]
     return f"map error {told(rmse, '{:.3f} m')} RMSE ({told(aligned, '{:.3f} m')} aligned)"
 
 
 def pose_error(summary: dict[str, Any]) -> tuple[str, str, str]:
-    """How far the estimated poses were from the true ones: positions, mean and greatest, and headings, mean."""
+    """Return words on the pose errors: of positions, mean and greatest, and of headings, mean."""
     position, heading = summary["position_error_moving_m"] or {}, summary["heading_error_rad"] or {}
     mean, most = told(position.get("mean"), "{:.3f} m"), told(position.get("max"), "{:.3f} m")
     return f"{mean} mean from the first drive on,", f"{most} max;", f"{told(heading.get('mean'), '{:.4f} rad')} mean"
@@ -91,7 +91,7 @@ def _changed(changes: dict[str, Any]) -> str:
 
 
 def left_open_rows(summary: dict[str, Any], named: int = ON_SCREEN) -> list[tuple[str, str]]:
-    """The openings that a mission leaves, as rows of a table: a name, or "", and a value; named: so many of them."""
+    """Return rows of a table, a name or "" and a value, on the openings left; named: the number named at most."""
     openings, rooms = summary.get("openings"), summary.get("undiscovered")
     if openings is None or rooms is None:
         return []

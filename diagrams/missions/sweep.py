@@ -56,7 +56,7 @@ def run_of(task: MissionRequest, out: Path, summary: dict[str, Any] | None, fail
 
 
 def _receipt(task: MissionRequest) -> dict[str, Any]:
-    """Tells a run of a sweep from any other."""
+    """Return the fields that identify a run of a sweep."""
     method, digest = task.method, _digest(task.scenario)
     # The seeds may differ in world and start.
     settings = _digest(dataclasses.replace(task.scenario, seed=0, world=WorldConfig()))
@@ -196,7 +196,7 @@ def run_local(tasks: Sequence[MissionRequest], out: Path, jobs: int, interrupted
 
 
 def _start(task: MissionRequest, folder: Path) -> tuple[Connection, Any]:
-    """A process at work on a task, and where its result will come from."""
+    """Start a process for a task; returns it and the connection for its result."""
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(task, folder, sending), daemon=True)
@@ -215,7 +215,7 @@ def _start(task: MissionRequest, folder: Path) -> tuple[Connection, Any]:
 
 
 def _work(task: MissionRequest, folder: Path, sending: Connection) -> None:
-    """Runs one task in a process, which ends with its parent."""
+    """Run one task in a process that ends with its parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     sending.send(attempt(task, folder))
 
@@ -236,7 +236,7 @@ def _end_with_parent() -> None:
 
 
 def _result(connection: Any, process: Any) -> tuple[dict[str, Any] | None, str]:
-    """Summary and failure of a process that has answered, or ended without."""
+    """Return summary and failure of a process that has sent its result, or ended without one."""
     with connection, contextlib.suppress(EOFError):
         summary, failure = connection.recv()
         process.join()
@@ -247,7 +247,7 @@ def _result(connection: Any, process: Any) -> tuple[dict[str, Any] | None, str]:
 
 
 def _finished(task: MissionRequest, out: Path) -> dict[str, Any] | None:
-    """The summary of a task's run in the sweep's folder, None where it must be run."""
+    """Return the summary of a task's run in the sweep's folder, None if it must be run."""
     folder = folder_of(task, out)
     return _read(folder / "summary.json") if _read(folder / "task.json") == _receipt(task) else None
 
