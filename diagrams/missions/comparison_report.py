@@ -23,7 +23,6 @@ from tfg_drake.diagrams.missions.errors import KnownWorld
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.scenario import MakeWorld, Scenario
 from tfg_drake.grid.saved_grid import load_grid
-from tfg_drake.io.commit import commit
 from tfg_drake.io.files import write_atomic
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import FloatArray
@@ -51,7 +50,6 @@ def write_comparison(
     methods = list(dict.fromkeys(task.method.name for task in tasks))
     write_atomic(out / "runs.csv", to_csv(runs))
     packages = ", ".join(f"{name} {version(name)}" for name in ("drake", "gtsam", "numpy", "numba"))
-    of_commit = f" of commit {own}" if (own := commit()) else ""
     where = "a world of each seed" if "{seed}" in tasks[0].world_name else tasks[0].name
     comparison = Comparison(
         title=f"{' against '.join(methods) if len(methods) < 3 else f'{len(methods)} methods'} in {where}",
@@ -59,13 +57,21 @@ def write_comparison(
         runs=runs,
         planned=len(tasks),
         command=command,
-        versions=f"tfg-drake {__version__}{of_commit}, Python {platform.python_version()}, {packages};"
+        versions=f"tfg-drake {__version__}{of_commits(runs)}, Python {platform.python_version()}, {packages};"
         f" {platform.system()} on {platform.machine()}.",
         need_tags=list(dict.fromkeys(task.method.name for task in tasks if task.method.needs_tags)),
     )
     pictures = list(_pictures(methods, runs, scenarios, out))
     write_atomic(out / "report.md", markdown(comparison, pictures))
     write_atomic(out / "report.html", page(comparison, pictures))
+
+
+def of_commits(runs: Sequence[Run]) -> str:
+    """Return " of commit " and the commit of the runs, or all of their commits with the number of runs of each; "" of
+    runs of no clone."""
+    commits = Counter(run.summary["commit"] for run in runs if run.summary and run.summary.get("commit"))
+    told = ", ".join(f"{one} (runs: {count})" if len(commits) > 1 else one for one, count in commits.items())
+    return f" of commit {told}" if told else ""
 
 
 def closing_lines(runs: Sequence[Run], methods: Sequence[str]) -> list[str]:

@@ -34,6 +34,7 @@ from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import DumpScenario, Scenario, WorldConfig
 from tfg_drake.diagrams.screen import say
+from tfg_drake.io.commit import commit
 from tfg_drake.io.files import FileError, read_object, write_atomic
 from tfg_drake.mission.interruption import NAMES
 
@@ -156,7 +157,8 @@ def run_sweep(
         return f"{len(runs)} of {len(tasks)} runs, about {remaining} left"
 
     if there:
-        say(f"{there} of {len(tasks)} runs are there already")
+        others = sum(run.summary is not None and run.summary.get("commit") != commit() for run in runs.values())
+        say(f"{there} of {len(tasks)} runs are there already" + (f", {others} of another commit" if others else ""))
     show(progress())
     if address is None or not missing:
         ended = run_local(missing, out, jobs, interrupted)

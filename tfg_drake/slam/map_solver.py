@@ -29,8 +29,10 @@ MOST_JOINT = 2500
 # SMALL_STEP.
 MOST_STEPS = 20
 SMALL_STEP = 2e-5
-# A step that raises the error is halved until it does not, at most this number of times.
+# A step that raises the error is halved until it does not, at most MOST_HALVINGS times. A rise by the share ROUNDING of
+# the error plus one is none.
 MOST_HALVINGS = 10
+ROUNDING = 1e-9
 # If the information is not positive definite, the damping is multiplied by DAMPING_GROWTH, up to MOST_DAMPING.
 DAMPING_GROWTH = 100.0
 MOST_DAMPING = 1e10
@@ -183,7 +185,7 @@ def _lowered(solver: DissectionSolver, error: float, values: Values, step: Float
     share = 1.0
     for _ in range(MOST_HALVINGS if np.max(np.abs(step)) >= SMALL_STEP else 1):
         there = moved(values, solver.unknowns, share * step)
-        if solver.gradient(there)[1] <= error + 1e-9 * (1.0 + abs(error)):
+        if solver.gradient(there)[1] <= error + ROUNDING * (1.0 + abs(error)):
             break
         share *= 0.5
     return there, share

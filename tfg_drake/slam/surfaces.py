@@ -228,7 +228,7 @@ def add_pieces(
         first, m = looks[g], looks[g + 1] - looks[g]
         m_x, m_y, n_x, n_y = frame[g]
         # Of each look: the normal in its frame A, and A's distances across and along the piece.
-        of = np.empty((m, 8))
+        of = np.empty((m, 4))
         S0, S1, S2, g0, g1 = 0.0, 0.0, 1.0 / SLOPE**2, 0.0, 0.0
         for k in range(m):
             X, M = X_MN[keyframe[first + k]], moments[first + k]

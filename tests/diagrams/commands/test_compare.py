@@ -13,7 +13,7 @@ import pytest
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.commands.compare import _seeds
 from tfg_drake.diagrams.missions import comparison_report, sweep
-from tfg_drake.diagrams.missions.comparison_report import closing_lines
+from tfg_drake.diagrams.missions.comparison_report import closing_lines, of_commits
 from tfg_drake.mission.interruption import NAMES
 
 
@@ -48,6 +48,12 @@ def test_an_unknown_method_is_told_the_names(call):
     # On a busy machine it says that it is loading.
     assert (code, re.sub(r"loading \(\d+ s\)\n", "", out)) == (2, "")
     assert re.fullmatch(r"tfg-drake: --methods gird-nearest: no such method; name a .py file or one of tfg, .*\n", err)
+
+
+def test_a_report_names_the_commits_of_its_runs():
+    runs = [Run("a", i, Path(), {"commit": one}) for i, one in enumerate(["5e8d", None, "5e8d", "77ab-dirty"])]
+    assert of_commits([*runs, Run("a", 9, Path(), None)]) == " of commit 5e8d (runs: 2), 77ab-dirty (runs: 1)"
+    assert (of_commits(runs[:3]), of_commits(runs[1:2])) == (" of commit 5e8d", "")
 
 
 def test_the_closing_lines_have_time_and_error_where_there_is_one():
@@ -101,6 +107,10 @@ def test_a_comparison_from_the_command_line_and_again(call, room, tmp_path, monk
     monkeypatch.setattr(comparison_report, "write_comparison", lambda *_: None)
     code, printed, err = call(*arguments)
     assert (code, err, printed.splitlines()[0]) == (0, "", "2 of 2 runs are there already")
+
+    older = out / "runs" / "tfg" / "seed-0" / "summary.json"
+    older.write_text(json.dumps({**json.loads(older.read_text()), "commit": "0a1b2c3"}))
+    assert call(*arguments)[1].splitlines()[0] == "2 of 2 runs are there already, 1 of another commit"
 
     code, printed, err = call(*arguments, "--set", "robot.max_speed=0.2")
     assert (code, printed) == (2, "")
