@@ -30,7 +30,7 @@ from tfg_drake.diagrams.commands.ros import ros2_app
 from tfg_drake.diagrams.commands.slam import slam
 from tfg_drake.diagrams.commands.tags import tags_app
 from tfg_drake.diagrams.commands.view import export, view
-from tfg_drake.mission.interruption import NAMES
+from tfg_drake.diagrams.interruption import NAMES
 
 # Commands that write all their files when a signal interrupts them; a signal ends the others at once.
 WRITING = ("explore", "compare", "fork", "slam", "figures")

@@ -19,9 +19,9 @@ import typer
 import typer.core
 
 from tfg_drake.bad_input import BadInput, not_radians
+from tfg_drake.diagrams.interruption import Interruption
 from tfg_drake.diagrams.missions import run_folder
 from tfg_drake.io.extras import pip_install
-from tfg_drake.mission.interruption import Interruption
 
 EXIT_CODES = {
     "complete": 0,

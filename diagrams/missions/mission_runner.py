@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tfg_drake.bad_input import EstimateLost
+from tfg_drake.diagrams.interruption import NAMES, Interruption
 from tfg_drake.diagrams.missions.mission import STEP, Mission
 from tfg_drake.geometry.star import covered_area
 from tfg_drake.grid.frontier import FREE, classify
 from tfg_drake.mapfile.summary import landmark_counts
-from tfg_drake.mission.interruption import NAMES, Interruption
 from tfg_drake.mission.sequence import NOT_ENABLED
 from tfg_drake.storage.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
-    from tfg_drake.mission.clock import Clock
+    from tfg_drake.cockpit.clock import Clock
 
 # Period of the checks of a real robot's mission and of a page's requests, s: simulated time, wall time while the clock
 # is held.

@@ -23,6 +23,7 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.cockpit.page import FILE_NAME as PAGE
 from tfg_drake.cockpit.page import export_page, viewer_script
+from tfg_drake.diagrams.interruption import Interruption
 from tfg_drake.diagrams.methods import METHODS
 from tfg_drake.diagrams.missions.mission import STATE, Mission, MissionRequest, stage_lines
 from tfg_drake.diagrams.missions.mission_runner import MissionRunner
@@ -32,7 +33,6 @@ from tfg_drake.diagrams.missions.run_folder import RunFolder, open_run_folder
 from tfg_drake.diagrams.missions.summary_words import ON_PAGE, left_open_rows
 from tfg_drake.diagrams.scenario import AreasOutside, DumpScenario, MakeWorld, Scenario
 from tfg_drake.io.files import of_run, write_atomic
-from tfg_drake.mission.interruption import Interruption
 from tfg_drake.notes import NoteKeeper
 from tfg_drake.storage import port_recording
 from tfg_drake.storage import timeline as timeline_file

@@ -29,6 +29,7 @@ from typing import Any
 from tfg_drake import __version__
 from tfg_drake.bad_input import BadInput
 from tfg_drake.comparison.runs import Run
+from tfg_drake.diagrams.interruption import NAMES
 from tfg_drake.diagrams.methods import Method, NamedMethod
 from tfg_drake.diagrams.missions.mission import MissionRequest
 from tfg_drake.diagrams.missions.run import run_mission
@@ -36,7 +37,6 @@ from tfg_drake.diagrams.scenario import DumpScenario, Scenario, WorldConfig
 from tfg_drake.diagrams.screen import say
 from tfg_drake.io.commit import commit
 from tfg_drake.io.files import FileError, read_object, write_atomic
-from tfg_drake.mission.interruption import NAMES
 
 # Period of the checks for an interrupt, s.
 POLL = 0.2

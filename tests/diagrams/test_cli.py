@@ -19,11 +19,11 @@ from tfg_drake import __version__, kernels
 from tfg_drake.bad_input import BadInput
 from tfg_drake.diagrams import cli, compile_kernels
 from tfg_drake.diagrams.commands.command import EXIT_CODES
+from tfg_drake.diagrams.interruption import TOGETHER
 from tfg_drake.diagrams.missions.mission_runner import Progress
 from tfg_drake.io.files import FileError
 from tfg_drake.mapfile.landmark_table import landmark_csv
 from tfg_drake.mapfile.saved_map import load_map, save_map
-from tfg_drake.mission.interruption import TOGETHER
 from tfg_drake.slam import estimator
 
 
@@ -374,7 +374,7 @@ def test_the_progress_line():
 
 @pytest.mark.parametrize(("number", "name"), SIGNALS)
 def test_a_command_that_keeps_nothing_ends_at_once(call, monkeypatch, tmp_path, number, name):
-    monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
+    monkeypatch.setattr("tfg_drake.diagrams.interruption.TOGETHER", 0.0)
     monkeypatch.setattr("tfg_drake.diagrams.commands.view._timeline", lambda *_: os.kill(os.getpid(), number))
     code, out, err = call("export", str(tmp_path), str(tmp_path / "a.mp4"))
     assert (code, out, err.strip()) == (128 + number, "", "")

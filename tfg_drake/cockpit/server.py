@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from tfg_drake.cockpit.clock import Clock
 from tfg_drake.cockpit.page import served_page
 from tfg_drake.cockpit.page_forks import PageForks
 from tfg_drake.cockpit.whole_requests import WholeRequestHandler, WholeRequestServer
 from tfg_drake.messages import SaidPose
-from tfg_drake.mission.clock import Clock
 from tfg_drake.mission.manual_drive import BACK, FORWARD, HALT, LEFT, LOOK, RIGHT, stick
 from tfg_drake.mission.operation import Command, Request
 

@@ -1,4 +1,4 @@
-"""Somebody drives: what keys do to the velocity, and the keys of a drive as a file, to be pressed once more."""
+"""Manual driving: the effect of keys on the velocity, and the keys of a drive as a file, for a replay."""
 
 from __future__ import annotations
 
@@ -25,42 +25,42 @@ KEYS = {
     "\x1b[D": LEFT,
 }
 HELP = "keys: arrows or w a d x faster, left, right, slower; space (or s) halt, l look round, q end"
-# What a key changes, m/s and rad/s.
+# Change of the velocity by a key, m/s and rad/s.
 SPEED_STEP, TURN_STEP = 0.1, 0.3
 
 _HEADER = "time_s,key"
 
 
 class DriveError(FileError):
-    """A file that holds no drive; the message is one line."""
+    """A file without a drive; the message is one line."""
 
 
 @message
 class Pressed:
-    """A key pressed at a time, s; key: one of KEYS' values, or what `stick` and `send` make."""
+    """A key pressed at a time, s; key: one of the values of KEYS, or the result of `stick` or `send`."""
 
     time: float
     key: str
 
 
 def stick(forward: float, left: float) -> str:
-    """Key of a gamepad's stick: how far it is pushed forward and to the left, of 1."""
+    """Return the key of a gamepad's stick by its deflections forward and to the left, shares of 1."""
     bounded = (max(-1.0, min(share, 1.0)) for share in (forward, left))
     return " ".join(["stick", *(f"{share:.2f}" for share in bounded)])
 
 
 def send(x: float, y: float) -> str:
-    """That the robot is sent to a place, m in M, as a key."""
+    """Return the key that sends the robot to a place, m in M."""
     return f"send {float(x)!r} {float(y)!r}"
 
 
 def place_sent(key: str) -> tuple[float, float] | None:
-    """The place (x, y), m in M, that the robot is sent to, None of another key."""
+    """Return the place (x, y), m in M, that a key sends the robot to, None for other keys."""
     return _two_numbers(key, "send")
 
 
 def _pushed(key: str) -> tuple[float, float] | None:
-    """How far a stick is pushed, None of a key."""
+    """The deflections of a stick, None for other keys."""
     pushed = _two_numbers(key, "stick")
     return pushed if pushed is not None and max(map(abs, pushed)) <= 1.0 else None
 
@@ -75,7 +75,7 @@ def _two_numbers(key: str, word: str) -> tuple[float, float] | None:
 
 
 def steered(velocity: tuple[float, float], key: str, robot: RobotConfig) -> tuple[float, float]:
-    """The velocity (m/s, rad/s) after a key, within the robot's limits; it stays until the next."""
+    """Return the velocity (m/s, rad/s) after a key, within the robot's limits; it holds until the next key."""
     v, w = velocity
     pushed = _pushed(key)
     if pushed is not None:
@@ -85,17 +85,17 @@ def steered(velocity: tuple[float, float], key: str, robot: RobotConfig) -> tupl
     v += SPEED_STEP * ((key == FORWARD) - (key == BACK))
     w += TURN_STEP * ((key == LEFT) - (key == RIGHT))
     bounded = max(-robot.max_speed, min(v, robot.max_speed)), max(-robot.max_turn_rate, min(w, robot.max_turn_rate))
-    # Steps forth and back end in rest, not in what rounding leaves.
+    # Steps forward and back must end at rest in spite of rounding.
     return round(bounded[0], 6), round(bounded[1], 6)
 
 
 def drive_csv(drive: tuple[Pressed, ...]) -> str:
-    """A drive as a file's contents; times to the bit."""
+    """Return a drive as the text of a file; times are exact to the bit."""
     return "\n".join([_HEADER, *(f"{one.time!r},{one.key}" for one in drive), ""])
 
 
 def read_drive(path: Path) -> tuple[Pressed, ...]:
-    """The keys of a drive in the order of their times. Raises DriveError."""
+    """Read the keys of a drive, in the order of their times. Raises DriveError."""
     try:
         lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""Operator's requests to a robot: nothing moves before it is enabled, and a stop holds until it is enabled anew."""
+"""An operator's requests: the base moves only once it is enabled, and a stop holds until it is enabled again."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Literal
 
 from tfg_drake.messages import Hazards, SaidPose, message, replace
 
-# What base and mission are told. enable: let the base move, also after a stop. stop: the emergency stop. pause: pause
-# the mission, or resume it. hold: pause it. resume: go on with it. recall: explore no more, and come home where the
-# mission is to end there. end: end the mission.
+# Commands to base and mission. enable: let the base move, also after a stop. stop: the emergency stop. pause: pause the
+# mission, or resume it if it is paused. hold: pause it. resume: resume it. recall: end the exploration, and return home
+# if explorer.return_home. end: end the mission.
 Command = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
-# What an operator may ask for. push: push the robot, a simulated one. (x, y): drive to that place, m in M. SaidPose: it
-# is said to be there in its map.
+# Requests of an operator. push: push the simulated robot. (x, y): drive to that place, m in M. SaidPose: the robot's pose
+# in its map, as stated by a person.
 Request = Command | Literal["push"] | tuple[float, float] | SaidPose
 
 
@@ -20,8 +20,9 @@ Request = Command | Literal["push"] | tuple[float, float] | SaidPose
 class Operation:
     """The operator's requests.
 
-    enabling: 0: the base must stand; n > 0: it may move, by the n-th time it was enabled: a base that stops by itself
-    does not count that one any more. enablings: times so far. paused, recalled, ended: the mission's.
+    enabling: 0 if the base must stand, n > 0 if it may move since it was enabled for the n-th time; a base that has
+    stopped by itself ignores that number from then on. enablings: number of times it was enabled. paused, recalled,
+    ended: the mission's state.
     """
 
     enabling: int = 0
@@ -40,15 +41,15 @@ class Side(enum.IntFlag):
 
 
 def stopped_by(hazards: Hazards) -> str | None:
-    """Why a base must stand until it is enabled anew, also when the hazard is over: whoever puts it down again must not
-    be surprised by it (ISO 13482, unexpected start-up). None where it may move."""
+    """Return why a base must stand until it is enabled again, None if it may move. It stands even when the hazard is
+    over, so as not to surprise the person who puts it down (ISO 13482, unexpected start-up)."""
     if hazards.wheel_drop:
         return "a wheel hangs: put the robot on its wheels, then enable it"
     return "a cliff: carry the robot away from it, then enable it" if hazards.cliff else None
 
 
 def requested(operation: Operation, request: Command) -> Operation:
-    """Applies a request. An end stops the base too; nothing undoes it, nor a recall."""
+    """Return the requests with one more. An end also stops the base; neither an end nor a recall can be undone."""
     if operation.ended:
         return operation
     if request == "enable":

@@ -12,9 +12,9 @@ import pytest
 
 from tfg_drake.comparison.runs import Run
 from tfg_drake.diagrams.commands.compare import _seeds
+from tfg_drake.diagrams.interruption import NAMES
 from tfg_drake.diagrams.missions import comparison_report, sweep
 from tfg_drake.diagrams.missions.comparison_report import closing_lines, of_commits
-from tfg_drake.mission.interruption import NAMES
 
 
 def test_seeds_are_a_number_or_a_range():

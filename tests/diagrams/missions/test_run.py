@@ -13,8 +13,10 @@ from pydrake.geometry import Meshcat, MeshcatParams
 import tfg_drake
 from benchmarks.timelines import read_timeline
 from tests.diagrams.rooms import lasting, room
+from tfg_drake.cockpit.clock import Clock
 from tfg_drake.config import DisturbanceConfig
 from tfg_drake.diagrams import mission_diagram
+from tfg_drake.diagrams.interruption import NAMES
 from tfg_drake.diagrams.methods import FindMethod, Method
 from tfg_drake.diagrams.missions import run
 from tfg_drake.diagrams.missions.mission import Mission, MissionRequest
@@ -25,8 +27,6 @@ from tfg_drake.diagrams.scenario import DumpScenario, LoadScenario
 from tfg_drake.grid.saved_grid import load_grid
 from tfg_drake.mapfile.saved_map import load_map
 from tfg_drake.messages import is_tag, replace
-from tfg_drake.mission.clock import Clock
-from tfg_drake.mission.interruption import NAMES
 from tfg_drake.mission.sequence import NOT_ENABLED, PAUSED
 from tfg_drake.planning.mission_end import IN_VAIN, REASONS
 from tfg_drake.slam.gtsam_solver import map_graph
@@ -198,7 +198,7 @@ def test_a_second_ctrl_c_aborts(tmp_path, monkeypatch):
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("tfg_drake.mission.interruption.TOGETHER", 0.0)
+    monkeypatch.setattr("tfg_drake.diagrams.interruption.TOGETHER", 0.0)
     with pytest.raises(KeyboardInterrupt):
         run.run_mission(room(), out_dir=tmp_path, on_progress=interrupt)
 

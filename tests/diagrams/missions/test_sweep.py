@@ -16,6 +16,7 @@ import pytest
 
 from tests.diagrams.rooms import lasting
 from tfg_drake.bad_input import BadInput
+from tfg_drake.diagrams.interruption import NAMES
 from tfg_drake.diagrams.methods import METHODS, FindMethod
 from tfg_drake.diagrams.missions import ray_sweep
 from tfg_drake.diagrams.missions.mission import MissionRequest
@@ -31,7 +32,6 @@ from tfg_drake.diagrams.missions.sweep import (
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario
 from tfg_drake.io.extras import pip_install
 from tfg_drake.io.files import write_atomic
-from tfg_drake.mission.interruption import NAMES
 
 ROOM = """
 world:

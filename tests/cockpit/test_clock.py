@@ -1,6 +1,6 @@
 """The clock, as somebody who looks on wants it to go."""
 
-from tfg_drake.mission.clock import Clock
+from tfg_drake.cockpit.clock import Clock
 
 
 def test_it_goes_until_it_is_held():

@@ -1,13 +1,14 @@
-"""The clock of a mission, as somebody who looks on wants it to go: held, one stage at a time, at another speed."""
+"""The simulation clock as set from the page: held, advanced by one stage, or at another rate."""
 
 from __future__ import annotations
 
 
 class Clock:
-    """State asked of the clock. It changes when something happens, never what: a held simulation goes on to the bit.
+    """The requested state of the clock. It affects only when events happen: a simulation that was held gives the same
+    result to the bit.
 
-    rate: simulated seconds a second at most, 0 for no limit. held: the clock stands. stepping: it will at the next
-    stage. version: another number whenever something was asked for.
+    rate: greatest number of simulated seconds per second, 0 for no limit. held: the clock stands. stepping: the clock
+    stands from the next stage on. version: changes with every request.
     """
 
     def __init__(self, rate: float = 0.0) -> None:
@@ -15,27 +16,27 @@ class Clock:
         self.stepping, self._stage = False, 0
 
     def hold(self) -> None:
-        """Stand."""
+        """Stop the clock."""
         self.held, self.stepping = True, False
         self.version += 1
 
     def go(self) -> None:
-        """Go on."""
+        """Start the clock."""
         self.held = self.stepping = False
         self.version += 1
 
     def step(self) -> None:
-        """Go on until the next stage, then stand."""
+        """Run until the next stage, then stop."""
         self.held, self.stepping = False, True
         self.version += 1
 
     def set_rate(self, rate: float) -> None:
-        """Go at another speed."""
+        """Set the rate."""
         self.rate = rate
         self.version += 1
 
     def at_stage(self, stage: int) -> bool:
-        """Takes note of the stage that the mission is in; whether that was the end of a step."""
+        """Note the stage of the mission, and return whether it ended a step."""
         ended = self.stepping and stage > self._stage
         self._stage = stage
         if ended:

@@ -1,4 +1,4 @@
-"""Signals that end the work of a program: the first is noted, so that all there is can be written; a second ends it."""
+"""Signals that end a program: the first is noted, so that the results can be written; a second one ends it at once."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-# The signals by the names that a user knows.
+# Names of the signals for users.
 NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "SIGHUP"}
-# Signals within this time, s, are one: `timeout` and a terminal that is closed send theirs to the program and once more
-# to its process group.
+# Signals within this time, s, count as one: `timeout` and a closed terminal signal the program and then its process
+# group.
 TOGETHER = 0.25
 
 
 class Interruption(threading.Event):
-    """Set by the first signal that comes while `heard`. number: the newest signal. first, again: the signal's handlers,
-    that of the first and that of each later one."""
+    """An event that the first signal within `heard` sets. number: the newest signal. first, again: the handlers of the
+    first signal and of each later one."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -30,8 +30,8 @@ class Interruption(threading.Event):
 
     @contextlib.contextmanager
     def heard(self) -> Iterator[None]:
-        """Meanwhile the signals are heard; outside the main thread, which alone may, nobody does. A SIGHUP that the
-        program was started to ignore, as by `nohup`, still is."""
+        """Handle the signals inside the context, in the main thread only, as Python allows no other. A SIGHUP that the
+        program was started to ignore, as by `nohup`, stays ignored."""
         is_main = threading.current_thread() is threading.main_thread()
         before = {number: signal.getsignal(number) for number in NAMES} if is_main else {}
         self._last = -math.inf

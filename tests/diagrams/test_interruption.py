@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from tfg_drake.mission import interruption
-from tfg_drake.mission.interruption import NAMES, Interruption
+from tfg_drake.diagrams.interruption import NAMES, Interruption
+from tfg_drake.diagrams import interruption
 
 
 @pytest.fixture
