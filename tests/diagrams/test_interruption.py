@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from tfg_drake.diagrams.interruption import NAMES, Interruption
 from tfg_drake.diagrams import interruption
+from tfg_drake.diagrams.interruption import NAMES, Interruption
 
 
 @pytest.fixture

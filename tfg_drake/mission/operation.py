@@ -11,8 +11,8 @@ from tfg_drake.messages import Hazards, SaidPose, message, replace
 # mission, or resume it if it is paused. hold: pause it. resume: resume it. recall: end the exploration, and return home
 # if explorer.return_home. end: end the mission.
 Command = Literal["enable", "stop", "pause", "hold", "resume", "recall", "end"]
-# Requests of an operator. push: push the simulated robot. (x, y): drive to that place, m in M. SaidPose: the robot's pose
-# in its map, as stated by a person.
+# Requests of an operator. push: push the simulated robot. (x, y): drive to that place, m in M. SaidPose: its pose in
+# the map, as stated by a person.
 Request = Command | Literal["push"] | tuple[float, float] | SaidPose
 
 
