@@ -32,8 +32,9 @@ from tfg_drake.geometry.distance import point_distance
 from tfg_drake.messages import BoolArray, FloatArray, MapEstimate, TfgMap, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.chance_constraint import required_clearance
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.path import ROUNDING, edges_on, plan_path, too_narrow
-from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState, extend
+from tfg_drake.planning.roadmap import RoadmapState, extend
 from tfg_drake.planning.routes import nodes_to, roadmap_message, routes
 
 Stage = tuple[MapEstimate, TfgMap, RoadmapState]
@@ -67,7 +68,7 @@ def inflated(scenario: Scenario, factor: float) -> tuple[TagSensorConfig, Odomet
 
 
 def without_choice(
-    path: FloatArray, narrow: BoolArray, state: RoadmapState, on_way: BoolArray, parameters: RoadmapParameters
+    path: FloatArray, narrow: BoolArray, state: RoadmapState, on_way: BoolArray, parameters: PlanningParameters
 ) -> BoolArray:
     """Which of the narrow points (k,) of a path (k, 2), m in M, the robot has no choice about.
 
@@ -100,16 +101,15 @@ def main() -> None:
     print("risk   asked   paths  points  kept  narrow  worst point  points above   path mean  path most  reachable")
     for risk, probability in itertools.product(options.risk, options.probability):
         config = PlannerConfig(probability, risk)
-        parameters = RoadmapParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
+        parameters = PlanningParameters(scenario.robot, sensor, odometry, scenario.explorer, config, scenario.seed)
         rng = np.random.default_rng(0)
         counts, kept, narrow, whole, reach = [], 0, 0, [], []
         for estimate, tfg, nodes in stages:
             loose = replace(estimate, covariance=options.inflate**2 * estimate.covariance)
             again = extend(nodes, tfg, loose, parameters)
-            ways = routes(again, tfg, loose.X_MD, scenario.robot, config)
+            ways = routes(again, tfg, loose.X_MD, parameters)
             reach.append(
-                np.isfinite(ways.cost).sum()
-                / max(roadmap_message(again, ways, tfg, scenario.robot, config).enterable.sum(), 1)
+                np.isfinite(ways.cost).sum() / max(roadmap_message(again, ways, tfg, parameters).enterable.sum(), 1)
             )
             there = np.flatnonzero(np.isfinite(ways.cost))
             for node in rng.choice(there, min(options.paths, len(there)), replace=False):

@@ -20,7 +20,8 @@ from tfg_drake.config import GAINS
 from tfg_drake.diagrams.missions.paper_figures import stages_of
 from tfg_drake.diagrams.scenario import ApplySettings, FindScenario, LoadScenario
 from tfg_drake.pictures.paper_figures import gain_field
-from tfg_drake.planning.candidates import GoalParameters, time_at_goal
+from tfg_drake.planning.candidates import time_at_goal
+from tfg_drake.planning.parameters import PlanningParameters
 
 
 def main() -> None:
@@ -35,7 +36,7 @@ def main() -> None:
         scenario = ApplySettings(LoadScenario(FindScenario(options.scenario)), options.settings)
         scenario.seed = seed
         stages, _, _ = stages_of(scenario, lambda stage, time: False)
-        parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+        parameters = PlanningParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
         stay = time_at_goal(scenario.tags, scenario.explorer)
         for stage in stages:
             nodes, exact = gain_field(stage, parameters)

@@ -32,7 +32,7 @@ from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain, to_ar
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, visible_targets
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
-from tfg_drake.planning.roadmap import COMFORT
+from tfg_drake.planning.parameters import COMFORT
 
 EDGES, PLACES, CANDIDATES, STARS = 4000, 400, 100, 30
 SENSOR = TagSensorConfig()

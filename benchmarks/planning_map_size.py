@@ -31,11 +31,11 @@ from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import FindScenario, LoadScenario
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, replace
 from tfg_drake.planning import planner
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.local import local, planning_radius
 from tfg_drake.planning.path import plan_path
-from tfg_drake.planning.roadmap import RoadmapParameters, RoadmapState
+from tfg_drake.planning.roadmap import RoadmapState
 from tfg_drake.systems import tfg_builder
 from tfg_drake.tfg.feature_graph import TfgGraph
 from tfg_drake.tfg.frontier import FrontierPoints
@@ -171,7 +171,7 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     )
     graph, estimate = copies.graph(graph), copies.estimate(estimate)
     radius, is_large = planning_radius(estimate, explorer), not estimate.is_joint
-    of_goal, nothing = goal_parameters(parameters), empty_choice()
+    nothing = empty_choice()
     ends = [time.thread_time()]
     graph = update(graph, estimate, *seen, robot, explorer)
     tfg = resolve(graph, estimate, robot, explorer)
@@ -180,24 +180,19 @@ def stage_ms(asked: dict[str, tuple[Any, ...]], count: int) -> list[float]:
     ends.append(time.thread_time())
     if is_large:
         part = local(estimate, tfg, radius, parameters.sensor.range)
-        choose_near(Situation(*part, state.roadmap, of_goal, is_large), nothing, radius)
+        choose_near(Situation(*part, state.roadmap, parameters, is_large), nothing, radius)
     else:
-        choose(Situation(estimate, tfg, state.roadmap, of_goal), nothing)
+        choose(Situation(estimate, tfg, state.roadmap, parameters), nothing)
     ends.append(time.thread_time())
     node = some_way_off(state.roadmap)
     plan_path(state.part, state.estimate, state.tfg, estimate.X_MD, node, parameters)
     ends.append(time.thread_time())
     obstacles = planner.obstacles_in_map(state, estimate)
     roadmap = planner.make_roadmap(state.nodes, tfg, estimate, parameters, obstacles, state.driven_before)
-    choose(Situation(estimate, tfg, roadmap, of_goal, is_large), nothing)
+    choose(Situation(estimate, tfg, roadmap, parameters, is_large), nothing)
     ends.append(time.thread_time())
     ms = 1e3 * np.diff(ends)
     return [*ms[:4], ms[:4].sum(), ms[4]]
-
-
-def goal_parameters(of: RoadmapParameters) -> GoalParameters:
-    """The same for the choice of a goal."""
-    return GoalParameters(of.robot, of.sensor, of.odometry, of.explorer)
 
 
 def some_way_off(roadmap: Any) -> int:

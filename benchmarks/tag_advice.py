@@ -27,7 +27,7 @@ from tfg_drake.diagrams.missions.run import run_mission
 from tfg_drake.diagrams.scenario import ApplyWorldFile, LoadScenario, MakeWorld, MakeWorldConfig, Scenario
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.messages import FloatArray, replace
-from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.storage.run import load_run
 from tfg_drake.storage.trajectory import poses_at
 from tfg_drake.world.reachability import CELL, free_cells, make_grid, reachable_cells
@@ -131,7 +131,7 @@ def main() -> None:
         scenario = ApplyWorldFile(scenario, options.world)
     bare = with_tags(MakeWorld(scenario.world), np.zeros((0, 2)), np.zeros(0))
     even = even_tags(bare, scenario.robot.radius)
-    mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+    mapper = PlanningParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     advice = advise_tags(bare, len(even.tag_ids), mapper)
     advised = with_tags(bare, advice.p_WT, advice.facing)
     scenario.drive = drive(bare, scenario.robot.radius)

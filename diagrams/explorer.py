@@ -10,8 +10,8 @@ from tfg_drake.diagrams.parts import Factory, MakePart, PartsOf
 from tfg_drake.diagrams.scenario import CheckScenario, MakeKeepOut, Scenario
 from tfg_drake.mapfile.saved_map import SavedMap, saved_map, state_of_map
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
-from tfg_drake.planning.roadmap import EdgeCost, RoadmapParameters, cost_of_edge
+from tfg_drake.planning.candidates import Situation
+from tfg_drake.planning.parameters import EdgeCost, PlanningParameters, cost_of_edge
 from tfg_drake.slam.estimator_state import EstimatorState
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.message_delay import MessageDelay
@@ -132,14 +132,18 @@ def MakeTfgExplorer(
 
 def MakeGoalSelector(of: Scenario, frontiers: Callable[[Situation], Situation] | None = None) -> InfoGainGoalSelector:
     """The usual goal selector for a scenario."""
-    parameters = GoalParameters(of.robot, of.view, of.odometry, of.explorer, of.seed, of.scan.range)
-    return InfoGainGoalSelector(parameters, frontiers)
+    return InfoGainGoalSelector(MakeParameters(of), frontiers)
 
 
 def MakePlanner(of: Scenario, cost: EdgeCost = cost_of_edge) -> PrmPlanner:
     """The usual planner for a scenario."""
+    return PrmPlanner(MakeParameters(of, cost))
+
+
+def MakeParameters(of: Scenario, cost: EdgeCost = cost_of_edge) -> PlanningParameters:
+    """The parameters of planning for a scenario."""
     sheets = of.robot, of.view, of.odometry, of.explorer, of.planner
-    return PrmPlanner(RoadmapParameters(*sheets, of.seed, of.scan.least_range, cost))
+    return PlanningParameters(*sheets, of.seed, of.scan.least_range, of.scan.range, cost)
 
 
 def MakeFollower(of: Scenario) -> PurePursuitFollower:

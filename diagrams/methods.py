@@ -22,7 +22,7 @@ from tfg_drake.diagrams.grid_explorer import MakeGridExplorer
 from tfg_drake.diagrams.parts import PartsOf
 from tfg_drake.diagrams.scenario import ApplySettings, MakeKeepOut, Scenario, ScenarioError
 from tfg_drake.mission.manual_drive import DriveError, read_drive
-from tfg_drake.planning import paper_rules, roadmap
+from tfg_drake.planning import paper_rules, parameters
 from tfg_drake.planning.paper_rules import PaperRules
 
 
@@ -111,7 +111,7 @@ def MakePaperExplorer(scenario: Scenario, rules: PaperRules | None = None) -> Di
     the settings of these, whatever the scenario says."""
     rules = rules or PaperRules()
     frontiers = paper_rules.frontiers_between_landmarks if rules.frontiers else None
-    cost = paper_rules.cost_of_edge if rules.path_cost else roadmap.cost_of_edge
+    cost = paper_rules.cost_of_edge if rules.path_cost else parameters.cost_of_edge
     selector, planner = partial(MakeGoalSelector, frontiers=frontiers), partial(MakePlanner, cost=cost)
     return MakeTfgExplorer(ApplySettings(scenario, rules.settings()), selector, planner=planner)
 

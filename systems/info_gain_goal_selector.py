@@ -9,10 +9,11 @@ from collections.abc import Callable
 from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import GoalChoice, MapEstimate, MissionStatus, message, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
 from tfg_drake.planning.information_gain import density_shown
 from tfg_drake.planning.local import local, planning_radius
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.promises import Promise, judged, promised
 from tfg_drake.planning.requested_goal import RequestedGoal, Sent, goal_there, where_sent
 from tfg_drake.systems.blas_threads import keep_to_one_thread
@@ -59,7 +60,9 @@ class InfoGainGoalSelector(LeafSystem):
     tfg_drake.planning.requested_goal.
     """
 
-    def __init__(self, parameters: GoalParameters, frontiers: Callable[[Situation], Situation] | None = None) -> None:
+    def __init__(
+        self, parameters: PlanningParameters, frontiers: Callable[[Situation], Situation] | None = None
+    ) -> None:
         """frontiers: replaces the frontiers of a situation, such as by the paper's."""
         super().__init__()
         keep_to_one_thread()

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from tfg_drake.messages import Roadmap
 from tfg_drake.planning import planner
-from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.systems.blas_threads import keep_to_one_thread
 from tfg_drake.systems.cpu_meter import measured
 from tfg_drake.systems.ports import MessageInputs, MessageState, declare_message_output
@@ -41,7 +41,7 @@ class PrmPlanner(LeafSystem):
     Parameters, including the seed of the samples, and all inputs so far determine the roadmap.
     """
 
-    def __init__(self, parameters: RoadmapParameters) -> None:
+    def __init__(self, parameters: PlanningParameters) -> None:
         super().__init__()
         keep_to_one_thread()
         self._parameters = parameters

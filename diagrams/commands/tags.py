@@ -65,7 +65,7 @@ def advise(
         from threadpoolctl import threadpool_limits
 
         from tfg_drake.diagrams.scenario import MakeWorld, PrepareScenario
-        from tfg_drake.planning.candidates import GoalParameters
+        from tfg_drake.planning.parameters import PlanningParameters
         from tfg_drake.world.tag_advice import advise_tags
         from tfg_drake.world.world import WorldError
 
@@ -77,7 +77,7 @@ def advise(
             scenario.world.tags = []
         if world is not None and out.exists() and world.exists() and out.samefile(world):
             bad_input(f"--out {out}: is the world that is read; name another file")
-        mapper = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+        mapper = PlanningParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
         # Small dense operations are many times slower when BLAS spreads them over the cores of a busy machine.
         with command.naming(f"{run or world}: ", WorldError), threadpool_limits(limits=1):
             on_tag = lambda n: show(f"{n} of {count} tags")  # noqa: E731

@@ -23,7 +23,7 @@ from tfg_drake.io.files import write_atomic
 from tfg_drake.messages import FloatArray, GoalChoice, MapEstimate, Roadmap, TfgMap
 from tfg_drake.pictures.figure_file import write_formats
 from tfg_drake.pictures.paper_figures import Stage, draw_gains, draw_growth, draw_priors, draw_tfg
-from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.parameters import PlanningParameters
 
 # The stage whose gains are drawn, half-way through the mission.
 GAIN_STAGE = 60
@@ -99,7 +99,7 @@ def write_figures(
     if interrupted is not None and interrupted.is_set():
         return []
     chosen = stages[min(GAIN_STAGE, len(stages)) - 1]
-    parameters = GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
+    parameters = PlanningParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer)
     growth = [stages[round(k * (len(stages) - 1) / (GROWTH - 1))] for k in range(GROWTH)]
     figures = {
         "information_gain": draw_gains(chosen, parameters),

@@ -28,8 +28,7 @@ from tfg_drake.diagrams.station import MakeTurtlebotStation
 from tfg_drake.io.yaml_text import dump_yaml
 from tfg_drake.mapfile.saved_map import load_map, restored_estimate
 from tfg_drake.messages import replace
-from tfg_drake.planning.candidates import GoalParameters
-from tfg_drake.planning.roadmap import RoadmapParameters
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.systems.differential_drive_plant import DifferentialDrivePlant
 from tfg_drake.systems.info_gain_goal_selector import InfoGainGoalSelector
 from tfg_drake.systems.ports import declare_message_output
@@ -287,11 +286,11 @@ def test_planner_selector_follower_and_plant_of_ones_own():
 
     def MakePlanner(scenario):
         parts = scenario.robot, scenario.tags, scenario.odometry, scenario.explorer, scenario.planner
-        return noted("planner", PrmPlanner(RoadmapParameters(*parts, scenario.seed + 1)))
+        return noted("planner", PrmPlanner(PlanningParameters(*parts, scenario.seed + 1)))
 
     def MakeSelector(scenario):
         parts = scenario.robot, scenario.tags, scenario.odometry, scenario.explorer
-        return noted("goal_selector", InfoGainGoalSelector(GoalParameters(*parts)))
+        return noted("goal_selector", InfoGainGoalSelector(PlanningParameters(*parts)))
 
     def MakeFollower(scenario):
         slow = dataclasses.replace(scenario.robot, max_speed=0.1)
@@ -317,7 +316,7 @@ class Lost(InfoGainGoalSelector):
 
 def test_a_goal_that_is_no_node_is_told_at_once(tmp_path):
     def MakeLost(scenario):
-        return Lost(GoalParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer))
+        return Lost(PlanningParameters(scenario.robot, scenario.tags, scenario.odometry, scenario.explorer))
 
     with pytest.raises(ValueError, match="goal of stage 1: there is no node 1000000; choose one of the roadmap's"):
         tfg_drake.explore(room(), goal_selector=MakeLost)

@@ -5,7 +5,6 @@ import pytest
 from PIL import Image
 
 from tests.systems.test_info_gain_goal_selector import half_known_room, roadmap
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.pictures.figure_file import FORMATS, write_formats
 from tfg_drake.pictures.paper_figures import (
     Stage,
@@ -15,11 +14,11 @@ from tfg_drake.pictures.paper_figures import (
     draw_tfg,
     gain_field,
 )
-from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import with_frontiers
 
-PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+PARAMETERS = PlanningParameters()
 
 
 @pytest.fixture
@@ -27,7 +26,7 @@ def stage():
     estimate, tfg = half_known_room()
     estimate = dataclasses.replace(estimate, landmark_covariance=np.tile(1e-2 * np.eye(2), (3, 1, 1)))
     tfg = dataclasses.replace(tfg, segment_kind=np.zeros(3, dtype=int))
-    return Stage(estimate, tfg, with_frontiers(roadmap(), estimate, tfg, PARAMETERS.sensor), empty_choice())
+    return Stage(estimate, tfg, with_frontiers(roadmap(), estimate, tfg, PARAMETERS), empty_choice())
 
 
 def test_the_field_covers_what_the_robot_can_reach_and_follows_the_prior(stage):

@@ -1,10 +1,12 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from tests.arrays import frozen
 from tests.walls import no_walls
-from tfg_drake.config import OdometryConfig, TagSensorConfig
+from tfg_drake.config import OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import replace
 from tfg_drake.planning.chance_constraint import (
     BETWEEN_VIEWS,
@@ -16,8 +18,11 @@ from tfg_drake.planning.chance_constraint import (
     required_clearance,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
+
+PARAMETERS = PlanningParameters(robot=RobotConfig(max_speed=0.5))
 
 
 def deviation(targets, noise=(0.02, 0.01, 0.0, 0.01), covariance=None):
@@ -96,7 +101,7 @@ def test_only_surfaces_that_it_could_touch_have_to_be_known(wall, facing, other,
     tfg = replace(empty_tfg(), facing=np.vstack([towards[:4], facing]), segments=np.array([wall]))
     places = np.array([[29.0, 0.0], [0.0, 0.0]])
     # Seen too slantwise the last one is no help in finding the robot's place.
-    sigma = predicted_deviation(places, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5)
+    sigma = predicted_deviation(places, estimate, tfg, PARAMETERS)
     assert (sigma[1] > 0.3) == counts
     assert sigma[1] < 0.05 or counts
 
@@ -116,9 +121,7 @@ def test_a_place_is_known_by_all_landmarks_in_view_where_only_a_few_are_known_jo
     place = np.zeros((1, 2))
 
     def at_place(estimate, before):
-        return predicted_deviation(place, estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5, np.array([before]))[
-            0
-        ]
+        return predicted_deviation(place, estimate, tfg, PARAMETERS, np.array([before]))[0]
 
     sigma = at_place(all_of_it, 0.123)
     assert sigma < 0.05
@@ -146,7 +149,8 @@ def test_what_odometry_adds_while_the_frames_come_counts_where_it_is_more_than_t
     estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, **no_walls(4), covariance=np.zeros((3, 3)))
     tfg, place = replace(empty_tfg(), facing=-p_ML / 3.0), np.zeros((1, 2))
     sensor, odometry, speed = TagSensorConfig(), OdometryConfig(distance_noise=noise), 0.4
-    (sigma,) = predicted_deviation(place, estimate, tfg, sensor, odometry, speed)
+    parameters = dataclasses.replace(PARAMETERS, robot=RobotConfig(max_speed=speed), odometry=odometry)
+    (sigma,) = predicted_deviation(place, estimate, tfg, parameters)
     frames = sensor.detection_probability * sensor.rate * sensor.field_of_view / (2 * np.pi)
     of_frame = np.array([sensor.range_noise, sensor.range_noise_per_metre, 0.0, sensor.bearing_noise])
     standing = deviation(p_ML, 2.0 * of_frame / np.sqrt(frames))
@@ -164,7 +168,7 @@ def test_a_robot_goes_on_by_what_it_knew_where_it_has_too_little_in_view_ahead(t
     tfg = replace(empty_tfg(), facing=np.tile(R @ [-1.0, 0.0], (5, 1)))
     path = np.stack([np.linspace(0.0, 11.0, 111), np.zeros(111)], axis=1) @ R.T
     sensor, odometry = TagSensorConfig(range=6.0), OdometryConfig()
-    rest = estimate, tfg, sensor, odometry, 0.5
+    rest = estimate, tfg, dataclasses.replace(PARAMETERS, sensor=sensor)
     at_each = predicted_deviation(path, *rest)
     brute = np.empty(111)
     x = path @ R[:, 0]
@@ -190,7 +194,7 @@ def test_a_robot_is_not_sure_of_its_place_by_what_is_behind_it():
     estimate = replace(empty_map(), ids=np.arange(3), p_ML=p_ML, **no_walls(3), covariance=np.zeros((3, 3)))
     tfg = replace(empty_tfg(), facing=np.tile([1.0, 0.0], (3, 1)))
     path = np.stack([np.linspace(0.0, 3.0, 31), np.zeros(31)], axis=1)
-    rest = estimate, tfg, TagSensorConfig(), OdometryConfig(), 0.5
+    rest = estimate, tfg, PARAMETERS
     at_each = predicted_deviation(path, *rest)
     drift = 0.02**2 * path[:, 0] + (0.015 * path[:, 0]) ** 2
     np.testing.assert_allclose(deviation_along(path, *rest) ** 2, at_each[0] ** 2 + drift, rtol=1e-9)
@@ -204,13 +208,13 @@ def test_out_of_sight_of_landmarks_the_deviation_grows_as_odometry_does_from_the
     estimate = replace(empty_map(), ids=np.arange(4), p_ML=p_ML, **no_walls(4), X_MD=far, covariance=np.zeros((3, 3)))
     tfg = replace(empty_tfg(), facing=-p_ML / 3.0)
     points, odometry = np.array([[0.0, 0.0], [30.0, 0.0]]), OdometryConfig()
-    sigma = predicted_deviation(points, estimate, tfg, TagSensorConfig(), odometry, 0.5)
+    sigma = predicted_deviation(points, estimate, tfg, PARAMETERS)
     Q = odometry_covariance(np.zeros(3), points[1:], np.array([30.0]), np.array([60.0]), odometry)[0]
     assert sigma[1] ** 2 - sigma[0] ** 2 == pytest.approx(max(Q[0, 0], Q[1, 1]))
     assert sigma[0] > 0.02
     # By walls it is told at the next view.
     by_walls = replace(estimate, by_walls=True)
-    sigma_w = predicted_deviation(points, by_walls, tfg, TagSensorConfig(), odometry, 0.5)
+    sigma_w = predicted_deviation(points, by_walls, tfg, PARAMETERS)
     Q = odometry_covariance(
         np.zeros(3), points[1:], np.array([BETWEEN_VIEWS]), np.array([2.0 * BETWEEN_VIEWS]), odometry
     )

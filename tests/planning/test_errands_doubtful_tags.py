@@ -2,15 +2,16 @@ import numpy as np
 import pytest
 
 from tests.walls import no_walls
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
-PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+PARAMETERS = PlanningParameters()
 # Two walls, one behind the other; a tag was hardly seen on either, another behind both.
 WALLS = np.array([[-10.0, 2.0, 10.0, 2.0], [-10.0, 5.0, 10.0, 5.0]])
 TAGS, PLACES = np.array([7, 9, 12]), np.array([[6.0, 2.0], [-2.0, 2.03], [0.0, 5.0]])
@@ -28,7 +29,7 @@ def explored(at, tags=TAGS, places=PLACES):
     everywhere, distance = np.ones(17, dtype=bool), np.abs(NODES[:, 0] - at)
     edges = np.zeros((0, 2), dtype=np.int64)
     roadmap = Roadmap(1, NODES, edges, everywhere, everywhere, np.arange(17), distance / 0.5, distance)
-    return estimate, tfg, with_frontiers(roadmap, estimate, tfg, PARAMETERS.sensor)
+    return estimate, tfg, with_frontiers(roadmap, estimate, tfg, PARAMETERS)
 
 
 def test_the_robot_looks_once_more_from_straight_before_each_tag_in_sight_the_nearest_first():

@@ -1,16 +1,17 @@
 import numpy as np
 import pytest
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.errands import narrow_places
 from tfg_drake.planning.goal_choice import choose, choose_near, empty_choice
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
-PARAMETERS = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+PARAMETERS = PlanningParameters()
 STAY, STOP = 3.0, 20.0
 
 
@@ -41,7 +42,7 @@ def two_passages(at=0.0):
     distance = np.where(reachable, np.abs(points[:, 0] - at), np.inf)
     edges = np.zeros((0, 2), dtype=np.int64)
     roadmap = Roadmap(1, points, edges, reachable, reachable, entry, distance / 0.5, distance)
-    return estimate, tfg, with_frontiers(roadmap, estimate, tfg, PARAMETERS.sensor)
+    return estimate, tfg, with_frontiers(roadmap, estimate, tfg, PARAMETERS)
 
 
 def test_what_lies_behind_is_reached_past_the_entry():

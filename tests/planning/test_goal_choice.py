@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from tests.walls import no_walls
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import Roadmap, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.goal_choice import (
     _homewards,
     choose,
@@ -14,6 +14,7 @@ from tfg_drake.planning.goal_choice import (
     pick,
     preferred,
 )
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
@@ -54,7 +55,7 @@ def homewards(reachable, entry, looked=()):
     names, no_edges = np.array([4, 7, 9]), np.zeros((0, 2), dtype=np.int64)
     roadmap = Roadmap(1, points, no_edges, reachable, reachable, np.array(entry), *2 * [np.zeros(3)], ids=names)
     estimate = replace(keyframe_graph.empty_map(), X_MA=np.zeros((1, 3)), X_MD=np.array([2.0, 0.0, 0.0]))
-    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(return_home=True))
+    parameters = PlanningParameters(explorer=ExplorerConfig(return_home=True))
     now = Situation(estimate, empty_map(), roadmap, parameters)
     node, verdict, reason, after = _homewards(now, "complete", "Done.", np.array(looked, dtype=int))
     return node, verdict, reason, after.tolist()
@@ -116,8 +117,8 @@ def alcoves(lengths, at=0.0, known_badly=(), is_large=False, unreachable=(), sta
     everywhere = np.ones(len(x), dtype=bool)
     points = np.column_stack([x, np.zeros(len(x))])
     roadmap = Roadmap(1, points, edges, reachable, everywhere, entry, way / 0.5, way, ids=10 * np.arange(1, len(x) + 1))
-    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(**options))
-    roadmap = with_frontiers(roadmap, estimate, tfg, parameters.sensor)
+    parameters = PlanningParameters(explorer=ExplorerConfig(**options))
+    roadmap = with_frontiers(roadmap, estimate, tfg, parameters)
     return Situation(estimate, tfg, roadmap, parameters, is_large)
 
 

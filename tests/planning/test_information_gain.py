@@ -19,6 +19,7 @@ from tfg_drake.planning.information_gain import (
     turn_noise,
 )
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
@@ -205,7 +206,7 @@ def nothing_new(points):
 
 
 def judge_of(landmarks, tfg, scan_range=10.0, **sensor):
-    return Turns(landmarks, tfg, TagSensorConfig(**sensor), scan_range, OdometryConfig(), ExplorerConfig())
+    return Turns(landmarks, tfg, PlanningParameters(sensor=TagSensorConfig(**sensor), scan_range=scan_range))
 
 
 def test_a_walls_normal_points_away_from_where_it_was_seen_and_corners_hide_none_of_its_points():

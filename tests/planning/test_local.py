@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from tests.planning.test_planner import PARAMETERS
 from tests.planning.test_roadmap import build, known, two_rooms
 from tests.walls import no_walls, walls_between
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig
 from tfg_drake.messages import WALLS_BELOW, replace
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.goal_choice import choose_near, empty_choice
 from tfg_drake.planning.local import local, local_roadmap, planning_radius
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import grow, initial_state, make_roadmap
 from tfg_drake.planning.roadmap import extend, unchecked
 from tfg_drake.slam import keyframe_graph
@@ -192,7 +193,7 @@ def test_planning_finds_near_the_robot_what_it_would_find_if_that_were_all():
         np.testing.assert_array_equal(getattr(large.roadmap, name), getattr(alone.roadmap, name))
     assert len(large.nodes.ids) == len(alone.nodes.ids) + 1
     assert 0.5 in large.nodes.sigma
-    goal_parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+    goal_parameters = PlanningParameters()
     near, far = (
         choose_near(Situation(*maps, roadmap, goal_parameters, is_large=True), empty_choice(), RADIUS)
         for maps, roadmap in ((small, alone.roadmap), (local(*all_of_it, RADIUS, 10.0), large.roadmap))

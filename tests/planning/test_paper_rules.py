@@ -8,11 +8,11 @@ import pytest
 
 from tests.arrays import frozen
 from tests.walls import no_walls
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
 from tfg_drake.diagrams.scenario import ApplySettings, Scenario
 from tfg_drake.messages import Roadmap
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.paper_rules import PaperRules, cost_of_edge, frontiers_between_landmarks, neighbours
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.slam.keyframe_graph import empty_map
 from tfg_drake.tfg.graph import empty_map as empty_tfg
 
@@ -45,7 +45,7 @@ def seen_from(p, tfg, places=PLACES):
     )
     one, number = np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64)
     roadmap = Roadmap(1, frozen([p]), np.zeros((0, 2), dtype=np.int64), one, one, number, np.zeros(1), np.zeros(1))
-    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+    parameters = PlanningParameters()
     now = frontiers_between_landmarks(Situation(estimate, tfg, roadmap, parameters))
     assert now.roadmap.frontier_offsets.tolist() == [0, len(now.tfg.frontiers)]
     np.testing.assert_allclose(np.hypot(*now.tfg.frontier_normal.T), 1.0)

@@ -4,11 +4,12 @@ import numpy as np
 
 from tests.planning.test_path import returns
 from tests.planning.test_roadmap import PARAMETERS, build, known, nearest, two_rooms
-from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.messages import LaserScan, MissionStatus, PoseEstimate, Roadmap, replace
 from tfg_drake.planning import planner
 from tfg_drake.planning.candidates import frontier_in_sight
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import (
     Now,
     extended,
@@ -21,7 +22,6 @@ from tfg_drake.planning.planner import (
     watched,
     with_frontiers,
 )
-from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.tfg.graph import empty_map
 
@@ -49,7 +49,7 @@ def test_a_past_view_is_no_place_to_see_a_frontier_from():
         roadmap = Roadmap(
             1, points, np.zeros((0, 2), dtype=int), reachable, np.ones(3, dtype=bool), np.arange(3), *2 * [np.zeros(3)]
         )
-        roadmap = with_frontiers(roadmap, estimate, tfg, TagSensorConfig())
+        roadmap = with_frontiers(roadmap, estimate, tfg, PlanningParameters())
         return frontier_in_sight(roadmap, tfg, TagSensorConfig())
 
     assert seen([1, 1, 1]) is True
@@ -59,9 +59,7 @@ def test_a_past_view_is_no_place_to_see_a_frontier_from():
 
 
 def test_what_the_robot_drives_while_it_glances_is_travelled():
-    parameters = RoadmapParameters(
-        RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PlannerConfig(), seed=1
-    )
+    parameters = PlanningParameters(seed=1)
     X_MA = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [1.6, 0.0, 0.0]])
     X_MD = X_MA + np.array([0.375, 0.0, 0.0])
     circle = 3.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])

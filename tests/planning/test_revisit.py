@@ -5,13 +5,14 @@ import pytest
 
 from tests.planning.test_information_gain import problem, whitened
 from tests.walls import no_walls
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.messages import Roadmap, TfgMap
 from tfg_drake.planning import revisit
-from tfg_drake.planning.candidates import GoalParameters, Situation
+from tfg_drake.planning.candidates import Situation
 from tfg_drake.planning.exact_gain import Known
 from tfg_drake.planning.expected_view import Targets, Visibility
 from tfg_drake.planning.information_gain import turn_noise
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.revisit import error_removed, known_jointly, known_together, worth_revisiting
 from tfg_drake.slam.keyframe_graph import empty_map
 
@@ -101,7 +102,7 @@ def test_some_of_the_tags_in_view_find_the_place_that_all_tell(monkeypatch):
     nodes, reachable = np.arange(60), np.ones(60, dtype=bool)
     time = np.hypot(*points.T) / 0.5
     roadmap = Roadmap(1, points, np.zeros((0, 2), dtype=int), reachable, reachable, nodes, time, time)
-    parameters = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+    parameters = PlanningParameters()
     monkeypatch.setattr(revisit, "SEEN", 8)
     screened = worth_revisiting(nodes, Situation(estimate, tfg, roadmap, parameters))
     monkeypatch.setattr(revisit, "SEEN", 80)

@@ -22,6 +22,7 @@ from tfg_drake.messages import LaserScan, MapEstimate, Observation, TfgMap, repl
 from tfg_drake.planning import path as path_module
 from tfg_drake.planning import routes as routes_module
 from tfg_drake.planning.chance_constraint import required_clearance
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.path import path_is_free, plan_path, resample, round_corners, shortcut, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     ACCEPTED,
@@ -29,7 +30,6 @@ from tfg_drake.planning.roadmap import (
     DRIVEN_STEP,
     SPACING,
     TIGHT,
-    RoadmapParameters,
     chords,
     components,
     empty_roadmap,
@@ -43,7 +43,7 @@ from tfg_drake.slam.keyframe_graph import empty_map
 
 ROBOT = RobotConfig()
 PLANNER = PlannerConfig()
-PARAMETERS = RoadmapParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PLANNER, seed=3)
+PARAMETERS = PlanningParameters(ROBOT, TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PLANNER, seed=3)
 
 
 def two_rooms(door=0.8):
@@ -110,13 +110,13 @@ def nearest(state, place):
 def test_finds_a_door_of_80_cm():
     segments = two_rooms(0.8)
     state, estimate, tfg = build(segments, [(-4, 1, 0)])
-    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, PARAMETERS).cost)
     assert reachable[state.points[:, 0] > 1].sum() > 3
 
 
 def test_does_not_find_a_door_too_narrow():
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0.1, 0)])
-    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost)
+    reachable = np.isfinite(routes(state, tfg, estimate.X_MD, PARAMETERS).cost)
     assert not reachable[state.points[:, 0] > 0.5].any()
 
 
@@ -167,9 +167,9 @@ def test_a_door_that_is_a_little_too_narrow_is_taken_where_nothing_else_leads_be
     for width in (0.44, 0.5, 0.56):
         estimate, tfg = known(two_rooms(width), [(-4, 0, 0)])
         state = extend(empty_roadmap(), tfg, estimate, cautious)
-        ways = routes(state, tfg, estimate.X_MD, ROBOT, cautious.planner)
+        ways = routes(state, tfg, estimate.X_MD, cautious)
         reached[width] = bool((state.points[np.isfinite(ways.cost), 0] > 0.3).any())
-        own = room_needed(ROBOT, cautious.planner, state.sigma, 0.0)[state.edges.nodes].max(axis=1)
+        own = room_needed(cautious, state.sigma, 0.0)[state.edges.nodes].max(axis=1)
         through = np.sign(state.points[state.edges.nodes, 0]).prod(axis=1) < 0
         at_ease = through & state.edges.usable & (state.edges.clearance >= own)
         assert at_ease.any() == (width == 0.56)
@@ -188,7 +188,7 @@ def test_a_way_that_is_a_little_too_narrow_is_taken_only_where_any_other_is_much
     estimate, tfg = known(walls, [(-1.2, 0, 0), (-1, -3, 0), (1.2, 0.0, 0)])
     state = extend(empty_roadmap(), tfg, estimate, cautious)
     X_MB = np.array([-2.6, 0.0, 0.0])
-    ways = routes(state, tfg, X_MB, ROBOT, cautious.planner)
+    ways = routes(state, tfg, X_MB, cautious)
     way = node_path(state, ways, X_MB, nearest(state, (1.2, 0.0)))
     assert len(way)
     assert ("narrow" if way[:, 1].min() > -1.5 else "wide") == through
@@ -199,23 +199,23 @@ def test_no_probability_squeezes_the_robot_through_what_is_hardly_wider_than_its
     estimate, tfg = known(two_rooms(0.45), [(-4, 0, 0)])
     assert required_clearance(ROBOT.radius, np.array(0.0225), ACCEPTED) < 0.225 < ROBOT.radius + NODE_MARGIN
     state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
-    message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), tfg, ROBOT, PLANNER)
+    message = roadmap_message(state, routes(state, tfg, estimate.X_MD, PARAMETERS), tfg, PARAMETERS)
     assert not (message.reachable | message.enterable)[message.points[:, 0] > 0.3].any()
 
 
 def test_a_planner_that_asks_for_less_room_than_to_stand_gets_it():
-    bold = PlannerConfig(collision_probability=0.15)
+    bold = dataclasses.replace(PARAMETERS, planner=PlannerConfig(collision_probability=0.15))
     sigma = np.array([0.02, 0.1])
     own = required_clearance(ROBOT.radius, sigma, 0.15)
-    assert room_needed(ROBOT, bold, sigma, 0.0).tolist() == own.tolist()
-    assert room_needed(ROBOT, bold, sigma, 0.2).tolist() == [own[0], required_clearance(ROBOT.radius, sigma, 0.2)[1]]
+    assert room_needed(bold, sigma, 0.0).tolist() == own.tolist()
+    assert room_needed(bold, sigma, 0.2).tolist() == [own[0], required_clearance(ROBOT.radius, sigma, 0.2)[1]]
 
 
 def test_what_was_travelled_stays_open_with_little_to_spare():
     segments = two_rooms(0.42)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
     assert np.isfinite(ways.cost[nearest(state, (-4, 0.1))])
 
 
@@ -245,10 +245,10 @@ def test_a_way_that_the_map_now_finds_too_narrow_stays_open_as_the_robot_has_com
     segments = two_rooms(0.37)
     driven = resample(np.array([[-4.0, 0.1], [-1, 0], [1, 0], [3, 0]]), 0.1)
     state, estimate, tfg = build(segments, [(-4, 0.1, 0), (3, 0, 0)], driven)
-    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, PLANNER).cost[nearest(state, (-4, 0.1))])
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, PARAMETERS).cost[nearest(state, (-4, 0.1))])
     estimate, tfg = known(segments, [(-4, 0.1, 0), (3, 0, 0), (-4, 1, 0)])
     state = extend(state, tfg, estimate, PARAMETERS)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
     assert np.isfinite(ways.cost[nearest(state, (3, 0))])
 
 
@@ -261,7 +261,7 @@ def test_a_door_that_shut_is_open_until_the_robot_has_tried_in_vain():
     reached, open_once = {}, {}
     for in_vain in (False, True):
         after = extend(state, shut, estimate, PARAMETERS, in_vain=in_vain)
-        message = roadmap_message(after, routes(after, shut, estimate.X_MD, ROBOT, PLANNER), shut, ROBOT, PLANNER)
+        message = roadmap_message(after, routes(after, shut, estimate.X_MD, PARAMETERS), shut, PARAMETERS)
         reached[in_vain], open_once[in_vain] = bool(message.reachable[far]), bool(message.once_open[far])
     assert (reached, open_once) == ({False: True, True: False}, {False: False, True: True})
 
@@ -273,15 +273,15 @@ def test_a_door_that_is_left_ajar_is_too_narrow_and_has_not_shut():
         ajar = replace(tfg, segments=np.vstack([tfg.segments, [[0.0, -0.45, 0.0, 0.45 - gap]]]))
         estimate, _ = known(two_rooms(0.9), [(3, 0, 0), (-4, 0.1, 0), (2, 0, 0)])
         after = extend(state, ajar, estimate, PARAMETERS)
-        message = roadmap_message(after, routes(after, ajar, estimate.X_MD, ROBOT, PLANNER), ajar, ROBOT, PLANNER)
+        message = roadmap_message(after, routes(after, ajar, estimate.X_MD, PARAMETERS), ajar, PARAMETERS)
         told[gap] = bool(message.enterable[far]), bool(message.once_open[far])
     assert told == {0.0: (False, True), 0.15: (False, False)}
 
 
 def test_an_edge_needs_what_the_robot_needs_at_the_end_where_it_knows_its_place_worse():
     state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0)])
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
-    need = roadmap_message(state, ways, tfg, ROBOT, PLANNER).need
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
+    need = roadmap_message(state, ways, tfg, PARAMETERS).need
     assert (need >= ROBOT.radius + NODE_MARGIN - 1e-9).all()
     np.testing.assert_allclose(need[state.edges.nodes].max(axis=1), state.edges.required)
 
@@ -299,8 +299,8 @@ def test_tight_doors_driven_through_stay_open():
 
 def test_routes_agree_with_their_own_path_and_prefer_room():
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
-    message = roadmap_message(state, ways, tfg, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
+    message = roadmap_message(state, ways, tfg, PARAMETERS)
     assert message.stage == 2
     reachable = message.reachable
     assert (message.enterable >= reachable).all()
@@ -317,7 +317,7 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
     for width in (0.42, 0.5, 0.65):
         estimate, tfg = known(two_rooms(width), [(-4, 0, 0)])
         state = extend(empty_roadmap(), tfg, estimate, dataclasses.replace(PARAMETERS, sensor=vague))
-        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, ROBOT, PLANNER), tfg, ROBOT, PLANNER)
+        message = roadmap_message(state, routes(state, tfg, estimate.X_MD, PARAMETERS), tfg, PARAMETERS)
         behind = message.points[:, 0] > 0.3
         seen[width] = [bool(w[behind].any()) for w in (message.reachable, message.enterable, message.entry >= 0)]
         beyond = behind & (message.entry >= 0) & ~message.reachable
@@ -329,7 +329,7 @@ def test_a_lost_robot_may_not_pass_doors_that_it_would_fit_through():
 def test_a_robot_too_near_a_wall_is_not_trapped():
     state, _, tfg = build(two_rooms(), [(-4, 1, 0)])
     for place in ([-4, -1.9, 0.0], [-5.95, 1.95, 0.0], [-4, -2.0, 0.0]):
-        assert np.isfinite(routes(state, tfg, np.array(place), ROBOT, PLANNER).cost).mean() > 0.5
+        assert np.isfinite(routes(state, tfg, np.array(place), PARAMETERS).cost).mean() > 0.5
 
 
 def test_path_goes_through_the_door_with_room_to_spare():
@@ -368,7 +368,7 @@ def test_a_shortcut_that_is_too_narrow_gives_way_to_the_edges_that_are_not(monke
     state, estimate, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     node = nearest(state, (-5, -1))
     short = plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
     way = resample(node_path(state, ways, estimate.X_MD, node), 0.1)
     edges = shapely.LineString(way)
     assert edges.length > shapely.LineString(short).length
@@ -503,7 +503,7 @@ def test_an_empty_map_has_a_roadmap_of_open_space():
         np.array([0, 4]), square, np.zeros((1, 2)),
     )  # fmt: skip
     state = extend(empty_roadmap(), tfg, estimate, PARAMETERS)
-    assert np.isfinite(routes(state, tfg, np.zeros(3), ROBOT, PLANNER).cost).mean() > 0.9
+    assert np.isfinite(routes(state, tfg, np.zeros(3), PARAMETERS).cost).mean() > 0.9
 
 
 def test_the_way_driven_is_kept_by_chords_that_do_not_cut_its_corners():
@@ -529,30 +529,30 @@ def test_a_tight_bend_once_driven_can_be_driven_back():
     corner = np.array([[-3.0, 0.0], [0.0, 0.0], [0.0, 2.5]])
     way = np.vstack([resample(corner[:2], 0.1), resample(corner[1:], 0.1)])
     state, estimate, tfg = build(walls, [(-3.0, 0.0, 0.0), (0.0, 2.5, 1.57)], way)
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
     assert np.isfinite(ways.cost[nearest(state, (-3.0, 0.0))])
 
 
 def test_the_risk_of_a_whole_path_does_not_keep_a_robot_where_it_is_shut_in():
-    sure = dataclasses.replace(PLANNER, risk="path")
+    sure = dataclasses.replace(PARAMETERS, planner=dataclasses.replace(PLANNER, risk="path"))
     # It stands nearer to a wall than its radius and a margin; then in a door driven through that is too narrow by now.
     state, _, tfg = build(two_rooms(), [(-4, 1, 0), (3, 0.5, 1)])
     beside = np.array([-3.0, -2.0 + ROBOT.radius + 0.01, 1.57])
-    assert np.isfinite(routes(state, tfg, beside, ROBOT, sure).cost[nearest(state, (-4, 1))])
+    assert np.isfinite(routes(state, tfg, beside, sure).cost[nearest(state, (-4, 1))])
     driven = resample(np.array([[-4.0, 0], [4, 0]]), 0.1)
     state, estimate, tfg = build(two_rooms(0.42), [(-4, 0, 0), (4, 0, 0)], driven)
-    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, sure).cost[nearest(state, (-4, 0))])
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, sure).cost[nearest(state, (-4, 0))])
 
 
 def test_a_path_keeps_the_risk_of_the_whole_by_a_detour_or_stays_away():
     state, estimate, tfg = build(two_rooms(0.8), [(-4, 0, 0), (4, 0, 0)])
     behind = nearest(state, (-3, 0))
-    sure = dataclasses.replace(PLANNER, risk="path")
-    assert np.isfinite(routes(state, tfg, estimate.X_MD, ROBOT, sure).cost[behind])
+    sure = dataclasses.replace(PARAMETERS, planner=dataclasses.replace(PLANNER, risk="path"))
+    assert np.isfinite(routes(state, tfg, estimate.X_MD, sure).cost[behind])
     # The same door for a robot whose deviation takes a share of the whole risk at each point of the way through.
     doubtful = replace(state, sigma=np.full(len(state.points), 0.12))
-    assert np.isfinite(routes(doubtful, tfg, estimate.X_MD, ROBOT, PLANNER).cost[behind])
-    ways = routes(doubtful, tfg, estimate.X_MD, ROBOT, sure)
+    assert np.isfinite(routes(doubtful, tfg, estimate.X_MD, PARAMETERS).cost[behind])
+    ways = routes(doubtful, tfg, estimate.X_MD, sure)
     assert not np.isfinite(ways.cost[behind])
     assert ways.predecessor[behind] == -1
     assert np.isfinite(ways.time[nearest(state, (3, 0))])
@@ -579,7 +579,7 @@ def test_neither_roadmap_nor_path_enters_an_area_to_keep_out_of(seed):
     edges = shapely.linestrings(state.points[state.edges.nodes[state.edges.usable]])
     assert len(edges)
     assert (shapely.distance(edges, area) >= ROBOT.radius).all()
-    ways = routes(state, tfg, estimate.X_MD, ROBOT, PLANNER)
+    ways = routes(state, tfg, estimate.X_MD, PARAMETERS)
     reached = random.permutation(np.flatnonzero(np.isfinite(ways.cost)))[:12]
     paths = [plan_path(state, estimate, tfg, estimate.X_MD, node, PARAMETERS) for node in reached]
     paths = [shapely.LineString(points) for points in paths if len(points)]

@@ -7,10 +7,11 @@ from pydrake.systems.analysis import Simulator
 from scipy.linalg import block_diag
 
 from tests.walls import known_at_their_ends, no_walls, walls_between
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, TagSensorConfig
 from tfg_drake.messages import WALLS_BELOW, MissionStatus, Roadmap, TfgMap
 from tfg_drake.planning.budget import MARGIN, RESERVE_TIME
-from tfg_drake.planning.candidates import GoalParameters, time_all_round, time_at_goal
+from tfg_drake.planning.candidates import time_all_round, time_at_goal
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import with_frontiers
 from tfg_drake.planning.requested_goal import RequestedGoal
 from tfg_drake.slam.keyframe_graph import empty_map
@@ -58,7 +59,7 @@ def roadmap(stage=1):
 class Selector:
     def __init__(self, **explorer):
         config = ExplorerConfig(**explorer)
-        self.system = InfoGainGoalSelector(GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), config))
+        self.system = InfoGainGoalSelector(PlanningParameters(explorer=config))
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.now = {}
@@ -81,7 +82,7 @@ class Selector:
     def ready(self, **changes):
         estimate, tfg = half_known_room()
         now = {"map": estimate, "tfg": tfg, "roadmap": roadmap(), "mission": MissionStatus("choose", 1, 0.0), **changes}
-        now["roadmap"] = with_frontiers(now["roadmap"], now["map"], now["tfg"], TagSensorConfig())
+        now["roadmap"] = with_frontiers(now["roadmap"], now["map"], now["tfg"], PlanningParameters())
         self.set(**now)
 
 
@@ -321,7 +322,7 @@ def test_a_goal_by_a_way_longer_than_to_what_is_not_near_is_weighed_against_all_
         selector = Selector(goal="nearest_frontier")
         selector.ready(map=large_room()[0])
         here = dataclasses.replace(other, travel_length=np.full(len(there.points), length))
-        selector.fix(local_roadmap=with_frontiers(here, *large_room(), TagSensorConfig()))
+        selector.fix(local_roadmap=with_frontiers(here, *large_room(), PlanningParameters()))
         chosen.append(selector.goal().node)
     alone = Selector(goal="nearest_frontier")
     alone.ready()
@@ -430,7 +431,7 @@ def western_nodes(stage=1, sees=True):
     """A third of the roadmap's nodes; they see what is open, or nothing."""
     part = named(roadmap(stage), np.flatnonzero(roadmap().points[:, 0] < -1.0))
     if sees:
-        return with_frontiers(part, *large_room(stage), TagSensorConfig())
+        return with_frontiers(part, *large_room(stage), PlanningParameters())
     return dataclasses.replace(part, frontier_offsets=np.zeros(len(part.points) + 1, dtype=np.int64))
 
 
@@ -495,7 +496,7 @@ def test_on_a_long_way_to_a_goal_nearby_all_of_the_map_is_weighed():
         selector.ready(**at_stage(2))
         part = named(roadmap(2), np.union1d(np.flatnonzero(near), [before]))
         part = dataclasses.replace(part, travel_length=np.where(part.ids == before, length, 1.0))
-        selector.fix(local_roadmap=with_frontiers(part, *large_room(2), TagSensorConfig()))
+        selector.fix(local_roadmap=with_frontiers(part, *large_room(2), PlanningParameters()))
         weighed.append(selector.goal().candidates)
     assert (near[weighed[0]] | (weighed[0] == before)).all()
     assert (~near[weighed[1]]).sum() > 1

@@ -4,7 +4,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
 from tests.planning.test_planner import step
-from tfg_drake.config import ExplorerConfig, OdometryConfig, PlannerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.messages import (
     LaserScan,
     MapEstimate,
@@ -15,14 +14,12 @@ from tfg_drake.messages import (
     replace,
 )
 from tfg_drake.planning.goal_choice import empty_choice
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.planner import ASK_AGAIN, BOLD_AFTER, OBSTACLE_MEMORY, Now, initial_state
-from tfg_drake.planning.roadmap import RoadmapParameters
 from tfg_drake.slam import keyframe_graph
 from tfg_drake.systems.prm_planner import PrmPlanner
 
-PARAMETERS = RoadmapParameters(
-    RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig(), PlannerConfig(), seed=1
-)
+PARAMETERS = PlanningParameters(seed=1)
 NONE = np.zeros((0, 2))
 IDS = np.zeros(0, dtype=np.int64)
 SQUARE = np.array([[-4.0, -4], [4, -4], [4, 4], [-4, 4]])

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, TagSensorConfig
+from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.messages import replace
-from tfg_drake.planning.candidates import GoalParameters
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.world import tag_advice
 from tfg_drake.world.tag_advice import advise_tags
 from tfg_drake.world.world import World, WorldError
 
-MAPPER = GoalParameters(RobotConfig(), TagSensorConfig(), OdometryConfig(), ExplorerConfig())
+MAPPER = PlanningParameters()
 # Two rooms of 4 x 3 m with a door between them.
 WALLS = np.array([[0, 0, 8, 0], [8, 0, 8, 3], [8, 3, 0, 3], [0, 3, 0, 0], [4, 0, 4, 1], [4, 2, 4, 3]], dtype=float)
 ROOMS = World(

@@ -14,8 +14,8 @@ from tfg_drake.geometry.distance import clearance, point_distance
 from tfg_drake.geometry.se2 import transform
 from tfg_drake.grid.frontier import FREE, OCCUPIED, CellArray, cell_at, center_of, classify
 from tfg_drake.messages import BoolArray, FloatArray, GridMap, IntArray, LaserScan, replace
+from tfg_drake.planning.parameters import COMFORT, cost_of_edge
 from tfg_drake.planning.path import PATH_STEP, SHORTCUT_CLEARANCE, lines_between, path_is_free, resample, round_corners
-from tfg_drake.planning.roadmap import COMFORT, cost_of_edge
 
 # A robot without room may drive straight to a cell with room within this distance, m.
 WAY_OUT = 0.6

@@ -16,8 +16,9 @@ from tfg_drake.pictures.figure import draw
 from tfg_drake.pictures.layers import of_free_space, of_map
 from tfg_drake.pictures.palette import LIGHT, css
 from tfg_drake.pictures.panels import panels
-from tfg_drake.planning.candidates import GoalParameters, Situation, places, turn_gains
+from tfg_drake.planning.candidates import Situation, places, turn_gains
 from tfg_drake.planning.information_gain import Gains
+from tfg_drake.planning.parameters import PlanningParameters
 
 # High, medium and low values for new landmarks, for which the paper gives no numbers: the prior's standard deviation,
 # m, which its text varies, and the number per metre of frontier, which its caption varies.
@@ -38,14 +39,14 @@ class Stage:
     goal: GoalChoice
 
 
-def gain_field(stage: Stage, parameters: GoalParameters) -> tuple[IntArray, Gains]:
+def gain_field(stage: Stage, parameters: PlanningParameters) -> tuple[IntArray, Gains]:
     """The nodes (c,) of the roadmap where the robot could turn, and what a turn at each is expected to gain."""
     estimate, tfg, roadmap = stage.estimate, stage.tfg, stage.roadmap
     nodes = places(roadmap, tfg, estimate.X_MD[:2])
     return nodes, turn_gains(nodes, Situation(estimate, tfg, roadmap, parameters))
 
 
-def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
+def draw_gains(stage: Stage, parameters: PlanningParameters) -> Figure:
     """Exploitation, exploration and total gain over the samples of one map (the paper's Fig. 4)."""
     nodes, gains = gain_field(stage, parameters)
     figure, axes, symbol = _panels(stage.tfg, 1, 3)
@@ -57,7 +58,7 @@ def draw_gains(stage: Stage, parameters: GoalParameters) -> Figure:
     return figure
 
 
-def draw_priors(stage: Stage, parameters: GoalParameters) -> Figure:
+def draw_priors(stage: Stage, parameters: PlanningParameters) -> Figure:
     """Total gain with a high, a medium and a low prior of new landmarks (the paper's Fig. 5)."""
     figure, axes, symbol = _panels(stage.tfg, 2, len(PRIORS))
     varied = [("prior", "prior_sigma", name, value, "m") for name, value in PRIORS.items()]

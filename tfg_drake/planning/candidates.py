@@ -9,13 +9,14 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, RobotConfig, ScanConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, RobotConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import BoolArray, FloatArray, Hypotheses, IntArray, MapEstimate, Roadmap, TfgMap
 from tfg_drake.planning.exact_gain import share_seen
 from tfg_drake.planning.expected_view import Visibility, expected_tags
 from tfg_drake.planning.information_gain import Gains, Turns, frontier_reach
 from tfg_drake.planning.mission_end import ENOUGH_FRONTIER
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.pure_pursuit import PLANNED_SHARE
 from tfg_drake.tfg.star_polygon import looked_round
 
@@ -28,19 +29,6 @@ MOST_LOOKS = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class GoalParameters:
-    """The parameters of robot, sensors and explorer for the choice of a goal, the seed of the rule `random`, and the
-    scanner's range, m."""
-
-    robot: RobotConfig
-    sensor: TagSensorConfig
-    odometry: OdometryConfig
-    explorer: ExplorerConfig
-    seed: int = 0
-    scan_range: float = ScanConfig.range
-
-
-@dataclasses.dataclass(frozen=True)
 class Situation:
     """The input of a choice at one stage: map, TFG and roadmap of that stage, or their part nearby, and the parameters.
     landmarks: the map with or without its walls. is_large: not all tags of the map are jointly known. hypotheses: the
@@ -49,7 +37,7 @@ class Situation:
     landmarks: MapEstimate
     tfg: TfgMap
     roadmap: Roadmap
-    parameters: GoalParameters
+    parameters: PlanningParameters
     is_large: bool = False
     hypotheses: Hypotheses | None = None
 
@@ -61,8 +49,7 @@ class Situation:
     @functools.cached_property
     def turns(self) -> Turns:
         """The input of the gains."""
-        of = self.parameters
-        return Turns(self.landmarks, self.tfg, of.sensor, of.scan_range, of.odometry, of.explorer)
+        return Turns(self.landmarks, self.tfg, self.parameters)
 
 
 @dataclasses.dataclass(frozen=True)

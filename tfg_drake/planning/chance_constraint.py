@@ -21,13 +21,13 @@ from numba import njit
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
-from tfg_drake.config import OdometryConfig, TagSensorConfig
 from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.segment_grid import segment_grid
 from tfg_drake.messages import FloatArray, IntArray, MapEstimate, TfgMap
 from tfg_drake.planning.exact_gain import Known, known_terms
 from tfg_drake.planning.expected_view import SURFACE_TOLERANCE, expected_tags, visible_targets
 from tfg_drake.planning.odometry_drift import straight_drift
+from tfg_drake.planning.parameters import PlanningParameters
 
 # The prediction takes this number of landmarks in view, the nearest; others add little.
 LOCALISATION_TAGS = 10
@@ -151,9 +151,7 @@ def predicted_deviation(
     points: FloatArray,
     estimate: MapEstimate,
     tfg: TfgMap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    speed: float,
+    parameters: PlanningParameters,
     before: FloatArray | float = math.inf,
 ) -> FloatArray:
     """Return the predicted deviation sigma (n,), m, of the robot relative to the surfaces near each point (n, 2), in M.
@@ -161,7 +159,7 @@ def predicted_deviation(
     Where two or more landmarks are in view, that of a pose from one second of frames (the share of a turn that the
     field of view covers), and of the map there where enough of its landmarks are known jointly; elsewhere that of the
     nearest such point, or of the place where the robot stands, grown by odometry over the straight way from there at
-    `speed` (m/s), where walls are landmarks over BETWEEN_VIEWS of it at most. The robot drives on while the frames
+    full speed, where walls are landmarks over BETWEEN_VIEWS of it at most. The robot drives on while the frames
     come: everywhere TRACKING_DEVIATION is added or what odometry adds in that second, which bounds what the filter has
     not yet taken out, if that is more (by rollouts at one and at three times the usual noise the greater of both is
     enough).
@@ -169,6 +167,7 @@ def predicted_deviation(
     before: (n,) m, what it was found to be last, inf where it never was: where not enough landmarks are known jointly,
     far from the robot, it stays that.
     """
+    sensor, speed = parameters.sensor, parameters.robot.max_speed
     in_view = visible_targets(
         points,
         estimate.p_ML,
@@ -202,21 +201,14 @@ def predicted_deviation(
         at_anchor = np.append(sigma[localised], 0.0)
         d, nearest = cKDTree(anchors).query(points[~localised])
         d = _unseen(d, estimate)
-        sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, odometry, speed))
-    on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), odometry, speed))
+        sigma[~localised] = np.sqrt(at_anchor[nearest] ** 2 + _drift(d, parameters))
+    on_the_way = np.maximum(TRACKING_DEVIATION**2, _drift(np.array(speed * LOCALISATION_TIME), parameters))
     sigma = np.sqrt(sigma**2 + on_the_way)
     stays = ~joint & (sees >= 2) & (knows < sees) & np.isfinite(before)
     return np.where(stays, before, sigma)
 
 
-def deviation_along(
-    path: FloatArray,
-    estimate: MapEstimate,
-    tfg: TfgMap,
-    sensor: TagSensorConfig,
-    odometry: OdometryConfig,
-    speed: float,
-) -> FloatArray:
+def deviation_along(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: PlanningParameters) -> FloatArray:
     """Return the deviation sigma (k,), m, at the points of a path (k, 2), m in M, for a robot that drives it from the
     first on.
 
@@ -224,7 +216,7 @@ def deviation_along(
     view, but at most that at an earlier such point plus the odometry error since. So landmarks behind a robot that
     drives away from them do not localise it, and past a place with few landmarks it keeps its earlier accuracy.
     """
-    sigma = predicted_deviation(path, estimate, tfg, sensor, odometry, speed)
+    sensor, sigma = parameters.sensor, predicted_deviation(path, estimate, tfg, parameters)
     step = np.diff(path, axis=0)
     heading = np.arctan2(*np.vstack([step[:1], step]).T[::-1])
     visible = expected_tags(path, estimate, tfg, sensor)
@@ -235,7 +227,7 @@ def deviation_along(
     known = np.flatnonzero((in_view >= 2) | (np.arange(len(path)) == 0))
     s = np.append(0.0, np.cumsum(np.hypot(*step.T)))
     since = s[:, None] - s[known]
-    variance = sigma[known] ** 2 + _drift(_unseen(np.maximum(since, 0.0), estimate), odometry, speed)
+    variance = sigma[known] ** 2 + _drift(_unseen(np.maximum(since, 0.0), estimate), parameters)
     return np.asarray(np.sqrt(np.where(since >= 0.0, variance, np.inf).min(axis=1)))
 
 
@@ -245,9 +237,10 @@ def _unseen(length: FloatArray, estimate: MapEstimate) -> FloatArray:
     return np.minimum(length, BETWEEN_VIEWS) if estimate.by_walls else length
 
 
-def _drift(length: FloatArray, odometry: OdometryConfig, speed: float) -> FloatArray:
-    """Return the variance, m^2, that odometry adds over straight ways of these lengths, m, in the worse direction."""
-    along, across, _, _ = straight_drift(length, length / speed, odometry)
+def _drift(length: FloatArray, parameters: PlanningParameters) -> FloatArray:
+    """Return the variance, m^2, that odometry adds over straight ways of these lengths, m, driven at full speed, in the
+    worse direction."""
+    along, across, _, _ = straight_drift(length, length / parameters.robot.max_speed, parameters.odometry)
     return np.asarray(np.maximum(along, across))
 
 

@@ -15,13 +15,14 @@ from typing import Annotated
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from tfg_drake.config import ExplorerConfig, OdometryConfig, TagSensorConfig
+from tfg_drake.config import ExplorerConfig, TagSensorConfig
 from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.messages import FloatArray, MapEstimate, TfgMap, is_tag
 from tfg_drake.planning.approximate_gain import authors_gain, limit_gain, paper_gain
 from tfg_drake.planning.exact_gain import Arrival, Known, New, exact_gain
 from tfg_drake.planning.expected_view import Targets, Visibility, expected_tags, expected_walls, targets
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.planning.parameters import PlanningParameters
 
 # A turn's measurements of one tag are never worth more than this, m and rad: the headings of its frames are uncertain
 # and tie all tags of a view together.
@@ -108,14 +109,11 @@ def departure_given_landmarks(estimate: MapEstimate) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class Turns:
-    """The input of the gains at one stage: map, TFG and settings. scan_range: the scanner's, m."""
+    """The input of the gains at one stage: map, TFG and parameters."""
 
     estimate: MapEstimate
     tfg: TfgMap
-    sensor: TagSensorConfig
-    scan_range: float
-    odometry: OdometryConfig
-    explorer: ExplorerConfig
+    parameters: PlanningParameters
 
     @functools.cached_property
     def departure_given_map(self) -> FloatArray:
@@ -125,8 +123,9 @@ class Turns:
     @functools.cached_property
     def noise(self) -> FloatArray:
         """As in `exact_gain`."""
-        sightings = sightings_of_turn(self.sensor, self.explorer.turn_rate, self.estimate.frame_worth)
-        return turn_noise(self.sensor, sightings, self.estimate.tag_error)
+        sensor, explorer = self.parameters.sensor, self.parameters.explorer
+        sightings = sightings_of_turn(sensor, explorer.turn_rate, self.estimate.frame_worth)
+        return turn_noise(sensor, sightings, self.estimate.tag_error)
 
     @functools.cached_property
     def targets(self) -> Targets:
@@ -141,7 +140,7 @@ class Turns:
         """Return the arrival at each point (c, 2), m in M, after distance (c,) m and time (c,) s. The pose is known
         only by odometry since the last departure, as in the factor that will tie the two views."""
         X_MD = self.estimate.X_MD
-        Q = odometry_covariance(X_MD, points, distance, time, self.odometry)
+        Q = odometry_covariance(X_MD, points, distance, time, self.parameters.odometry)
         return Arrival(X_MD, self.departure_given_map, Q)
 
     def seen(self, points: FloatArray, grid: SegmentGrid | None = None) -> Visibility:
@@ -151,10 +150,10 @@ class Turns:
         grid: the segment_grid of tfg.segments, if available.
         """
         tfg, grid, walls = self.tfg, grid or segment_grid(self.tfg.segments), self.targets.of_walls
-        tags = expected_tags(points, self.estimate, tfg, self.sensor, grid)
+        tags = expected_tags(points, self.estimate, tfg, self.parameters.sensor, grid)
         if not walls:
             return tags
-        return expected_walls(points, self.targets, tfg, self.scan_range, grid).joined(tags, walls)
+        return expected_walls(points, self.targets, tfg, self.parameters.scan_range, grid).joined(tags, walls)
 
     def gains(self, points: FloatArray, arrival: Arrival, seen: Visibility, frontiers: Visibility) -> Gains:
         """Return the expected gains of a full turn at each point (c, 2), m in M, for an arrival.
@@ -163,12 +162,12 @@ class Turns:
         landmarks at the frontier point, fewer if the view ends soon behind it. Landmarks that are not jointly known
         with the departure pose do not count. explorer.gain selects the formula.
         """
-        explorer, of, tfg, noise = self.explorer, self.targets, self.tfg, self.noise
+        explorer, of, tfg, noise = self.parameters.explorer, self.targets, self.tfg, self.noise
         seen = of.known_jointly(seen)
         points = np.ascontiguousarray(points)
         at = of.p_MT, of.entry, of.by_landmark, of.normal
         known = Known(seen.offsets, seen.index, *at, self.estimate.covariance)
-        number, reach = explorer.density * tfg.frontier_length, frontier_reach(self.sensor)
+        number, reach = explorer.density * tfg.frontier_length, frontier_reach(self.parameters.sensor)
         new = New(frontiers.offsets, frontiers.index, tfg.frontiers, number, explorer.prior_sigma, reach)
         if explorer.gain == "authors":
             out = authors_gain(points, known, new, tfg.frontier_normal)

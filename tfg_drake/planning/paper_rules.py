@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, TfgMap, replace
 from tfg_drake.planning.candidates import Situation, places
 from tfg_drake.planning.expected_view import expected_tags
-from tfg_drake.planning.roadmap import COMFORT
+from tfg_drake.planning.parameters import COMFORT
 
 # Surfaces whose ends are within this distance, m, are connected.
 TOUCH = 0.1

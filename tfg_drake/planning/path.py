@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
+from tfg_drake.config import NODE_MARGIN, RobotConfig
 from tfg_drake.geometry.distance import clearance, point_distance, point_segment_distance, room_beside
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.geometry.se2 import compose, inverse, transform
@@ -15,7 +15,8 @@ from tfg_drake.geometry.segment_grid import SegmentGrid, segment_grid
 from tfg_drake.geometry.star import line_in_stars, star_index
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, LaserScan, MapEstimate, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, deviation_along, required_clearance
-from tfg_drake.planning.roadmap import COMFORT, RETURN_OFF, RoadmapParameters, RoadmapState, in_free_space
+from tfg_drake.planning.parameters import COMFORT, PlanningParameters
+from tfg_drake.planning.roadmap import RETURN_OFF, RoadmapState, in_free_space
 from tfg_drake.planning.routes import Routes, node_path, nodes_to, routes
 
 # A shortcut with this clearance, m, may replace a way with more.
@@ -153,7 +154,7 @@ def plan_path(
     tfg: TfgMap,
     X_MB: FloatArray,
     node: int,
-    parameters: RoadmapParameters,
+    parameters: PlanningParameters,
     obstacles: FloatArray | None = None,
     speed: float = 0.0,
 ) -> FloatArray:
@@ -164,18 +165,18 @@ def plan_path(
     segments met at this stage that the map does not hold, m in M. speed: m/s, of the moving robot, whose path begins
     straight ahead with its stopping distance if there is room.
     """
-    robot, planner = parameters.robot, parameters.planner
+    robot = parameters.robot
     obstacles = np.zeros((0, 4)) if obstacles is None else obstacles
     segments = np.vstack([tfg.obstacles, obstacles])
     X_MS = _where_it_stops(X_MB, speed, tfg, segments, robot)
     if node < len(state.points) and np.hypot(*(state.points[node] - X_MB[:2])) < 2.0 * np.hypot(*(X_MS - X_MB)[:2]):
         X_MS = X_MB
     before = X_MB[None, :2] if X_MS is not X_MB else np.zeros((0, 2))
-    ways = routes(state, tfg, X_MS, robot, planner, obstacles, parameters.cost)
+    ways = routes(state, tfg, X_MS, parameters, obstacles)
     way = node_path(state, ways, X_MS, node)
     if len(way) < 2 or np.hypot(*np.ptp(way, axis=0)) < 1e-6:
         return np.zeros((0, 2))
-    room, enough = robot.radius + NODE_MARGIN, max(SHORTCUT_CLEARANCE, _required(state, ways, node, robot, planner))
+    room, enough = robot.radius + NODE_MARGIN, max(SHORTCUT_CLEARANCE, _required(state, ways, node, parameters))
     straight = np.vstack([before, shortcut(way, tfg, segments, enough, room)])
     smooth = resample(round_corners(straight, segments, enough, room), PATH_STEP)
     if too_narrow(smooth, estimate, tfg, parameters).any():
@@ -183,12 +184,14 @@ def plan_path(
     return smooth
 
 
-def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters) -> BoolArray:
+def too_narrow(path: FloatArray, estimate: MapEstimate, tfg: TfgMap, parameters: PlanningParameters) -> BoolArray:
     """Return a mask of the points (k,) of a path (k, 2), m in M, that lack more than TRACKING_DEVIATION of the
     clearance that the chance constraint requires."""
-    robot = parameters.robot
-    sigma = deviation_along(path, estimate, tfg, parameters.sensor, parameters.odometry, robot.max_speed)
-    need = required_clearance(robot.radius, sigma, parameters.planner.collision_probability) - TRACKING_DEVIATION
+    sigma = deviation_along(path, estimate, tfg, parameters)
+    need = (
+        required_clearance(parameters.robot.radius, sigma, parameters.planner.collision_probability)
+        - TRACKING_DEVIATION
+    )
     return np.asarray(clearance(lines_between(path, path), tfg.obstacles, float(need.max())) < need)
 
 
@@ -205,13 +208,13 @@ def _where_it_stops(
     return X_MS if room and in_free_space(ahead, tfg)[0] else X_MB
 
 
-def _required(state: RoadmapState, ways: Routes, node: int, robot: RobotConfig, planner: PlannerConfig) -> float:
+def _required(state: RoadmapState, ways: Routes, node: int, parameters: PlanningParameters) -> float:
     """Return the largest clearance, m, that the chance constraint requires on the way to a node."""
-    nodes = nodes_to(ways, node)
+    nodes, planner = nodes_to(ways, node), parameters.planner
     if planner.risk == "path":
         # Where a shortcut passes, it should add nothing to the risk of the whole.
         probability = np.minimum(planner.collision_probability, NO_RISK)
-        return float(required_clearance(robot.radius, state.sigma[nodes].max(initial=0.0), probability))
+        return float(required_clearance(parameters.robot.radius, state.sigma[nodes].max(initial=0.0), probability))
     return float(state.edges.required[edges_on(state, nodes)].max(initial=0.0))
 
 

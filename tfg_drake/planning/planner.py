@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 
-from tfg_drake.config import TagSensorConfig
 from tfg_drake.geometry.distance import point_distance
 from tfg_drake.geometry.se2 import inverse, pose_at, transform
 from tfg_drake.messages import (
@@ -30,11 +29,11 @@ from tfg_drake.planning.budget import leads_home
 from tfg_drake.planning.candidates import apart_from_views, frontier_in_sight, places
 from tfg_drake.planning.expected_view import expected_frontiers
 from tfg_drake.planning.local import local, local_roadmap, planning_radius
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.planning.path import path_is_free, plan_path, seen_past, unmapped_obstacles
 from tfg_drake.planning.roadmap import (
     DRIVEN_STEP,
     RETURN_OFF,
-    RoadmapParameters,
     RoadmapState,
     empty_roadmap,
     extend,
@@ -104,7 +103,7 @@ class Now:
     goal: GoalChoice
     scan: LaserScan
     mission: MissionStatus
-    parameters: RoadmapParameters
+    parameters: PlanningParameters
 
 
 # What the planner does at a look at the newest messages: the first of `extended`, `planned` and `watched` that changes
@@ -169,7 +168,7 @@ def _length(driven: FloatArray, p_MD: FloatArray) -> float:
 
 
 def grow(
-    state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: RoadmapParameters, *, in_vain: bool = False
+    state: PlannerState, estimate: MapEstimate, tfg: TfgMap, parameters: PlanningParameters, *, in_vain: bool = False
 ) -> PlannerState:
     """Return the state with the roadmap extended to the newest view of the whole map.
 
@@ -207,7 +206,7 @@ def make_roadmap(
     nodes: RoadmapState,
     tfg: TfgMap,
     estimate: MapEstimate,
-    parameters: RoadmapParameters,
+    parameters: PlanningParameters,
     obstacles: FloatArray,
     driven: float,
 ) -> Roadmap:
@@ -215,21 +214,17 @@ def make_roadmap(
 
     obstacles: (b, 4) segments met on the way, m in M. driven: m, so far.
     """
-    robot, planner = parameters.robot, parameters.planner
-    ways = routes(nodes, tfg, estimate.X_MD, robot, planner, obstacles, parameters.cost)
-    home = None
+    ways, home = routes(nodes, tfg, estimate.X_MD, parameters, obstacles), None
     if parameters.explorer.return_home:
-        home = routes(nodes, tfg, estimate.X_MA[0], robot, planner, obstacles, parameters.cost)
-    roadmap = roadmap_message(nodes, ways, tfg, robot, planner, driven, home)
-    return with_frontiers(roadmap, estimate, tfg, parameters.sensor, parameters.least_range)
+        home = routes(nodes, tfg, estimate.X_MA[0], parameters, obstacles)
+    return with_frontiers(roadmap_message(nodes, ways, tfg, parameters, driven, home), estimate, tfg, parameters)
 
 
-def with_frontiers(
-    roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, sensor: TagSensorConfig, least_range: float = 0.0
-) -> Roadmap:
-    """Return the roadmap with the live frontiers that its nodes see, not nearer than least_range (m)."""
+def with_frontiers(roadmap: Roadmap, estimate: MapEstimate, tfg: TfgMap, parameters: PlanningParameters) -> Roadmap:
+    """Return the roadmap with the live frontiers that its nodes see beyond the scanner's least range."""
     asked = (roadmap.reachable | roadmap.enterable) & apart_from_views(roadmap.points, tfg, estimate.X_MD[:2])
-    visible = expected_frontiers(roadmap.points.compress(asked, axis=0), tfg, sensor, least_range)
+    points = roadmap.points.compress(asked, axis=0)
+    visible = expected_frontiers(points, tfg, parameters.sensor, parameters.least_range)
     visible = visible.spread(np.flatnonzero(asked), len(roadmap.points))
     return replace(roadmap, frontier_offsets=visible.offsets, frontier_index=visible.index)
 

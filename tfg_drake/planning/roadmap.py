@@ -7,22 +7,13 @@ not lost to bad luck in sampling.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
 from numba import njit
 
-from tfg_drake.config import (
-    NODE_MARGIN,
-    ExplorerConfig,
-    OdometryConfig,
-    PlannerConfig,
-    RobotConfig,
-    TagSensorConfig,
-)
+from tfg_drake.config import NODE_MARGIN
 from tfg_drake.geometry import se2
 from tfg_drake.geometry.connected import component_labels, connect
 from tfg_drake.geometry.distance import clearance, nearest_on_segment, room_beside
@@ -32,6 +23,7 @@ from tfg_drake.geometry.star import in_a_star, lines_in_stars, star_index
 from tfg_drake.geometry.turned import turned
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, MapEstimate, TfgMap, message, replace
 from tfg_drake.planning.chance_constraint import predicted_deviation, required_clearance
+from tfg_drake.planning.parameters import COMFORT, PlanningParameters
 from tfg_drake.table import concat, empty, put, take
 from tfg_drake.tfg.near import within
 from tfg_drake.tfg.segmentation import find_corners
@@ -59,37 +51,9 @@ CLOSEST, SAME_NODE = 0.02, 0.15
 # way, as the scan watches every path; and the detour, m, that is preferred to an edge for each NODE_MARGIN, begun, of
 # the clearance that the edge lacks.
 ACCEPTED, TIGHT = 0.2, 10.0
-# Clearance beyond which an edge costs only its length, m.
-COMFORT = 1.0
 # Greatest distance of a scan point from its surface, m: one that no mapped surface is nearer to is of an unmapped
 # obstacle; an obstacle that a scan sees past by more is gone; others are passed at this distance.
 RETURN_OFF = 0.08
-
-
-# What edges of a length (e,), m, with a clearance (e,), m, cost, (e,), m.
-EdgeCost = Callable[[FloatArray, FloatArray], FloatArray]
-
-
-def cost_of_edge(length: FloatArray, gap: FloatArray) -> FloatArray:
-    """length * (1 + 2 max(0, 1 - gap / COMFORT)^2)."""
-    return np.maximum(length, 1e-9) * (1.0 + 2.0 * np.maximum(0.0, 1.0 - gap / COMFORT) ** 2)
-
-
-@dataclasses.dataclass(frozen=True)
-class RoadmapParameters:
-    """The parameters of robot, sensors and explorer that the roadmap needs, and the seed of its samples.
-
-    least_range: m, nearer the scanner sees nothing. cost: of edges, see `cost_of_edge`.
-    """
-
-    robot: RobotConfig
-    sensor: TagSensorConfig
-    odometry: OdometryConfig
-    explorer: ExplorerConfig
-    planner: PlannerConfig
-    seed: int
-    least_range: float = 0.0
-    cost: EdgeCost = cost_of_edge
 
 
 @message
@@ -347,7 +311,7 @@ def extend(
     state: RoadmapState,
     tfg: TfgMap,
     estimate: MapEstimate,
-    parameters: RoadmapParameters,
+    parameters: PlanningParameters,
     *,
     driven: FloatArray | None = None,
     radius: float = np.inf,
@@ -370,15 +334,7 @@ def extend(
     near = within(points, estimate.X_MA[-1], radius)
     near[first_new:] = True
     sigma = np.append(state.sigma, np.full(fresh, np.inf))
-    sigma[near] = predicted_deviation(
-        points[near],
-        estimate,
-        tfg,
-        parameters.sensor,
-        parameters.odometry,
-        parameters.robot.max_speed,
-        sigma[near],
-    )
+    sigma[near] = predicted_deviation(points[near], estimate, tfg, parameters, sigma[near])
     proposed = np.vstack([chain, _nearest_edges(points, first_new, near)])
     was_driven = np.arange(len(proposed)) < len(chain)
     all_edges = _distinct(state.edges, unchecked(proposed, was_driven), len(points))
@@ -412,7 +368,7 @@ def _with_new_nodes(
     state: RoadmapState,
     tfg: TfgMap,
     estimate: MapEstimate,
-    parameters: RoadmapParameters,
+    parameters: PlanningParameters,
     driven: FloatArray | None,
     radius: float,
 ) -> tuple[FloatArray, IntArray, int]:
@@ -453,14 +409,14 @@ def _checked(
     points: FloatArray,
     sigma: FloatArray,
     tfg: TfgMap,
-    parameters: RoadmapParameters,
+    parameters: PlanningParameters,
 ) -> Edges:
     """The edges between points (n, 2), checked against the map.
 
     An edge is usable where it lies in free space and has the room that it needs. How much that is follows from the
     deviations sigma (n,), m, and the probability of a collision: ACCEPTED, or the planner's if that is more.
     """
-    node_need = room_needed(parameters.robot, parameters.planner, sigma, ACCEPTED)
+    node_need = room_needed(parameters, sigma, ACCEPTED)
     has, need = _measure(edges.nodes, points, node_need, tfg.obstacles)
     free = edges.free | edges.travelled
     ask = np.flatnonzero(~free & (has >= parameters.robot.radius))
@@ -490,16 +446,17 @@ def _measure(
     return has, need
 
 
-def room_needed(robot: RobotConfig, planner: PlannerConfig, sigma: FloatArray, accepted: float) -> FloatArray:
+def room_needed(parameters: PlanningParameters, sigma: FloatArray, accepted: float) -> FloatArray:
     """Return the clearance (e,), m, that a way needs for its deviation sigma (e,), m, and an accepted probability of a
     collision: at most that of the planner's own probability, but always room to stand.
 
     A wall may extend a few centimetres beyond its end in the map, and a robot that has squeezed into a room without
     landmarks will be less certain of its pose when it comes out.
     """
-    own = required_clearance(robot.radius, sigma, planner.collision_probability)
-    least = np.maximum(required_clearance(robot.radius, sigma, accepted), robot.radius + NODE_MARGIN)
-    return np.asarray(np.minimum(own, least) if accepted > planner.collision_probability else own)
+    radius, probability = parameters.robot.radius, parameters.planner.collision_probability
+    own = required_clearance(radius, sigma, probability)
+    least = np.maximum(required_clearance(radius, sigma, accepted), radius + NODE_MARGIN)
+    return np.asarray(np.minimum(own, least) if accepted > probability else own)
 
 
 @read_only_arguments

@@ -9,23 +9,21 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_array
 
-from tfg_drake.config import NODE_MARGIN, PlannerConfig, RobotConfig
+from tfg_drake.config import NODE_MARGIN, RobotConfig
 from tfg_drake.geometry.distance import clearance
 from tfg_drake.geometry.read_only import read_only_arguments
 from tfg_drake.messages import BoolArray, FloatArray, IntArray, Roadmap, TfgMap
 from tfg_drake.planning.chance_constraint import TRACKING_DEVIATION, collision_probability, required_clearance
+from tfg_drake.planning.parameters import COMFORT, PlanningParameters
 from tfg_drake.planning.pure_pursuit import PLANNED_SHARE, TURN_ABOVE
 from tfg_drake.planning.roadmap import (
     ACCEPTED,
-    COMFORT,
     EDGE_LENGTH,
     NEIGHBOURS,
     RETURN_OFF,
     TIGHT,
-    EdgeCost,
     RoadmapState,
     components,
-    cost_of_edge,
     in_free_space,
     room_needed,
 )
@@ -56,23 +54,21 @@ def routes(
     state: RoadmapState,
     tfg: TfgMap,
     X_MB: FloatArray,
-    robot: RobotConfig,
-    planner: PlannerConfig,
+    parameters: PlanningParameters,
     obstacles: FloatArray | None = None,
-    cost: EdgeCost = cost_of_edge,
 ) -> Routes:
     """Return the cheapest ways from the robot's pose X_MB (3,) to every node.
 
-    cost: of edges. With planner.risk "path" risk also adds to the cost, with the weight that reaches most nodes, and
-    nodes not reached within planner.collision_probability count as unreachable; ways kept open although too narrow are
-    exempt. obstacles: (b, 4) segments met at this stage that the map does not hold, m in M. A robot that stands too
-    near a surface may still leave if it hardly comes nearer, or by the way with the most room if there is no other.
+    With planner.risk "path" risk also adds to the cost, with the weight that reaches most nodes, and nodes not reached
+    within planner.collision_probability count as unreachable; ways kept open although too narrow are exempt. obstacles:
+    (b, 4) segments met at this stage that the map does not hold, m in M. A robot that stands too near a surface may
+    still leave if it hardly comes nearer, or by the way with the most room if there is no other.
     """
     n = len(state.points)
     if n == 0:
         none = np.zeros(0)
         return Routes(none, np.zeros(0, dtype=np.int64), none, none)
-    edges = state.edges
+    edges, robot, planner, cost = state.edges, parameters.robot, parameters.planner, parameters.cost
     has, is_open = edges.clearance, edges.usable
     if obstacles is not None and len(obstacles):
         room = np.full(len(edges), np.inf)
@@ -260,8 +256,7 @@ def roadmap_message(
     state: RoadmapState,
     ways: Routes,
     tfg: TfgMap,
-    robot: RobotConfig,
-    planner: PlannerConfig,
+    parameters: PlanningParameters,
     driven: float = 0.0,
     home: Routes | None = None,
 ) -> Roadmap:
@@ -270,7 +265,7 @@ def roadmap_message(
     driven: m, so far. home: the routes from the start, to which the robot must return.
     """
     # Whatever a robot would try that knows its place as well as it ever does.
-    least = room_needed(robot, planner, np.array(TRACKING_DEVIATION), ACCEPTED)
+    least = room_needed(parameters, np.array(TRACKING_DEVIATION), ACCEPTED)
     fits = state.edges.usable | state.edges.with_room(least)
     entry = _entries(state, ways, fits)
     # A surface that crosses what was free, and had room, was not there then: a door that shut, unless it left a gap.
@@ -292,7 +287,7 @@ def roadmap_message(
         driven=driven,
         ids=state.ids,
         once_open=shut,
-        need=room_needed(robot, planner, state.sigma, ACCEPTED),
+        need=room_needed(parameters, state.sigma, ACCEPTED),
     )
 
 

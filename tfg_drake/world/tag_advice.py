@@ -23,10 +23,10 @@ from tfg_drake.geometry.se2 import wrap_angle
 from tfg_drake.geometry.visibility import line_of_sight
 from tfg_drake.grid.path import cheapest
 from tfg_drake.messages import BoolArray, FloatArray, IntArray
-from tfg_drake.planning.candidates import GoalParameters
 from tfg_drake.planning.exact_gain import whitened
 from tfg_drake.planning.information_gain import sightings_of_turn, turn_noise
 from tfg_drake.planning.odometry_drift import odometry_covariance
+from tfg_drake.planning.parameters import PlanningParameters
 from tfg_drake.world.reachability import CELL, make_grid, reachable_cells
 from tfg_drake.world.tag_placement import place_tags
 from tfg_drake.world.world import World, WorldError
@@ -59,7 +59,7 @@ class Advice:
 def advise_tags(
     world: World,
     count: int,
-    mapper: GoalParameters,
+    mapper: PlanningParameters,
     *,
     floor: Callable[[FloatArray], BoolArray] | None = None,
     on_tag: Callable[[int], object] | None = None,
@@ -158,7 +158,7 @@ def _candidates(world: World, robot_radius: float) -> tuple[FloatArray, FloatArr
 class _Turns:
     """The joint Gaussian of the poses at the first look and at all places, with the tags that hang so far."""
 
-    def __init__(self, world: World, places: FloatArray, parent: IntArray, mapper: GoalParameters) -> None:
+    def __init__(self, world: World, places: FloatArray, parent: IntArray, mapper: PlanningParameters) -> None:
         sensor, explorer = mapper.sensor, mapper.explorer
         self._walls, self._sensor = world.walls, sensor
         # The first look fixes the map: its pose is known, and it sees what is ahead of it alone.
@@ -169,7 +169,7 @@ class _Turns:
         self._first_noise = turn_noise(sensor, looked)
         self._covariance = self._driven(np.append(-1, parent + 1), mapper)
 
-    def _driven(self, parent: IntArray, mapper: GoalParameters) -> FloatArray:
+    def _driven(self, parent: IntArray, mapper: PlanningParameters) -> FloatArray:
         """The covariance (3n, 3n) of the poses by odometry alone, each reached from its parent."""
         n = len(self._p)
         S = np.zeros((n, 3, n, 3))
