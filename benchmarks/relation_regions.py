@@ -12,6 +12,7 @@ screen, the deviation of an axis is that of +-2.5 cm, as its authors say.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import subprocess
 import sys
@@ -39,9 +40,10 @@ TOLD = {"aces": 0.025 / math.sqrt(3.0)}
 
 
 def run_of(data: Path, runs: Path, name: str) -> Path:
-    """The folder of a log's run, made if it is absent."""
+    """The folder of a log's run, made if it is absent or was interrupted."""
     folder = runs / name
-    if not (folder / "summary.json").exists():
+    summary = folder / "summary.json"
+    if not summary.exists() or json.loads(summary.read_text())["outcome"] == "interrupted":
         command = [sys.executable, "-m", "tfg_drake.diagrams.cli", "slam", str(data / f"{name}.clf.bz2")]
         subprocess.run([*command, "--out", str(folder)], check=True, stdout=subprocess.DEVNULL)
     return folder
