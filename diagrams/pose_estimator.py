@@ -14,7 +14,8 @@ def MakePoseEstimator(pose: System, sigma: Sequence[float] = (0.05, 0.05, 0.02))
 
     Args:
         pose: a System whose only output is that pose, a vector of size 3. Its inputs are connected by name, as those of
-            any part, such as base.odometry, a message, or truth.pose of a simulated station, a vector.
+            any part: messages such as `MessageInputs(self, "odometry")`, or vectors such as truth.pose of a simulated
+            station.
         sigma: standard deviations to state for the pose, m, m, rad.
 
     Raises TypeError if there is no such output.

@@ -4,8 +4,8 @@ Every message is a frozen dataclass whose arrays are read-only and whose deep co
 at no cost, and no system can change a message that another one reads.
 
 Frames: W world, M map (the true start pose: X_WM = start), O odometry, B robot body, A the robot where a view's
-turn begins (arrival), D where it ends (departure). A pose is an array (x, y, theta) in metres and radians; a
-covariance of a pose X_MB is that of (x, y) in M and theta.
+turn begins (arrival), D where it ends (departure). A pose is an array (x, y, theta) in metres and radians,
+theta modulo 2 pi; a covariance of a pose X_MB is that of (x, y) in M and theta.
 """
 
 from __future__ import annotations

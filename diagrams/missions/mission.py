@@ -611,7 +611,8 @@ class Mission:
         self.tfg, estimate = self.look_for("tfg", TfgMap), self.look_for("map", MapEstimate)
         self.grid = self.look_for("grid", GridMap)
         record: dict[str, Any] | None = None
-        if estimate is not None and estimate.stage > len(self.stages):
+        newest = self.stages[-1]["stage"] if self.stages else 0  # more than there are where the Context was set
+        if estimate is not None and estimate.stage > newest:
             record = self._stage_record(estimate)
             self.map = estimate
             # Copies: a view would keep the whole joint covariance of every stage.
@@ -619,7 +620,7 @@ class Mission:
             self.departures.append(
                 Departure(float(estimate.observation.stamps[0]), estimate.stamp, estimate.X_MD, covariance)
             )
-        elif self.grid is not None and self.grid.stage > len(self.stages):
+        elif self.grid is not None and self.grid.stage > newest:
             record = dict.fromkeys(STAGE_FIELDS) | {"stage": self.grid.stage, "time_s": self.grid.stamp}
         if record is not None or self._shown_at is not self.X_WM:
             self._shown_at = self.X_WM

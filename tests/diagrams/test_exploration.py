@@ -67,6 +67,21 @@ def test_in_steps_it_is_the_same_mission(tmp_path):
     assert steps.stages == whole.stages
 
 
+def test_the_stages_of_a_mission_that_goes_on_from_anothers_context_begin_there():
+    quick = ["explorer.first_look=0"]
+    whole = tfg_drake.explore("house", settings=quick, until=12.0)
+    before = whole.stages[-1]["stage"]
+    fork = tfg_drake.explore("house", settings=quick, until=0.0)
+    fork.context.SetTimeStateAndParametersFrom(whole.context)
+    fork.simulator.Initialize()
+    fork.advance(8.0)
+    whole.advance(8.0)
+    stages = [row["stage"] for row in fork.stages]
+    assert before > 1
+    assert len(stages) > 1
+    assert stages == list(range(before, whole.stages[-1]["stage"] + 1))
+
+
 def test_what_it_says_is_of_now_also_when_the_simulator_was_advanced():
     house = tfg_drake.explore(bare(), until=0.0)
     assert (house.map, house.status.stage) == (None, 0)
