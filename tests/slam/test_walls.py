@@ -449,21 +449,6 @@ def test_a_new_wall_is_long_and_has_been_looked_at_often():
             assert set(new) == all_of_them - (set() if enough else {one.ids[k]})
 
 
-@pytest.mark.parametrize(("apart", "is_one"), [(0.0, True), (0.03, True), (0.15, False)])
-def test_two_pieces_of_one_new_wall_are_one(apart, is_one):
-    """The longer piece is the landmark."""
-    begin, frames, end = turn()
-    solution = reduced(NOISE, (begin, frames, end), SHEET)
-    one, looks = solution.keyframe, solution.sightings
-    order = np.argsort(np.ptp(one.reach[: one.walls], axis=1))
-    longest, other = order[-1], order[0]
-    y_AL, anchor, reach = one.y_AL.copy(), one.anchor.copy(), one.reach.copy()
-    y_AL[other], anchor[other], reach[other] = y_AL[longest] + [0.0, apart], anchor[longest], 0.7 * reach[longest]
-    twice = replace(one, y_AL=y_AL, anchor=anchor, reach=reach)
-    new = set(identified(twice, looks, no_walls(), empty_map(SHEET))[0].provisional)
-    assert new == set(one.ids) - ({one.ids[other]} if is_one else set())
-
-
 def test_a_wall_seen_again_after_a_turn_round_is_one_landmark():
     """By odometry, which turns two per cent too far, it stands elsewhere by then."""
     counts = []

@@ -48,8 +48,7 @@ OVERLAP = 0.3
 MOST_DEVIATION = 0.5
 # A wall within this distance of one of the map, m, that fails the gate is neither that wall nor a new one.
 UNCLEAR = 0.4
-# Two walls of the map within this distance, m, at the seen piece are no rivals in an association; of two new walls of a
-# keyframe within it the shorter one is none.
+# Two walls of the map within this distance, m, at the seen piece are no rivals in an association.
 ONE_WALL = 0.05
 # Number of looks and length, m, that a new wall needs.
 LEAST_LOOKS, LEAST_LENGTH = 3, 0.6
@@ -319,10 +318,9 @@ def identified(
     seen = WallSet(y_AL[:w], one.anchor[:w], one.reach[:w])
     mapped = WallSet(estimate.p_ML[known], estimate.anchor[known], estimate.reach[known])
     squared, off, overlap = compared(seen, R, mapped, entry, estimate.X_MD, estimate.covariance)
-    provisional, ids, again, new = [], [], [], list[int]()
+    provisional, ids, again = [], [], []
     taken, next_id = np.zeros(len(known), dtype=bool), int(estimate.ids.min(initial=WALLS_BELOW)) - 1
-    on_one_line = _on_one_line(seen, length)
-    # The longest first: of two pieces of one wall the longer one is associated, or new.
+    # The longest first: of two pieces of one wall the longer one is associated.
     for k in np.argsort(-length, kind="stable"):
         agrees = squared[k] < GATE
         if agrees.any():
@@ -333,10 +331,7 @@ def identified(
                 again.append((k, best))
                 provisional.append(one.ids[k])
                 ids.append(estimate.ids[known[best]])
-        elif np.any(off[k] < UNCLEAR) or on_one_line[k][new].any():
-            continue
-        elif counts[k] >= walls.least_looks and length[k] >= LEAST_LENGTH:
-            new.append(k)
+        elif not np.any(off[k] < UNCLEAR) and counts[k] >= walls.least_looks and length[k] >= LEAST_LENGTH:
             provisional.append(one.ids[k])
             ids.append(next_id)
             next_id -= 1
@@ -346,18 +341,6 @@ def identified(
         of_these = y_AL[k], one.anchor[k], R[np.ix_(rows, rows)]
         walls = walls.seen_again(*_off(*of_these, known[best], entry[best], estimate), floor)
     return Names(np.array(provisional, dtype=np.int64), np.array(ids, dtype=np.int64)), walls
-
-
-def _on_one_line(seen: WallSet, length: FloatArray) -> BoolArray:
-    """A mask (s, s) of the walls of which each one's ends lie within ONE_WALL of the line of another one that faces the
-    same way and that it overlaps, as in `compared`. length: (s,) m."""
-    along, d = along_walls(seen.wall), ends_of(*seen)[:, :, None] - seen.anchor
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
-    off, at = (np.einsum("iejx,jx->iej", d, axis) for axis in (normal, along))
-    overlap = np.minimum(at.max(axis=1), seen.reach[:, 1]) - np.maximum(at.min(axis=1), seen.reach[:, 0])
-    near = np.abs(off - seen.wall[:, 1]).max(axis=1) < ONE_WALL
-    enough = overlap > np.minimum(OVERLAP, 0.5 * length)[:, None]
-    return np.asarray(near & enough & (normal @ normal.T >= SAME_DIRECTION))
 
 
 def renamed(
