@@ -8,6 +8,8 @@ from tfg_drake.slam import place_search
 from tfg_drake.slam.keyframe import moved_points
 from tfg_drake.slam.place_search import (
     BLUR,
+    LONG,
+    SHORT,
     STEP,
     WRONG,
     Places,
@@ -151,14 +153,25 @@ def test_what_others_of_its_own_eyes_have_looked_through_does_not_stay():
     np.testing.assert_array_equal(both_looks.depth, [first.depth[0], place_search.nearest(both_looks.eyes[1], room)])
 
 
-def test_straight_is_what_goes_on_in_line():
+@pytest.mark.parametrize("least", [SHORT, LONG])
+def test_straight_is_what_goes_on_in_line(least):
     angle = np.arange(0.0, 2.0 * np.pi, 0.2)
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.cos(angle), np.sin(angle)]) * [0.3, 0.3, 1.0, 1.0]
     wall, leg = thinned(surfaces([[0.0, 0.0, 3.0, 0.0]])), thinned(ring)
-    assert is_straight(wall)[3:-3].all()
-    assert not is_straight(leg).any()
-    assert not is_straight(thinned(surfaces([[0.0, 0.0, 0.6, 0.0]]))).any()
-    assert is_straight(np.zeros((0, 4))).shape == (0,)
+    assert is_straight(wall, least).all()
+    assert is_straight(thinned(surfaces([[0.0, 0.0, least + 0.3, 0.0]])), least).any()
+    assert not is_straight(leg, least).any()
+    assert not is_straight(thinned(surfaces([[0.0, 0.0, least - 0.3, 0.0]])), least).any()
+    assert is_straight(np.zeros((0, 4)), least).shape == (0,)
+
+
+def test_a_person_who_shuffles_is_not_straight_however_often_it_is_seen():
+    """Half a metre of body, seen twelve times, each time two centimetres farther."""
+    body = surfaces([[0.0, 0.0, 0.0, 0.5]])
+    often = np.vstack([thinned(body + np.array([0.015 * k, 0.02 * k, 0.0, 0.0])) for k in range(12)])
+    assert not is_straight(often, LONG).any()
+    once = thinned(surfaces([[0.0, 0.0, 0.0, 1.5]]))
+    np.testing.assert_array_equal(is_straight(np.vstack([once, once]), LONG)[: len(once)], is_straight(once, LONG))
 
 
 def test_of_two_equal_rooms_the_one_is_believed_where_the_robot_is_thought_to_be():

@@ -50,9 +50,10 @@ HALF, ALIKE = 0.5, 0.6
 # A cell within NEAR, m, of a surface is on it. It is looked through by an eye that sees at least DEPTH, m, farther,
 # unless the other side has a surface within BESIDE, m, of it.
 NEAR, DEPTH, BESIDE = 0.1, 0.3, 0.25
-# A cell is straight with at least ALONG other cells within STRAIGHT, m, that lie within ACROSS, m, of its tangent and
-# whose normals' cosine with its own exceeds SAME_NORMAL.
-ALONG, STRAIGHT, ACROSS, SAME_NORMAL = 3, 0.75, 0.1, 0.92
+# A surface is straight if it extends along the tangent of a cell by at least SHORT, m, more than a person. Against a
+# known pose only one of LONG, m, counts fully, more than the leaf of a door. Cells within ACROSS, m, of the tangent
+# belong to it if their normals' cosine exceeds SAME_NORMAL.
+SHORT, LONG, ACROSS, SAME_NORMAL = 0.8, 1.2, 0.1, 0.92
 # Number of bearings of an eye's ranges. A surface within SIGHT, m, whose incidence has a cosine above SLANT is seen for
 # certain.
 BEARINGS, SIGHT, SLANT = 180, 8.0, 0.35
@@ -196,7 +197,7 @@ def find_places(
     X = se2.compose(np.array([fits[k][0] for k in kept]), se2.inverse(X_AC))
     first = [k for k in range(len(X)) if is_elsewhere(X[:k], X[k]).all()]
     X, information = X[first], np.array([fits[kept[k]][1] for k in first])
-    log, on, beyond = _agreement(known, surfaces, seen, X)
+    log, on, beyond = _agreement(known, surfaces, seen, X, SHORT)
     log += 0.0 if prior is None else prior.log(X)
     odds = log + _beyond(beyond, is_growing=is_growing)
     among = log + HALF * ON * np.minimum(beyond, on) if is_growing else odds
@@ -214,7 +215,7 @@ def find_places(
 def log_odds(known: Seen, seen: Seen) -> float:
     """Return the log odds that an observation has the pose that it seems to have in M, from what both sides have looked
     at; places where the map has not looked do not count."""
-    return float(_agreement(known, Surfaces(known.points), seen, np.zeros((1, 3)))[0, 0])
+    return float(_agreement(known, Surfaces(known.points), seen, np.zeros((1, 3)), LONG)[0, 0])
 
 
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
@@ -222,11 +223,11 @@ def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
     return np.maximum(BEYOND * length, GROWING if is_growing else MOST_BEYOND)
 
 
-def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> FloatArray:
+def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray, least: float) -> FloatArray:
     """Return (3, k): the log odds of each pose X (k, 3) from what both sides have looked at, and the lengths of
-    observed surface, m, on the map's surfaces and where the map has not looked."""
+    observed surface, m, on the map's surfaces and where the map has not looked. least: m, of straight surface."""
     cells, there, told = seen.staying(), known.staying(), np.empty((3, len(X)))
-    against, against_there = (np.where(is_straight(one), AGAINST, MOVABLE) for one in (cells, there))
+    against, against_there = (np.where(is_straight(one, least), AGAINST, MOVABLE) for one in (cells, there))
     mine, others = cKDTree(cells[:, :2]), cKDTree(there[:, :2])
     for k, pose in enumerate(X):
         at, old = moved_points(pose, cells), moved_points(se2.inverse(pose), there)
@@ -240,12 +241,18 @@ def _agreement(known: Seen, surfaces: Surfaces, seen: Seen, X: FloatArray) -> Fl
     return told
 
 
-def is_straight(cells: FloatArray) -> BoolArray:
-    """Return a mask of the cells (n, 4) of straight surface, as of walls but not of people."""
-    i, j = cKDTree(cells[:, :2]).query_pairs(STRAIGHT, output_type="ndarray").T
-    off = np.abs(np.sum((cells[j, :2] - cells[i, :2]) * cells[i, 2:], axis=1))
-    along = (off < ACROSS) & (np.sum(cells[i, 2:] * cells[j, 2:], axis=1) > SAME_NORMAL)
-    return np.asarray(np.bincount(np.append(i[along], j[along]), minlength=len(cells)) >= ALONG)
+def is_straight(cells: FloatArray, least: float) -> BoolArray:
+    """Return a mask of the cells (n, 4) of straight surface that extends by at least so many metres, as of walls but
+    not of people."""
+    n, (a, b) = len(cells), cKDTree(cells[:, :2]).query_pairs(least, output_type="ndarray").T
+    i, j = np.concatenate([a, b, np.arange(n)]), np.concatenate([b, a, np.arange(n)])
+    (x, y), (n_x, n_y) = (cells[j, :2] - cells[i, :2]).T, cells[i, 2:].T
+    same = (np.abs(n_x * x + n_y * y) < ACROSS) & (np.sum(cells[i, 2:] * cells[j, 2:], axis=1) > SAME_NORMAL)
+    # Surface may be seen several times: each step of a cell's side along the tangent counts once.
+    most = math.ceil(least / CELL) + 1
+    step = np.rint((n_x * y - n_y * x)[same] / CELL).astype(np.int64) + most
+    extent = np.bincount(np.unique(i[same] * (2 * most + 1) + step) // (2 * most + 1), minlength=n)
+    return np.asarray(extent * CELL > least - 0.5 * CELL)
 
 
 @njit(cache=True)
