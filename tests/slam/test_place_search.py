@@ -15,6 +15,7 @@ from tfg_drake.slam.place_search import (
     Places,
     Prior,
     find_places,
+    fits_near,
     is_straight,
     log_odds,
     no_places,
@@ -151,6 +152,19 @@ def test_what_others_of_its_own_eyes_have_looked_through_does_not_stay():
     assert at_somebody[0] >= 3
     assert at_somebody[1] <= 1  # An edge, perhaps.
     np.testing.assert_array_equal(both_looks.depth, [first.depth[0], place_search.nearest(both_looks.eyes[1], room)])
+
+
+@pytest.mark.parametrize(
+    ("moved", "fits"), [((0.3, 0.4, 0.1), True), ((0.0, 0.0, 1.57), False), ((0.0, 2.0, 0.0), False)]
+)
+def test_a_corridor_tells_whether_the_robot_may_have_drifted(moved, fits):
+    """Its walls do not tell a place, but that a robot turned by 90 degrees, or that stands in its wall, was carried."""
+    corridor, here = [[0.0, 0.0, 12.0, 0.0], [12.0, 2.0, 0.0, 2.0]], np.array([6.0, 1.0, 0.0])
+    known = seen_from(np.array([[3.0, 1.0], [9.0, 1.0]]), surfaces(corridor))
+    walls = nothing_seen().with_look(seen([[3.0, 0.0, 9.0, 0.0], [9.0, 2.0, 3.0, 2.0]], here), np.zeros(3))
+    assert not tells_place(walls.points)
+    assert fits_near(known, walls, here + np.array(moved), np.array([1.5, 1.5, 0.5])) == fits
+    assert not fits_near(nothing_seen(), walls, here, np.array([1.5, 1.5, 0.5]))
 
 
 @pytest.mark.parametrize("least", [SHORT, LONG])

@@ -218,6 +218,21 @@ def log_odds(known: Seen, seen: Seen) -> float:
     return float(_agreement(known, Surfaces(known.points), seen, np.zeros((1, 3)), LONG)[0, 0])
 
 
+def fits_near(known: Seen, seen: Seen, X: FloatArray, window: FloatArray) -> bool:
+    """Return whether an observation that need not determine its place agrees with a map at some pose within a window
+    (3,), m, m and rad, around X (3,)."""
+    cells, surfaces = thinned(seen.points), Surfaces(known.points)
+    if not len(cells) or not len(known.points):
+        return False
+    cells = cells[np.random.default_rng(0).permutation(len(cells))]
+    _, starts = peaks(known.points[:, :2], cells[:COARSE, :2], X, window)
+    poses = np.array([surfaces.fitted(cells[:QUERY], start, UNTIED, LOOSELY)[0] for start in (X, *starts)])
+    off = np.abs(poses - X)
+    off[:, 2] = np.abs(se2.wrap_angle(off[:, 2]))
+    agrees = _agreement(known, surfaces, seen, poses, LONG)[0] > 0.0
+    return bool(np.any(agrees & np.all(off < window, axis=1)))
+
+
 def _beyond(length: FloatArray, *, is_growing: bool) -> FloatArray:
     """Return the log odds (k,) of lengths of surface (k,), m, where the map has not looked."""
     return np.maximum(BEYOND * length, GROWING if is_growing else MOST_BEYOND)

@@ -54,6 +54,7 @@ from tfg_drake.slam.place_search import (
     Prior,
     Seen,
     find_places,
+    fits_near,
     is_elsewhere,
     log_odds,
     nothing_seen,
@@ -194,7 +195,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     graph, known = state.graph, estimate.of_landmarks(tied(state.graph)).of_tags
     # Where the map is adrift the newest pose is known among the keyframes behind the unknown way.
     begin = adrift(graph) + 1
-    mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces else ())
+    mapped = seen_by_keyframes(graph, range(begin, len(graph.keyframes)) if by_surfaces or at_last else ())
     expected, anywhere = newest.X_MB, math.isnan(state.placed) and not begin
     # A resumed robot most probably stands where it stood; any other place is as unlikely as to be carried there.
     sigma, carried = FROM_HERE if state.is_kidnapped and not math.isnan(state.placed) else (DRIFTED, CARRIED)
@@ -202,7 +203,10 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     found, places = _where((known, mapped), seen, prior, is_growing=True)
     if not by_surfaces and found is None:
         by_walls = not (rows_of(seen[0].ids, known.ids)[1].any() or state.is_kidnapped or begin)
-        return _drifted(state, newest) if at_last and by_walls else state
+        if not (at_last and by_walls):
+            return state
+        has_drifted = fits_near(mapped, seen[1], expected, 3.0 * DRIFTED)
+        return _drifted(state, newest) if has_drifted else _carried(state)
     is_carried = state.is_kidnapped or places.near(expected, 3.0 * DRIFTED) < LIKELY
     here = not is_carried and places.may_be(expected, HERE + 3.0 * suspect.sigma)
     # A robot that is lost already, and maps apart, is not declared lost again.
@@ -212,10 +216,7 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
         if state.is_kidnapped or (stamp - suspect.begin.stamp < LONGEST_SEARCH and not at_last):
             return state
         if is_carried or places.probability[0] < STILL:
-            take_note("slip", stamp, "what is in view contradicts the pose; the robot looks for itself")
-            # Tags met before the robot was moved have another place relative to it now.
-            state = replace(state, localizer=without_local(state.localizer))
-            return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
+            return _carried(state)
         found = Placed(places.X[0], np.diag(BY_WALLS**2))
     if anywhere:
         _operator.warning("%.2f s: the robot has found itself in its map, by %s", stamp, found.by)
@@ -234,9 +235,17 @@ def find_itself(state: EstimatorState, *, at_last: bool = False) -> EstimatorSta
     return begun_elsewhere(state, replace(newest, X_MB=found.X, sigma=PLACED))
 
 
+def _carried(state: EstimatorState) -> EstimatorState:
+    """Return the state of a robot whose pose is contradicted and that is at no other place for certain."""
+    take_note("slip", state.stamp, "what is in view contradicts the pose; the robot looks for itself")
+    # Tags met before the robot was moved have another place relative to it now.
+    state = replace(state, localizer=without_local(state.localizer))
+    return begun_elsewhere(state, replace(opened(state), sigma=KIDNAPPED))
+
+
 def _drifted(state: EstimatorState, newest: Stretch) -> EstimatorState:
-    """Return the state of a robot whose pose walls contradict that do not tell its place, as those of a corridor: it
-    has drifted, by as much as is likelier than that somebody has carried it."""
+    """Return the state of a robot whose pose walls contradict that do not tell its place, as those of a corridor, but
+    fit the map within a drift, which is likelier than that somebody has carried it."""
     estimate = state.map
     assert estimate is not None
     take_note("slip", state.stamp, "walls contradict the pose and do not tell another one; the map may be bent here")
