@@ -10,10 +10,13 @@ PROBLEM = $(shell $(PYTHON) -c 'import sys, venv, ensurepip; v = sys.version_inf
   || echo "$(PYTHON) does not run or has no venv module (on Debian: apt install python3-venv)")
 require_python = $(if $(PROBLEM),$(error $(PROBLEM)))
 
-.PHONY: help demo test quick test-slow lint format types check pins docs kernels results figures clean
+.PHONY: help install demo test quick test-slow lint format types check pins docs kernels results figures clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
+
+install: $(VENV)/.demo  ## create the environment and compile the kernels, without a mission
+	$(BIN)/python -m tfg_drake.diagrams.compile_kernels
 
 demo: $(VENV)/.demo  ## explore a floor of 46 x 22 m at eight times real time, shown on a page
 	$(BIN)/tfg-drake explore paper --realtime-rate 8

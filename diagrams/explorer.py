@@ -46,6 +46,7 @@ def MakeTfgExplorer(
     estimator: Factory | None = None,
     planner: Factory | None = None,
     follower: Factory | None = None,
+    ends_simulation: bool = True,
 ) -> Diagram:
     """Make the explorer for a scenario's robot, sensors and method; it does not read the scenario's world.
 
@@ -82,14 +83,21 @@ def MakeTfgExplorer(
 
     base.odometry, base.hazards, tags.detections, scan.ranges: Odometry, Hazards, TagDetections and LaserScan messages.
     base.enabled, pause, stop, recall: vectors of size 1, true above 0.5, requested_goal: a RequestedGoal and
-    said_pose: a SaidPose message; these six may stay unconnected. There are recall and requested_goal if the goal
+    said_pose: a SaidPose message; all of these may stay unconnected. There are recall and requested_goal if the goal
     selector has them, said_pose if the estimator has it. While pause is true the robot stands; then the mission goes
     on. stop ends the mission at once, with the outcome interrupted. recall lets it choose no goal any more, so it ends
-    with the outcome budget, at home only if explorer.return_home is true. After the end every update, 16 a second,
-    requests termination. base.velocity_commanded: forward speed (m/s) and turn rate (rad/s).
+    with the outcome budget, at home only if explorer.return_home is true. base.velocity_commanded: forward speed (m/s)
+    and turn rate (rad/s).
 
-    In the mission `house` of tfg_drake.explore, in memory and simulated, this pauses:
-    `house.explorer.GetInputPort("pause").FixValue(house.explorer.GetMyMutableContextFromRoot(house.context), 1.0)`.
+    requested_goal counts from the next choice of a goal on, if its count has changed: the robot drives to the reachable
+    node of the roadmap that is nearest to p_MG, however far that is, looks around, and continues. goal.p_MG is that
+    node while it is on its way, and goal.reason says so. Without a reachable node the request has no effect.
+
+    In the mission `house` of tfg_drake.explore, in memory and simulated, this pauses, and this sends the robot to a
+    place; of a clone of its Context it does so in the clone alone:
+    `house.explorer.GetInputPort("pause").FixValue(house.explorer.GetMyMutableContextFromRoot(house.context), 1.0)`
+    `house.explorer.GetInputPort("requested_goal").FixValue(..., RequestedGoal(1, np.array([2.0, 0.5])))`
+    with RequestedGoal of `tfg_drake.planning.requested_goal`.
 
     For inspection: pose: PoseEstimate, map: MapEstimate of the tags, tfg: TfgMap, roadmap: Roadmap, goal: GoalChoice,
     path: Path, path_status: PathStatus, follower_status: FollowerStatus, mission: MissionStatus, all in M.
@@ -109,6 +117,8 @@ def MakeTfgExplorer(
         planner: replaces PrmPlanner; roadmap and local_roadmap may be missing if the goal selector needs none. See Path
             and PathStatus in `tfg_drake.messages`.
         follower: replaces PurePursuitFollower. See FollowerStatus there.
+        ends_simulation: after the end of the mission every update, 16 a second, requests termination. False for several
+            explorers in one diagram, or to simulate on; mission.phase is then `done`.
 
     Raises:
         ScenarioError: the scenario has an invalid value.
@@ -124,7 +134,10 @@ def MakeTfgExplorer(
     )
     prm = wiring.Add("prm_planner", MakePart("planner", own.get("planner"), MakePlanner, scenario))
     pursuit = wiring.Add("follower", MakePart("follower", own.get("follower"), MakeFollower, scenario))
-    sequencer = wiring.Add("mission_sequencer", MissionSequencer(scenario.robot, scenario.explorer.glance_period))
+    sequencer = wiring.Add(
+        "mission_sequencer",
+        MissionSequencer(scenario.robot, scenario.explorer.glance_period, ends_simulation=ends_simulation),
+    )
 
     wiring.FeedAll(slam, tfg_builder, selector, prm, pursuit, sequencer)
     return wiring.Build(pursuit, sequencer, selector)

@@ -15,7 +15,7 @@ MAPS = ("map", "tfg")
 
 
 class MissionSequencer(LeafSystem):
-    """Runs `tfg_drake.mission.sequence.step`, and ends the simulation when the mission is over.
+    """Runs `tfg_drake.mission.sequence.step`.
 
     .. pydrake_system::
 
@@ -41,9 +41,18 @@ class MissionSequencer(LeafSystem):
     (1,), true above 0.5; unconnected they read 0, 1 and 0.
     """
 
-    def __init__(self, robot: RobotConfig, glance_period: float = 0.0, maps: Sequence[str] = MAPS):
-        """glance_period: s, as explorer.glance_period. maps: the inputs with maps, whose messages have a stage."""
+    def __init__(
+        self,
+        robot: RobotConfig,
+        glance_period: float = 0.0,
+        maps: Sequence[str] = MAPS,
+        *,
+        ends_simulation: bool = True,
+    ):
+        """glance_period: s, as explorer.glance_period. maps: the inputs with maps, whose messages have a stage.
+        ends_simulation: after the end of the mission every update requests termination."""
         super().__init__()
+        self._ends_simulation = ends_simulation
         self._max_speed, self._glance_period = robot.max_speed, glance_period
         self._maps = tuple(maps)
         self._inputs = MessageInputs(self, "goal", "path", "path_status", "follower_status", "hazards", *maps)
@@ -57,7 +66,8 @@ class MissionSequencer(LeafSystem):
     def _Update(self, context: Context, state: State) -> EventStatus:
         status = self._status(context)
         if status.phase == "done":
-            return EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
+            ended = EventStatus.ReachedTermination(self, f"{status.outcome}: {status.reason}")
+            return ended if self._ends_simulation else EventStatus.DidNothing()
         inputs = MissionInputs(
             time=context.get_time(),
             follower=lambda: self._inputs(context, "follower_status"),

@@ -202,7 +202,8 @@ WALLS_BELOW = -(1 << 40)
 
 
 def is_tag(ids: IntArray) -> BoolArray:
-    """Return a mask of the landmarks (n,) that are tags, not walls."""
+    """Return a mask of the landmarks (n,) that are tags, not walls. The first wall of a map has the id WALLS_BELOW - 1,
+    each further one the next lower; a wall keeps its id."""
     return np.asarray(ids >= WALLS_BELOW)
 
 
@@ -210,19 +211,19 @@ def is_tag(ids: IntArray) -> BoolArray:
 class MapEstimate:
     """The Gaussian of landmarks and departure pose after a view (MAP and its marginal covariance).
 
-    stage: number of views k. stamp: s. ids: (n,) ascending. p_ML: (n, 2), m; for a wall the angle of its normal, rad,
-    and its distance along the normal from its anchor, m. anchor: (n, 2) m, and reach: (n, 2) extent of the wall along
-    its normal turned left by 90 degrees, m from the anchor; zero for a tag. X_MD: (3,) the last departure pose. local:
-    (m,) rows of the jointly known landmarks, ascending: all in a small map, those around the last departure in a large
-    one. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD). landmark_covariance: (n, 2, 2) of each
-    landmark; if it is not local, from when the robot was last near. X_MA: (k, 3) arrival poses of all views.
-    observation: of the newest view. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|, nats (the paper's objective).
-    doubtful: (d,) ids, ascending, of doubtful tags, landmarks or not. doubtful_places: (d, 2) the best supported place
-    of each, in M, m. frame_worth: information of one frame in a long sequence, as a share of an independent one's;
-    below 1 if the noise is correlated in time. tag_error: (2,) standard deviations of the tags' constant errors of
-    range, m, and bearing, rad. shared: (q,) the shared parameters (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q,
-    q) their covariance with (p_ML[local] row by row, X_MD, shared). by_walls: True if walls also determine the pose at
-    every view.
+    stage: number of views k. stamp: s. ids: (n,) ascending: numbers of tags, and of walls, see `is_tag`. p_ML: (n, 2),
+    m; for a wall the angle of its normal, rad, and its distance along the normal from its anchor, m. anchor: (n, 2) m,
+    and reach: (n, 2) extent of the wall along its normal turned left by 90 degrees, m from the anchor; zero for a tag.
+    X_MD: (3,) the last departure pose. local: (m,) rows of the jointly known landmarks, ascending: all in a small map,
+    those around the last departure in a large one. covariance: (2m + 3, 2m + 3) of (p_ML[local] row by row, X_MD).
+    landmark_covariance: (n, 2, 2) of each landmark; if it is not local, from when the robot was last near. X_MA: (k, 3)
+    arrival poses of all views. observation: of the newest view. entropy: of the landmarks, 1/2 log|2 pi e Sigma_L|,
+    nats (the paper's objective). doubtful: (d,) ids, ascending, of doubtful tags, landmarks or not. doubtful_places:
+    (d, 2) the best supported place of each, in M, m. frame_worth: information of one frame in a long sequence, as a
+    share of an independent one's; below 1 if the noise is correlated in time. tag_error: (2,) standard deviations of
+    the tags' constant errors of range, m, and bearing, rad. shared: (q,) the shared parameters
+    (`tfg_drake.slam.shared`), with_shared: (2m + 3 + q, q) their covariance with (p_ML[local] row by row, X_MD,
+    shared). by_walls: True if walls also determine the pose at every view.
     """
 
     stage: int
