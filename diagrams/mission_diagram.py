@@ -86,6 +86,7 @@ def MakeMissionDiagram(
     truth_log = None
     if station.HasOutputPort("truth.pose"):
         truth_log = LogVectorOutput(station.GetOutputPort("truth.pose"), builder, ODOMETRY_PERIOD)
+        truth_log.set_name("truth_log")
 
     if writer is not None:
         ports = builder.AddNamedSystem("port_recorder", PortRecorder(writer))
